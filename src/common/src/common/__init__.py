@@ -1,0 +1,1 @@
+"""What every package of the rig shares: rotations and poses, averaging, typed configuration, errors."""

@@ -1,0 +1,43 @@
+"""Means over the newest samples of a stream."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+
+class Window:
+    """First-in, first-out buffer of the newest `size` samples; its mean exists once it is full.
+
+    Samples are float arrays of one shape; the mean is taken element by element.
+    """
+
+    def __init__(self, size: int) -> None:
+        if size < 1:
+            raise ValueError(f"a window holds at least one sample, not {size}")
+        self._samples: deque[np.ndarray] = deque(maxlen=size)
+
+    def add(self, sample) -> None:
+        """Takes a sample in; the oldest goes out when the window is full.
+
+        Raises:
+            ValueError: the sample is not finite.
+        """
+        sample = np.asarray(sample, dtype=float)
+        if not np.all(np.isfinite(sample)):
+            raise ValueError(f"the sample {sample.tolist()} is not finite")
+        self._samples.append(sample)
+
+    def reset(self) -> None:
+        """Forgets all samples."""
+        self._samples.clear()
+
+    @property
+    def full(self) -> bool:
+        """Whether as many samples came in as the window holds."""
+        return len(self._samples) == self._samples.maxlen
+
+    def mean(self) -> np.ndarray | None:
+        """Returns the mean of the samples, or None before the window is full."""
+        return np.mean(self._samples, axis=0) if self.full else None

@@ -1,0 +1,194 @@
+"""Typed configuration: a frozen dataclass is the schema of one yaml mapping.
+
+Each field says its type, unit and range; `parse` reports every fault at once, each as one sentence that names the key,
+the value and what is allowed. Defaults live in the yaml alone, so a missing key is a fault, and so is an unknown one.
+
+    @dataclass(frozen=True)
+    class TeleopConfig:
+        time_out: float = number("s", above=0.0, doc="go home after so long without a new transform")
+
+        def faults(self):                       # optional: what no single field can check
+            return []
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from common.errors import ConfigError
+
+Schema = TypeVar("Schema")
+
+
+def number(unit: str = "", *, low=None, high=None, above=None, below=None, doc: str = "") -> Any:
+    """A finite number. `low` and `high` belong to the range, `above` and `below` do not."""
+    return _field(_Number(unit, low, high, above, below), doc)
+
+
+def integer(unit: str = "", *, low=None, high=None, doc: str = "") -> Any:
+    """A whole number within [low, high]."""
+    return _field(_Integer(unit, low, high, None, None), doc)
+
+
+def vector(length: int, unit: str = "", *, low=None, high=None, above=None, below=None, doc: str = "") -> Any:
+    """A list of `length` finite numbers, each in the range; becomes a read-only array, shape (length,)."""
+    return _field(_Vector(length, _Number(unit, low, high, above, below)), doc)
+
+
+def flag(doc: str = "") -> Any:
+    """true or false."""
+    return _field(_Flag(), doc)
+
+
+def text(doc: str = "") -> Any:
+    """A string that is not empty."""
+    return _field(_Text(), doc)
+
+
+def choice(*options: str, doc: str = "") -> Any:
+    """One of the given strings."""
+    return _field(_Choice(options), doc)
+
+
+def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", others: Iterable[str] = ()) -> Schema:
+    """Returns the configuration that `values` describe.
+
+    Args:
+        schema: a frozen dataclass whose fields were made by the functions above.
+        values: what the yaml or the parameter server holds.
+        prefix: stands before each key in the messages, such as "kuka/".
+        others: keys that may stand beside the schema's own and belong to somebody else.
+
+    Raises:
+        ConfigError: with all faults.
+    """
+    if not isinstance(values, Mapping):
+        raise ConfigError([f"{prefix or 'the configuration'} is {values!r}, but must be a mapping of keys to values."])
+    fields = {f.name: f for f in dataclasses.fields(schema)}
+    faults = [
+        f"{prefix}{key} is not a known key; known are {', '.join(fields)}."
+        for key in values
+        if key not in fields and key not in others
+    ]
+    read = {}
+    for name, field in fields.items():
+        if name not in values:
+            faults.append(f"{prefix}{name} is missing; it must be {field.metadata['kind'].allowed()}.")
+            continue
+        try:
+            read[name] = field.metadata["kind"].read(values[name])
+        except ValueError:
+            faults.append(f"{prefix}{name} is {values[name]!r}, but must be {field.metadata['kind'].allowed()}.")
+    if not faults:
+        config = schema(**read)
+        faults = [f"{prefix}{fault}" for fault in getattr(config, "faults", list)()]
+        if not faults:
+            return config
+    raise ConfigError(faults)
+
+
+def describe(schema: type) -> list[tuple[str, str, str]]:
+    """Returns a row (key, what is allowed, meaning) for each field of the schema, for tables and help texts."""
+    return [(f.name, f.metadata["kind"].allowed(), f.metadata["doc"]) for f in dataclasses.fields(schema)]
+
+
+def _field(kind, doc: str) -> Any:
+    return dataclasses.field(metadata={"kind": kind, "doc": doc})
+
+
+@dataclasses.dataclass(frozen=True)
+class _Number:
+    unit: str
+    low: float | None
+    high: float | None
+    above: float | None
+    below: float | None
+
+    def read(self, value):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise ValueError
+        if (
+            (self.low is not None and value < self.low)
+            or (self.high is not None and value > self.high)
+            or (self.above is not None and value <= self.above)
+            or (self.below is not None and value >= self.below)
+        ):
+            raise ValueError
+        return float(value)
+
+    def allowed(self) -> str:
+        return f"a finite number{self._range()}{self._unit()}"
+
+    def _unit(self) -> str:
+        return f" {self.unit}" if self.unit else ""
+
+    def _range(self) -> str:
+        if self.low is None and self.high is None and self.above is None and self.below is None:
+            return ""
+        left = f"[{self.low:g}" if self.low is not None else f"({self.above:g}" if self.above is not None else "(-inf"
+        right = f"{self.high:g}]" if self.high is not None else f"{self.below:g})" if self.below is not None else "inf)"
+        return f" in {left}, {right}"
+
+
+class _Integer(_Number):
+    def read(self, value):
+        if not isinstance(value, int):
+            raise ValueError
+        return int(super().read(value))
+
+    def allowed(self) -> str:
+        return f"a whole number{self._range()}{self._unit()}"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Vector:
+    length: int
+    item: _Number
+
+    def read(self, value):
+        if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != self.length:
+            raise ValueError
+        array = np.array([self.item.read(v) for v in value])
+        array.setflags(write=False)
+        return array
+
+    def allowed(self) -> str:
+        return f"{self.length} finite numbers{', each' + self.item._range() if self.item._range() else ''}{self.item._unit()}"
+
+
+class _Flag:
+    def read(self, value):
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+
+    def allowed(self) -> str:
+        return "true or false"
+
+
+class _Text:
+    def read(self, value):
+        if not isinstance(value, str) or not value.strip():
+            raise ValueError
+        return value
+
+    def allowed(self) -> str:
+        return "a string that is not empty"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Choice:
+    options: tuple[str, ...]
+
+    def read(self, value):
+        if value not in self.options:
+            raise ValueError
+        return value
+
+    def allowed(self) -> str:
+        return f"one of {', '.join(self.options)}"

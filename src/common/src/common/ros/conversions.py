@@ -1,0 +1,43 @@
+"""Between ROS messages and arrays; bad numbers are refused here, at the border."""
+
+from __future__ import annotations
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
+
+from common.poses import pose
+from common.rotations import quaternion_from_rotation, rotation_from_quaternion
+
+
+def transform_from_pose(T: np.ndarray) -> Transform:
+    """Returns the message of the pose T, shape (4, 4)."""
+    return Transform(Vector3(*T[:3, 3]), Quaternion(*quaternion_from_rotation(T[:3, :3])))
+
+
+def stamped_transform(T: np.ndarray, parent: str, child: str, stamp: rospy.Time) -> TransformStamped:
+    """Returns the tf message of the pose T, shape (4, 4), of `child` in `parent`."""
+    message = TransformStamped()
+    message.header.stamp = stamp
+    message.header.frame_id = parent
+    message.child_frame_id = child
+    message.transform = transform_from_pose(T)
+    return message
+
+
+def pose_from_transform(transform: Transform) -> np.ndarray:
+    """Returns the pose, shape (4, 4), of a Transform message.
+
+    Raises:
+        ValueError: a number is not finite, or the quaternion is not a unit quaternion.
+    """
+    t, q = transform.translation, transform.rotation
+    p = np.array([t.x, t.y, t.z])
+    if not np.all(np.isfinite(p)):
+        raise ValueError(f"the translation {p.tolist()} is not finite")
+    return pose(rotation_from_quaternion([q.x, q.y, q.z, q.w]), p)
+
+
+def array(v: Vector3 | Point) -> np.ndarray:
+    """Returns x, y, z of a Vector3 or Point as an array, shape (3,)."""
+    return np.array([v.x, v.y, v.z])

@@ -1,0 +1,28 @@
+"""The life of a node: start, run, and end with one sentence instead of a traceback."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import rospy
+
+from common.errors import ConfigError, RigError
+
+
+def run(name: str, main: Callable[[], None]) -> None:
+    """Starts the node `name`, runs `main` to its end and exits the process.
+
+    The exit code is 0 when main returns or ROS shuts down, 1 after a RigError: its sentence goes to the log and to the
+    standard error stream. Any other exception is a defect of the program and keeps its traceback.
+    """
+    rospy.init_node(name)
+    try:
+        main()
+    except rospy.ROSInterruptException:
+        pass
+    except RigError as error:
+        for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
+            rospy.logfatal("%s: %s", rospy.get_name(), sentence)
+        rospy.signal_shutdown("fault")
+        sys.exit(1)

@@ -1,0 +1,88 @@
+"""Rotations as 3x3 matrices and unit quaternions (x, y, z, w), refused when they are not rotations.
+
+The arithmetic is Pinocchio's; here stand the conventions of the rig and the checks at its borders. `R_a_b` is the
+attitude of b in a: its columns are the axes of b written in a.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+UNIT_TOLERANCE = 1e-3
+"""How far the norm of a quaternion or of an axis may be off and still be normalised (reference: faults, 20)."""
+
+
+def unit(vector) -> np.ndarray:
+    """Returns vector / |vector|, shape (n,).
+
+    Raises:
+        ValueError: the vector is zero or not finite.
+    """
+    v = np.asarray(vector, dtype=float)
+    norm = np.linalg.norm(v)
+    if not np.isfinite(norm) or norm < 1e-12:
+        raise ValueError(f"the vector {v.tolist()} has no direction")
+    return v / norm
+
+
+def rotation_about(axis: int, angle: float) -> np.ndarray:
+    """Returns the rotation by `angle` [rad] about coordinate axis 0, 1 or 2, shape (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    R = np.eye(3)
+    R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
+    return R
+
+
+def check_rotation(R, tolerance: float = 1e-6) -> np.ndarray:
+    """Returns R as a float array, shape (3, 3).
+
+    Raises:
+        ValueError: R is not finite, not orthonormal within `tolerance`, or a mirror.
+    """
+    R = np.asarray(R, dtype=float)
+    if R.shape != (3, 3) or not np.all(np.isfinite(R)):
+        raise ValueError(f"a rotation needs 3 x 3 finite numbers, not {R.tolist()}")
+    if np.abs(R @ R.T - np.eye(3)).max() > tolerance:
+        raise ValueError(f"the matrix {R.tolist()} is not orthonormal")
+    if np.linalg.det(R) < 0.0:
+        raise ValueError(f"the matrix {R.tolist()} is a mirror, not a rotation")
+    return R
+
+
+def quaternion_from_rotation(R) -> np.ndarray:
+    """Returns the quaternion x, y, z, w with w >= 0, shape (4,), of the rotation R, shape (3, 3)."""
+    q = pin.Quaternion(np.asarray(R, dtype=float)).normalized().coeffs()
+    return -q if q[3] < 0.0 else np.array(q)
+
+
+def rotation_from_quaternion(q) -> np.ndarray:
+    """Returns the rotation, shape (3, 3), of the quaternion x, y, z, w, shape (4,).
+
+    Raises:
+        ValueError: not four finite numbers, or the norm is off by more than `UNIT_TOLERANCE`.
+    """
+    q = np.asarray(q, dtype=float)
+    if q.shape != (4,) or not np.all(np.isfinite(q)):
+        raise ValueError(f"a quaternion needs four finite numbers, not {q.tolist()}")
+    norm = np.linalg.norm(q)
+    if abs(norm - 1.0) > UNIT_TOLERANCE:
+        raise ValueError(f"the quaternion {q.tolist()} has norm {norm:.6g} instead of 1")
+    return pin.Quaternion(*(q[[3, 0, 1, 2]] / norm)).toRotationMatrix()
+
+
+def rotation_from_zyx(a: float, b: float, c: float) -> np.ndarray:
+    """Returns Rz(a) Ry(b) Rx(c), shape (3, 3); angles in rad. KUKA's A, B, C are these angles."""
+    return pin.rpy.rpyToMatrix(c, b, a)
+
+
+def zyx_from_rotation(R) -> tuple[float, float, float]:
+    """Returns a, b, c [rad] with R = Rz(a) Ry(b) Rx(c), b in [-pi/2, pi/2]; at |b| = pi/2 one of the many solutions."""
+    c, b, a = pin.rpy.matrixToRpy(np.asarray(R, dtype=float))
+    return float(a), float(b), float(c)
+
+
+def rotation_angle(R) -> float:
+    """Returns the angle [rad], 0 to pi, by which the rotation R, shape (3, 3), turns."""
+    return float(np.linalg.norm(pin.log3(np.asarray(R, dtype=float))))
