@@ -158,7 +158,8 @@ class _Vector:
         return array
 
     def allowed(self) -> str:
-        return f"{self.length} finite numbers{', each' + self.item._range() if self.item._range() else ''}{self.item._unit()}"
+        interval = self.item._range()
+        return f"{self.length} finite numbers{', each' + interval if interval else ''}{self.item._unit()}"
 
 
 class _Flag:

@@ -1,0 +1,185 @@
+"""What all tests share: the packages on the path without a build, and for tests marked `ros` a master of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent
+SHARED = ROOT.parent / "shared"
+
+# Behind everything else: in a sourced workspace the built packages, which also hold the messages, come first.
+sys.path.extend(str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup.py")))
+
+
+def pytest_collection_modifyitems(config, items):
+    """Skips the tests marked `ros` where the workspace is not sourced, and says so."""
+    if "ROS_PACKAGE_PATH" in os.environ:
+        return
+    skip = pytest.mark.skip(reason="the workspace is not built and sourced: source devel/setup.bash")
+    for item in items:
+        if item.get_closest_marker("ros"):
+            item.add_marker(skip)
+
+
+def free_port(kind: int = socket.SOCK_STREAM) -> int:
+    """Returns a port of this machine's loopback address that is free now."""
+    with socket.socket(socket.AF_INET, kind) as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@pytest.fixture(name="free_port")
+def free_port_fixture():
+    """The function free_port."""
+    return free_port
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    """The folder of recorded hands and transcripts beside the project; tests that need it skip without it."""
+    folder = SHARED / "data"
+    if not folder.is_dir():
+        pytest.skip("the recordings in ../shared/data are not on this machine")
+    return folder
+
+
+class Processes:
+    """Starts programs in process groups of their own and ends each of them with the test."""
+
+    def __init__(self, log_folder: Path) -> None:
+        self._log_folder = log_folder
+        self._running: list[subprocess.Popen] = []
+
+    def start(self, *command: str, env: dict[str, str] | None = None) -> subprocess.Popen:
+        """Starts a command; its output goes to the file `process.log_path` of the process that is returned."""
+        log_path = self._log_folder / f"{len(self._running)}-{Path(command[0]).name}.log"
+        with open(log_path, "wb") as log:
+            process = subprocess.Popen(
+                command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env={**os.environ, **(env or {})}
+            )
+        process.log_path = log_path
+        self._running.append(process)
+        return process
+
+    def end(self, process: subprocess.Popen, timeout: float = 15.0) -> int:
+        """Interrupts a process as Ctrl-C does, kills its group if that does not help, returns its exit code."""
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        return process.wait(5.0)
+
+    def end_all(self) -> None:
+        """Ends what is still running, newest first."""
+        for process in reversed(self._running):
+            self.end(process)
+
+
+@pytest.fixture
+def processes(tmp_path):
+    """Starts programs that end with the test."""
+    starter = Processes(tmp_path)
+    yield starter
+    starter.end_all()
+
+
+@pytest.fixture(scope="session")
+def ros_master(tmp_path_factory):
+    """A ROS master on a free port, and this process as a node of it. Yields the master's URI."""
+    import rospy
+
+    port = free_port()
+    uri = f"http://localhost:{port}"
+    folder = tmp_path_factory.mktemp("ros")
+    os.environ.update(
+        ROS_MASTER_URI=uri, ROS_HOME=str(folder), ROS_LOG_DIR=str(folder / "log"), ROS_HOSTNAME="localhost"
+    )
+    starter = Processes(folder)
+    starter.start("roscore", "-p", str(port))
+    wait_until(lambda: _master_answers(uri), 30.0, "the ROS master")
+    rospy.init_node("test", anonymous=True, disable_signals=True)
+    yield uri
+    rospy.signal_shutdown("tests are over")
+    starter.end_all()
+
+
+@pytest.fixture
+def ros(ros_master, processes):
+    """The test's own graph: what it starts ends with the test, and the parameters are cleared."""
+    import rospy
+
+    yield Graph(processes)
+    processes.end_all()
+    for name in rospy.get_param_names():
+        if not name.startswith(("/ros", "/run_id")):
+            with contextlib.suppress(KeyError):
+                rospy.delete_param(name)
+
+
+class Graph:
+    """Starts nodes and launch files, and listens to what they publish."""
+
+    def __init__(self, processes: Processes) -> None:
+        self._processes = processes
+
+    def run(self, package: str, executable: str, *args: str) -> subprocess.Popen:
+        """Starts a node as `rosrun` does."""
+        return self._processes.start("rosrun", package, executable, *args)
+
+    def launch(self, package: str, file: str, **args) -> subprocess.Popen:
+        """Starts a launch file as `roslaunch` does."""
+        return self._processes.start("roslaunch", "--wait", package, file, *(f"{k}:={v}" for k, v in args.items()))
+
+    def record(self, topic: str, message_type) -> list:
+        """Returns a list that grows by every message on the topic, with `list.wait(count, timeout)`."""
+        import rospy
+
+        messages = Recording()
+        rospy.Subscriber(topic, message_type, messages.append, queue_size=1000)
+        return messages
+
+
+class Recording(list):
+    """Messages in the order of their arrival."""
+
+    def wait(self, count: int = 1, timeout: float = 15.0) -> Recording:
+        """Waits until `count` messages came in."""
+        wait_until(lambda: len(self) >= count, timeout, f"{count} messages (came: {len(self)})")
+        return self
+
+
+def wait_until(condition, timeout: float, what: str, poll: float = 0.02):
+    """Waits until the condition returns something true, and returns that; fails the test after `timeout` seconds."""
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline:
+        result = condition()
+        if result:
+            return result
+        time.sleep(poll)
+    pytest.fail(f"waited {timeout} s in vain for {what}")
+
+
+@pytest.fixture(name="wait_until")
+def wait_until_fixture():
+    """The function wait_until."""
+    return wait_until
+
+
+def _master_answers(uri: str) -> bool:
+    import xmlrpc.client
+
+    try:
+        return xmlrpc.client.ServerProxy(uri).getPid("/test")[0] == 1
+    except OSError:
+        return False

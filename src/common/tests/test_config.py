@@ -1,0 +1,94 @@
+"""Typed configuration: what is accepted, what is refused, and how the refusal reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.config import choice, describe, flag, integer, number, parse, text, vector
+from common.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Example:
+    robot: str = choice("LBR7R800", "LBR14R820", doc="the arm")
+    angle: float = number("deg", above=0.0, below=180.0)
+    size: int = integer(low=1, high=100)
+    centre: np.ndarray = vector(3, "m")
+    home: bool = flag()
+    host: str = text()
+
+    def faults(self):
+        return [] if self.centre[2] == 0.0 else ["centre must lie in the plane z = 0."]
+
+
+GOOD = {"robot": "LBR7R800", "angle": 50, "size": 10, "centre": [1, -1, 0], "home": False, "host": "localhost"}
+
+
+def faults(**changes):
+    with pytest.raises(ConfigError) as error:
+        parse(Example, {**GOOD, **changes}, "kuka/")
+    return error.value.faults
+
+
+def test_good_values_are_read_with_their_types():
+    config = parse(Example, GOOD)
+    assert isinstance(config.angle, float) and config.size == 10 and config.home is False
+    np.testing.assert_array_equal(config.centre, [1.0, -1.0, 0.0])
+    with pytest.raises(ValueError):
+        config.centre[0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("robot", "LBR8"), ("angle", 0.0), ("angle", 180), ("angle", "50"), ("angle", float("nan")), ("angle", True),
+        ("size", 0), ("size", 1.5), ("size", False), ("centre", [1, 2]), ("centre", "abc"),
+        ("centre", [1, 2, float("inf")]), ("centre", 3.0), ("home", 1), ("host", " "), ("host", 5),
+    ],
+)  # fmt: skip
+def test_a_bad_value_is_refused_with_its_key_and_value(key, value):
+    (fault,) = faults(**{key: value})
+    assert fault.startswith(f"kuka/{key} is {value!r}, but must be ")
+
+
+def test_the_range_and_unit_are_named():
+    assert faults(angle=200.0) == ("kuka/angle is 200.0, but must be a finite number in (0, 180) deg.",)
+    assert faults(size=0) == ("kuka/size is 0, but must be a whole number in [1, 100].",)
+
+
+def test_all_faults_are_reported_at_once():
+    assert len(faults(angle=-1, size=0, stray=1)) == 3
+
+
+def test_missing_and_unknown_keys_are_faults_unless_they_belong_to_others():
+    with pytest.raises(ConfigError, match="kuka/robot is missing"):
+        parse(Example, {k: v for k, v in GOOD.items() if k != "robot"}, "kuka/")
+    assert "stray is not a known key" in faults(stray=1)[0]
+    assert parse(Example, {**GOOD, "stray": 1}, others=("stray",)).size == 10
+
+
+def test_what_no_single_key_can_check():
+    assert faults(centre=[1, 1, 1]) == ("kuka/centre must lie in the plane z = 0.",)
+
+
+def test_not_a_mapping():
+    with pytest.raises(ConfigError, match="must be a mapping"):
+        parse(Example, 7, "kuka/")
+
+
+def test_description_has_a_row_per_field():
+    assert describe(Example)[0] == ("robot", "one of LBR7R800, LBR14R820", "the arm")
+    assert [row[0] for row in describe(Example)] == list(GOOD)
+
+
+@given(st.floats())
+def test_a_number_is_accepted_exactly_in_its_range(value):
+    if 0.0 < value < 180.0:
+        assert parse(Example, {**GOOD, "angle": value}).angle == value
+    else:
+        faults(angle=value)

@@ -1,0 +1,110 @@
+"""Laws of rotations and poses, and what is refused at their border."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common import poses
+from common import rotations as rot
+from common.averaging import Window
+
+angles = st.floats(-10.0, 10.0)
+
+
+@given(angles, angles, angles)
+def test_zyx_angles_round_trip(a, b, c):
+    R = rot.rotation_from_zyx(a, b, c)
+    np.testing.assert_allclose(rot.rotation_from_zyx(*rot.zyx_from_rotation(R)), R, atol=1e-12)
+
+
+@pytest.mark.parametrize("b", [np.pi / 2, -np.pi / 2, np.pi / 2 - 1e-10])
+def test_zyx_angles_round_trip_at_the_singularity(b):
+    R = rot.rotation_from_zyx(0.4, b, -1.1)
+    np.testing.assert_allclose(rot.rotation_from_zyx(*rot.zyx_from_rotation(R)), R, atol=1e-9)
+
+
+@given(angles, angles, angles)
+def test_zyx_is_z_then_y_then_x(a, b, c):
+    R = rot.rotation_about(2, a) @ rot.rotation_about(1, b) @ rot.rotation_about(0, c)
+    np.testing.assert_allclose(rot.rotation_from_zyx(a, b, c), R, atol=1e-12)
+
+
+@given(angles, angles, angles)
+def test_quaternion_round_trip(a, b, c):
+    R = rot.rotation_from_zyx(a, b, c)
+    q = rot.quaternion_from_rotation(R)
+    assert q[3] >= 0.0
+    np.testing.assert_allclose(np.linalg.norm(q), 1.0, atol=1e-12)
+    np.testing.assert_allclose(rot.rotation_from_quaternion(q), R, atol=1e-12)
+
+
+def test_quaternion_order_is_x_y_z_w():
+    np.testing.assert_allclose(
+        rot.rotation_from_quaternion([np.sqrt(0.5), 0, 0, np.sqrt(0.5)]), rot.rotation_about(0, np.pi / 2), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("q", [[0, 0, 0, 0], [0, 0, 0, 1.01], [np.nan, 0, 0, 1], [0, 0, 1], [np.inf, 0, 0, 0]])
+def test_a_bad_quaternion_is_refused(q):
+    with pytest.raises(ValueError):
+        rot.rotation_from_quaternion(q)
+
+
+def test_a_slightly_long_quaternion_is_normalised():
+    np.testing.assert_allclose(rot.rotation_from_quaternion([0, 0, 0, 1.0009]), np.eye(3), atol=1e-12)
+
+
+@given(st.floats(0.0, np.pi), st.integers(0, 2))
+def test_rotation_angle(angle, axis):
+    np.testing.assert_allclose(rot.rotation_angle(rot.rotation_about(axis, angle)), angle, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "R", [np.diag([1, 1, -1]), 1.1 * np.eye(3), np.full((3, 3), np.nan), np.eye(4), np.ones((3, 3))]
+)
+def test_what_is_no_rotation_is_refused(R):
+    with pytest.raises(ValueError):
+        rot.check_rotation(R)
+
+
+@pytest.mark.parametrize("v", [[0, 0, 0], [np.nan, 1, 0], [np.inf, 1, 0]])
+def test_a_vector_without_direction_is_refused(v):
+    with pytest.raises(ValueError, match="has no direction"):
+        rot.unit(v)
+
+
+@given(angles, angles, angles, st.tuples(angles, angles, angles))
+def test_inverse_pose(a, b, c, p):
+    T = poses.pose(rot.rotation_from_zyx(a, b, c), p)
+    np.testing.assert_allclose(T @ poses.inverse(T), np.eye(4), atol=1e-12)
+    np.testing.assert_array_equal(poses.check_pose(T), T)
+
+
+def test_what_is_no_pose_is_refused():
+    for T in (np.eye(3), np.diag([1, 1, 1, 2.0]), np.diag([1, 1, -1, 1.0]), np.full((4, 4), np.nan)):
+        with pytest.raises(ValueError):
+            poses.check_pose(T)
+
+
+@given(st.integers(1, 12), st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40))
+def test_window_is_the_mean_of_the_newest(size, samples):
+    window = Window(size)
+    for n, sample in enumerate(samples, 1):
+        window.add([sample])
+        assert window.full == (n >= size)
+        if window.full:
+            np.testing.assert_allclose(window.mean(), np.mean(samples[n - size : n]), atol=1e-9)
+        else:
+            assert window.mean() is None
+    window.reset()
+    assert not window.full
+
+
+def test_window_refuses_what_is_not_finite():
+    with pytest.raises(ValueError, match="not finite"):
+        Window(2).add([1.0, np.nan])
+    with pytest.raises(ValueError):
+        Window(0)
