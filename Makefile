@@ -1,0 +1,51 @@
+# The two commands of the project are `make demo` and `make test`; both set up what is missing. `make help` lists the rest.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+# What a new set-up or a new build depends on; Python sources, launch files and yaml are used in place.
+MANIFESTS := apt-packages.txt requirements.txt requirements-dev.txt tools/setup.sh \
+  $(shell find src \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.sh.develspace.in' \) -not -path src/CMakeLists.txt)
+READY := build/.ready
+IN_WORKSPACE := source devel/setup.bash &&
+
+# Arguments of the demo, see `make help`.
+HEADLESS ?= 0
+DURATION ?=
+RECORDING ?=
+OFFSET ?=
+REPORT ?=
+ARGS ?=
+
+.PHONY: help setup demo test test-fast bench lint clean distclean
+
+help: ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
+	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, ARGS="name:=value ..." for the launch file.\n'
+
+setup: $(READY) ## installs what is missing and builds the workspace
+
+$(READY): $(MANIFESTS)
+	@tools/setup.sh
+	@touch $@
+
+demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated arm and hand
+	@$(IN_WORKSPACE) rosrun leap_rig demo.py $(if $(filter 1 true yes,$(HEADLESS)),--headless) $(if $(DURATION),--duration $(DURATION)) \
+	  $(if $(RECORDING),--recording "$(RECORDING)") $(if $(OFFSET),--offset $(OFFSET)) $(if $(REPORT),--report "$(REPORT)") -- $(ARGS)
+
+test: $(READY) ## all tests
+	@$(IN_WORKSPACE) python -m pytest
+
+test-fast: $(READY) ## the tests that need no ROS, in seconds
+	@.venv/bin/python -m pytest -m "not ros"
+
+bench: $(READY) ## measures speed on this machine and prints a table
+	@$(IN_WORKSPACE) python bench/run.py
+
+lint: $(READY) ## style of the code
+	@.venv/bin/ruff check . && .venv/bin/ruff format --check .
+
+clean: ## removes the build
+	rm -rf build devel install logs src/CMakeLists.txt .catkin_workspace .pytest_cache .hypothesis .ruff_cache
+
+distclean: clean ## removes the build and the Python environment
+	rm -rf .venv

@@ -1,0 +1,98 @@
+#!/usr/bin/env bash
+# Sets the workspace up: Debian packages, a Python environment, the catkin build. Does only what is missing; safe to run again.
+# LEAP_RIG_LOG names the file that takes the full output (default build/setup.log).
+set -euo pipefail
+cd "$(dirname "$0")/.."
+mkdir -p build
+log=${LEAP_RIG_LOG:-build/setup.log}
+: >"$log"
+
+if [ -t 1 ]; then clear_line=$'\r\033[K' line_end=''; else clear_line='' line_end=$'\n'; fi
+last_shown=-10
+
+headline() { printf '%s\n' "$1"; last_shown=-10; }
+
+# progress PERCENT TEXT: one line that is overwritten on a terminal; a line every tenth elsewhere.
+progress() {
+  local percent=$1 text=$2 bar
+  if [ -z "$clear_line" ]; then
+    [ $((percent - last_shown)) -ge 10 ] || return 0
+    last_shown=$percent
+  fi
+  printf -v bar '%*s' $((percent / 4)) ''
+  printf '%s  [%-25s] %3d %%  %.60s%s' "$clear_line" "${bar// /#}" "$percent" "$text" "$line_end"
+}
+
+finished() { printf '%s  %s\n' "$clear_line" "$1"; }
+
+failed() {
+  printf '\n%s The last lines of %s:\n' "$1" "$log" >&2
+  tail -n 25 "$log" >&2
+  exit 1
+}
+
+as_root() {
+  if [ "$(id -u)" = 0 ]; then "$@"; elif command -v sudo >/dev/null; then sudo "$@"; else
+    echo "Installing Debian packages needs root: run this as root, or install sudo." >&2
+    exit 1
+  fi
+}
+
+install_packages() {
+  local wanted missing=() package
+  wanted=$(sed 's/#.*//' apt-packages.txt)
+  for package in $wanted; do
+    [ "$(dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
+  done
+  headline "1/3 Debian packages"
+  if [ ${#missing[@]} = 0 ]; then finished "all there"; return; fi
+  echo "  to install: ${missing[*]}"
+  as_root apt-get update -q >>"$log" 2>&1 || failed "apt-get update failed."
+  # apt reports on descriptor 3 in lines kind:package:percent:text; downloading is the first half of the bar.
+  { as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends \
+      -o APT::Status-Fd=3 -o APT::Sandbox::User=root "${missing[@]}" 3>&1 1>>"$log" 2>&1 || echo "failed:::"; } |
+    while IFS=: read -r kind _ percent text; do
+      percent=${percent%%.*}
+      case $kind in
+        dlstatus) progress $((percent / 2)) "$text" ;;
+        pmstatus) progress $((50 + percent / 2)) "$text" ;;
+        failed) exit 1 ;;
+      esac
+    done || failed "Installing the Debian packages failed."
+  finished "installed ${#missing[@]} packages and what they need"
+}
+
+make_environment() {
+  headline "2/3 Python environment"
+  # Only Debian's own Python sees Debian's rospy.
+  [ -x .venv/bin/python ] || /usr/bin/python3 -m venv --system-site-packages .venv >>"$log" 2>&1 || failed "Making .venv failed."
+  local total count=0
+  total=$(grep -cE '^[a-zA-Z]' requirements.txt requirements-dev.txt | awk -F: '{s += $2} END {print s}')
+  { .venv/bin/python -m pip install --disable-pip-version-check -r requirements.txt -r requirements-dev.txt 2>&1 || echo "pip-failed"; } |
+    while IFS= read -r line; do
+      echo "$line" >>"$log"
+      case $line in
+        Collecting*|"Requirement already satisfied"*) count=$((count + 1)); progress $((count < 2 * total ? count * 45 / total : 90)) "$line" ;;
+        Installing*) progress 95 "installing" ;;
+        pip-failed) exit 1 ;;
+      esac
+    done || failed "Installing the Python requirements failed."
+  finished "ready in .venv"
+}
+
+build_workspace() {
+  headline "3/3 Workspace build"
+  { catkin_make -DPYTHON_EXECUTABLE="$PWD/.venv/bin/python" -DCATKIN_ENABLE_TESTING=OFF 2>&1 || echo "build-failed"; } |
+    while IFS= read -r line; do
+      echo "$line" >>"$log"
+      case $line in
+        "["*%"]"*) percent=${line#[}; progress $((${percent%%%*})) "${line#*] }" ;;
+        build-failed) exit 1 ;;
+      esac
+    done || failed "The build failed."
+  finished "built; in any terminal: source $PWD/devel/setup.bash"
+}
+
+install_packages
+make_environment
+build_workspace
