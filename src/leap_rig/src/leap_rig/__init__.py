@@ -1,0 +1,1 @@
+"""The whole rig: bring-up, demo and the report of what a run did."""

@@ -1,0 +1,147 @@
+"""The summary of a run: plain numbers for a JSON file, one screen of text, and whether the rig did its job."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from leap_rig.recorder import Recorder, TrackingErrors
+
+ARM_FOLLOWED_M = 0.005
+"""The tool must have moved at least so far while a hand steered it."""
+HAND_MOVED_RAD = 0.1
+"""Some finger must have moved at least so far."""
+FOLLOWING_ERROR_M = 0.05
+"""With a larger typical distance to the commanded tool the arm does not follow."""
+
+
+def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = ()) -> dict:
+    """Returns the summary as a mapping that JSON can hold; `faults` lists why the run failed, empty if it did not.
+
+    Args:
+        recorder: what was seen.
+        now: time at which the run ended [s].
+        deaths: a sentence for each node that died.
+    """
+    began = recorder.started if recorder.started is not None else now
+    summary = {
+        "duration_s": round(now - began, 2),
+        "frames_received": recorder.frames,
+        "streams": [
+            {
+                "started_s": round(stream.started - began, 2),
+                "stopped_s": None if stream.stopped is None else round(stream.stopped - began, 2),
+                "reason": stream.reason,
+            }
+            for stream in recorder.streams
+        ],
+        "servo_goals_sent": _whole(recorder.count("kuka_control", "goals_sent")),
+        "pickups": _whole(recorder.count("kuka_control", "pickups")),
+        "returns_home": _whole(recorder.count("kuka_control", "homes")),
+        "workspace_clips": _whole(recorder.count("kuka_control", "workspace_clips")),
+        "ik_failures": _whole(recorder.count("kuka_control", "ik_failures")),
+        "safety_stops": _whole(recorder.count("simulation", "stops")),
+        "largest_tcp_speed_mm_s": _largest_speed(recorder),
+        "tool_path_m": round(recorder.tool_path, 3),
+        "tracking_error": {"desired": _errors(recorder.desired), "commanded": _errors(recorder.commanded)},
+        "hand_commands": _whole(recorder.count("leap_hand", "commands_sent")),
+        "hand_travel_rad": []
+        if recorder.hand_low is None
+        else np.round(recorder.hand_high - recorder.hand_low, 3).tolist(),
+        "delay_ms": _delays(recorder.stage_times),
+        "nodes_died": list(deaths),
+    }
+    summary["faults"] = _faults(summary)
+    return summary
+
+
+def _faults(summary: dict) -> list[str]:
+    faults = [f"A node died: {death}." for death in summary["nodes_died"]]
+    error = summary["tracking_error"]["commanded"]
+    if not summary["servo_goals_sent"] or summary["tool_path_m"] < ARM_FOLLOWED_M:
+        faults.append("The arm never followed a hand.")
+    elif error["median_mm"] is not None and error["median_mm"] > 1e3 * FOLLOWING_ERROR_M:
+        faults.append(f"The arm did not follow: half of the time it was {error['median_mm']:.0f} mm or more away.")
+    if not summary["hand_commands"] or max(summary["hand_travel_rad"], default=0.0) < HAND_MOVED_RAD:
+        faults.append("The robot hand never moved.")
+    return faults
+
+
+def _whole(count: float | None) -> int | None:
+    return None if count is None else round(count)
+
+
+def _largest_speed(recorder: Recorder) -> float | None:
+    text = recorder.counters.get("simulation", {}).get("max_tcp_speed")
+    return None if text is None else round(1e3 * float(text), 1)
+
+
+def _errors(errors: TrackingErrors) -> dict:
+    if not errors.distance:
+        return {**dict.fromkeys(("rms_mm", "median_mm", "max_mm", "rms_deg", "max_deg")), "samples": 0}
+    distance, angle = 1e3 * np.array(errors.distance), np.degrees(errors.angle)
+    return {
+        "rms_mm": round(float(np.sqrt(np.mean(distance**2))), 2),
+        "median_mm": round(float(np.median(distance)), 2),
+        "max_mm": round(float(distance.max()), 2),
+        "rms_deg": round(float(np.sqrt(np.mean(angle**2))), 3),
+        "max_deg": round(float(angle.max()), 3),
+        "samples": len(distance),
+    }
+
+
+def _delays(times: dict[str, dict[float, float]]) -> dict:
+    """Percentiles of the time each stage took, and of the whole ways from the received frame to the two wires."""
+    received = {stamp: stamp for stamp in times["leap_motion"]}
+    ways = {
+        "leap_motion: received to published": (received, times["leap_motion"]),
+        "leap_kuka: published to desired tool": (times["leap_motion"], times["leap_kuka"]),
+        "kuka_control: desired tool to goal sent": (times["leap_kuka"], times["kuka_control"]),
+        "frame received to goal on the arm's wire": (received, times["kuka_control"]),
+        "frame received to command of the hand": (received, times["leap_hand"]),
+    }
+    return {name: _percentiles([end[s] - begin[s] for s in end if s in begin]) for name, (begin, end) in ways.items()}
+
+
+def _percentiles(seconds: list[float]) -> dict:
+    if not seconds:
+        return {"p50": None, "p95": None, "p99": None, "samples": 0}
+    p50, p95, p99 = np.round(1e3 * np.percentile(seconds, (50, 95, 99)), 2).tolist()
+    return {"p50": p50, "p95": p95, "p99": p99, "samples": len(seconds)}
+
+
+def as_text(summary: dict) -> str:
+    """Returns the summary as one screen of text."""
+    lines = [f"Leap Rig: {summary['duration_s']:.1f} s", ""]
+    lines.append(f"  frames received        {summary['frames_received']}")
+    lines.append(f"  streams                {len(summary['streams'])}")
+    for stream in summary["streams"][-6:]:
+        stopped = "end" if stream["stopped_s"] is None else f"{stream['stopped_s']:.1f} s"
+        lines.append(f"    {stream['started_s']:6.1f} s to {stopped:>7}: {stream['reason']}"[:100])
+    rows = (
+        ("servo goals sent", "servo_goals_sent"), ("pick-ups by PTP", "pickups"), ("returns home", "returns_home"),
+        ("workspace clips", "workspace_clips"), ("unreachable goals", "ik_failures"), ("safety stops", "safety_stops"),
+        ("largest TCP speed", "largest_tcp_speed_mm_s"), ("hand commands", "hand_commands"),
+    )  # fmt: skip
+    for label, key in rows:
+        value = summary[key]
+        unit = " mm/s" if key.endswith("mm_s") and value is not None else ""
+        lines.append(f"  {label:<22} {'unknown' if value is None else value}{unit}")
+    lines.append(f"  hand travel            {summary['hand_travel_rad']} rad (index, middle, thumb, spread)")
+    lines += ["", "  tool tracking error       rms mm   max mm  rms deg  max deg  samples"]
+    for name, e in summary["tracking_error"].items():
+        numbers = " ".join(f"{_cell(e[k])}" for k in ("rms_mm", "max_mm", "rms_deg", "max_deg"))
+        lines.append(f"    to the {name:<15}  {numbers} {e['samples']:8d}")
+    lines += ["", "  delay [ms]                                    p50      p95      p99  samples"]
+    for name, d in summary["delay_ms"].items():
+        numbers = " ".join(_cell(d[k]) for k in ("p50", "p95", "p99"))
+        lines.append(f"    {name:<40} {numbers} {d['samples']:8d}")
+    lines += ["", *(f"  FAULT: {fault}" for fault in summary["faults"])]
+    if not summary["faults"]:
+        lines.append("  The arm followed, the hand moved, no node died.")
+    return "\n".join(lines)
+
+
+def _cell(value: float | None) -> str:
+    return f"{'-' if value is None else f'{value:.2f}':>8}"

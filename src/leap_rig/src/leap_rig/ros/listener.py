@@ -1,0 +1,101 @@
+"""Listens to the rig's topics and tf and hands what it hears to a Recorder."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from reflex_msgs.msg import Hand
+from rosgraph_msgs.msg import Log
+from sensor_msgs.msg import TimeReference
+from std_msgs.msg import String
+
+from common.poses import pose, translation
+from common.ros.conversions import array, pose_from_transform
+from common.ros.stage_times import TOPIC as STAGE_TIMES
+from common.rotations import rotation_from_quaternion
+from leap_rig.recorder import Recorder
+
+BASE = "kuka/base_frame"
+DESIRED = "kuka/tool_frame/desired"
+COMMANDED = "kuka/tool_frame/commanded"
+FRESH_S = 0.2
+"""A frame older than this does not steer the arm any more."""
+
+
+class RigListener:
+    """Feeds a Recorder. `mode` is the controller's mode, `warnings` what nodes complained of since the last look."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self.recorder = recorder
+        self.mode = ""
+        self.warnings: list[str] = []
+        self._lock = threading.Lock()
+        self._tool_length: float | None = None
+        self._buffer = tf2_ros.Buffer()
+        self._tf = tf2_ros.TransformListener(self._buffer, tcp_nodelay=True)
+        for topic, kind, callback, queue in (
+            (STAGE_TIMES, TimeReference, self._stage, 500),
+            ("leap_kuka/stream", DiagnosticStatus, self._stream, 50),
+            ("/diagnostics", DiagnosticArray, self._diagnostics, 50),
+            ("simulation/status", DiagnosticStatus, self._simulation, 10),
+            ("simulation/flange", PoseStamped, self._flange, 1),
+            ("kuka/mode", String, self._mode, 50),
+            ("reflex_takktile/hand_state", Hand, self._hand, 1),
+            ("/rosout", Log, self._log, 100),
+        ):
+            rospy.Subscriber(topic, kind, callback, queue_size=queue)
+
+    def _stage(self, message: TimeReference) -> None:
+        with self._lock:
+            self.recorder.stage(message.source, message.header.stamp.to_sec(), message.time_ref.to_sec())
+
+    def _stream(self, message: DiagnosticStatus) -> None:
+        with self._lock:
+            self.recorder.stream(message.level == DiagnosticStatus.OK, message.message, time.monotonic())
+
+    def _diagnostics(self, message: DiagnosticArray) -> None:
+        with self._lock:
+            for status in message.status:
+                self.recorder.status(status.name, {v.key: v.value for v in status.values})
+
+    def _simulation(self, message: DiagnosticStatus) -> None:
+        with self._lock:
+            self.recorder.status("simulation", {v.key: v.value for v in message.values})
+
+    def _mode(self, message: String) -> None:
+        self.mode = message.data
+
+    def _log(self, message: Log) -> None:
+        if message.level >= Log.WARN:
+            self.warnings.append(f"{message.name}: {message.msg}")
+
+    def _hand(self, message: Hand) -> None:
+        with self._lock:
+            self.recorder.hand(np.array([motor.joint_angle for motor in message.motor]))
+
+    def _flange(self, message: PoseStamped) -> None:
+        if self._tool_length is None:
+            self._tool_length = float(rospy.get_param("kuka/tool_length"))
+        q = message.pose.orientation
+        T_base_flange = pose(rotation_from_quaternion([q.x, q.y, q.z, q.w]), array(message.pose.position))
+        T_base_tool = T_base_flange @ translation(0.0, 0.0, self._tool_length)
+        following = self.mode == "servo" and self.recorder.streaming
+        targets = [self._fresh(frame) if following else None for frame in (DESIRED, COMMANDED)]
+        with self._lock:
+            self.recorder.tool(T_base_tool, *targets)
+
+    def _fresh(self, frame: str):
+        """Returns the pose of the frame in the base, shape (4, 4), or None where it is missing or old."""
+        try:
+            message = self._buffer.lookup_transform(BASE, frame, rospy.Time(0))
+        except tf2_ros.TransformException:
+            return None
+        if (rospy.Time.now() - message.header.stamp).to_sec() > FRESH_S:
+            return None
+        return pose_from_transform(message.transform)

@@ -1,0 +1,46 @@
+"""What a person sees in the terminal while the demo runs."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from leap_rig.ros.listener import RigListener
+
+
+class LiveStatus:
+    """One live line on a terminal, a line every five seconds elsewhere; complaints of the nodes in full."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stdout.isatty()
+        self._period = 0.5 if self._terminal else 5.0
+        self._next = 0.0
+        self._frames = 0
+        self._time = time.monotonic()
+
+    def update(self, listener: RigListener, phase: str) -> None:
+        """Prints what is new, if it is time."""
+        now = time.monotonic()
+        recorder = listener.recorder
+        warnings, listener.warnings = listener.warnings, []
+        for warning in warnings:
+            self._print(warning + "\n")
+        if now < self._next:
+            return
+        self._next = now + self._period
+        rate = max(recorder.frames - self._frames, 0) / max(now - self._time, 1e-3)
+        self._frames, self._time = recorder.frames, now
+        speed = recorder.counters.get("simulation", {}).get("tcp_speed")
+        hand = "steers" if recorder.streaming else "waits"
+        text = f"{phase:>8} | arm {listener.mode or '-':<9} | hand {hand:<6} | {rate:4.0f} frames/s"
+        if speed is not None:
+            text += f" | TCP {1e3 * float(speed):4.0f} mm/s"
+        self._print(text + ("" if self._terminal else "\n"))
+
+    def finish(self) -> None:
+        """Ends the live line."""
+        if self._terminal:
+            print()
+
+    def _print(self, text: str) -> None:
+        print(f"\r\033[K{text}" if self._terminal else text, end="", flush=True)

@@ -1,0 +1,132 @@
+"""What a run's summary says, and when it calls the run failed."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.poses import pose, translation
+from common.rotations import rotation_about
+from leap_rig.recorder import Recorder
+from leap_rig.report import as_text, summarise
+
+
+def good_run() -> Recorder:
+    recorder = Recorder()
+    recorder.status("kuka_control", {"goals_sent": "100", "pickups": "0"})
+    recorder.status("leap_hand", {"commands_sent": "5"})
+    recorder.start(10.0)
+    recorder.stream(True, "palm in the box", 11.0)
+    for i in range(101):
+        stamp = 1000.0 + 0.01 * i
+        recorder.stage("leap_motion", stamp, stamp + 0.001)
+        recorder.stage("leap_kuka", stamp, stamp + 0.003)
+        recorder.stage("kuka_control", stamp, stamp + 0.004 + 1e-5 * i)
+        tool = translation(0.4 + 0.001 * i, 0.0, 0.4)
+        recorder.tool(tool, tool @ translation(0.0, 0.003, 0.004), tool @ pose(rotation_about(2, np.radians(2.0))))
+    recorder.stream(False, "hand lost", 15.0)
+    recorder.status("kuka_control", {"goals_sent": "1100", "pickups": "1"})
+    recorder.status("leap_hand", {"commands_sent": "305"})
+    recorder.status("simulation", {"stops": "0", "max_tcp_speed": "0.25"})
+    recorder.hand(np.array([0.0, 0.0, 0.0, 0.0]))
+    recorder.hand(np.array([1.0, 0.5, 0.2, 0.0]))
+    return recorder
+
+
+def test_a_good_run():
+    summary = summarise(good_run(), 20.0)
+    assert summary["faults"] == []
+    assert summary["duration_s"] == 10.0
+    assert summary["frames_received"] == 101
+    assert summary["streams"] == [{"started_s": 1.0, "stopped_s": 5.0, "reason": "hand lost"}]
+    assert summary["servo_goals_sent"] == 1000, "what was sent before the run began does not count"
+    assert (summary["pickups"], summary["hand_commands"], summary["safety_stops"]) == (1, 300, 0)
+    assert summary["largest_tcp_speed_mm_s"] == 250.0
+    assert summary["tool_path_m"] == pytest.approx(0.1)
+    assert summary["hand_travel_rad"] == [1.0, 0.5, 0.2, 0.0]
+    assert summary["tracking_error"]["desired"]["rms_mm"] == pytest.approx(5.0)
+    assert summary["tracking_error"]["desired"]["max_deg"] == 0.0
+    assert summary["tracking_error"]["commanded"]["rms_deg"] == pytest.approx(2.0)
+    assert summary["tracking_error"]["commanded"]["max_mm"] == 0.0
+
+
+def test_delays_are_taken_frame_by_frame_and_stage_by_stage():
+    delays = summarise(good_run(), 20.0)["delay_ms"]
+    assert delays["leap_motion: received to published"] == {"p50": 1.0, "p95": 1.0, "p99": 1.0, "samples": 101}
+    assert delays["leap_kuka: published to desired tool"]["p50"] == 2.0
+    assert delays["frame received to goal on the arm's wire"]["p50"] == 4.5
+    assert delays["frame received to goal on the arm's wire"]["p99"] == 4.99
+    assert delays["frame received to command of the hand"] == {"p50": None, "p95": None, "p99": None, "samples": 0}
+
+
+def test_a_frame_that_a_stage_dropped_is_not_counted():
+    recorder = Recorder()
+    recorder.stage("leap_motion", 1.0, 1.1)
+    recorder.stage("leap_motion", 2.0, 2.1)
+    recorder.stage("kuka_control", 2.0, 2.5)
+    assert summarise(recorder, 0.0)["delay_ms"]["frame received to goal on the arm's wire"]["samples"] == 1
+
+
+def test_the_summary_survives_json():
+    summary = summarise(good_run(), 20.0)
+    assert json.loads(json.dumps(summary)) == summary
+
+
+def test_an_empty_run_failed_and_can_be_printed():
+    summary = summarise(Recorder(), 0.0)
+    assert summary["faults"] == ["The arm never followed a hand.", "The robot hand never moved."]
+    assert "unknown" in as_text(summary)
+    json.dumps(summary)
+
+
+def test_a_dead_node_fails_the_run():
+    summary = summarise(good_run(), 20.0, ["leapd ended with exit code -9"])
+    assert summary["faults"] == ["A node died: leapd ended with exit code -9."]
+    assert "FAULT: A node died: leapd" in as_text(summary)
+
+
+def test_an_arm_far_from_its_target_does_not_follow():
+    recorder = good_run()
+    for _ in range(200):
+        recorder.tool(translation(0.5, 0.0, 0.4), None, translation(0.5, 0.1, 0.4))
+    assert "did not follow" in summarise(recorder, 20.0)["faults"][0]
+
+
+def test_motion_without_a_hand_is_no_following():
+    recorder = good_run()
+    recorder.tool_path = 0.0
+    for i in range(100):
+        recorder.tool(translation(0.01 * i, 0.0, 0.4), None, None)
+    assert "The arm never followed a hand." in summarise(recorder, 20.0)["faults"]
+
+
+def test_the_report_fits_one_screen():
+    recorder = good_run()
+    for i in range(50):
+        recorder.stream(True, "palm in the box", 20.0 + 2 * i)
+        recorder.stream(False, "hand lost, and a long reason " * 5, 21.0 + 2 * i)
+    text = as_text(summarise(recorder, 200.0))
+    assert len(text.splitlines()) <= 40
+    assert max(len(line) for line in text.splitlines()) <= 100
+
+
+def test_a_stream_that_runs_at_the_start_of_the_run_counts():
+    recorder = Recorder()
+    recorder.stream(True, "palm in the box", 1.0)
+    recorder.start(5.0)
+    assert summarise(recorder, 6.0)["streams"] == [
+        {"started_s": 0.0, "stopped_s": None, "reason": "still running when the run ended"}
+    ]
+
+
+@given(st.lists(st.booleans()))
+def test_streams_never_overlap(events):
+    recorder = Recorder()
+    for i, running in enumerate(events):
+        recorder.stream(running, "", float(i))
+    for earlier, later in zip(recorder.streams, recorder.streams[1:]):
+        assert earlier.stopped is not None and earlier.stopped <= later.started

@@ -1,0 +1,114 @@
+"""The layers of the workspace, checked by reading its source.
+
+1. Never upward, never sideways among the features. 2. Pure files have no ROS, sockets, clock, files or printing.
+3. Nothing imports the simulation but tests, and the simulation imports no feature. 4. Importing a module has no effect.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LAYER = {
+    "kuka_msgs": 0, "reflex_msgs": 0, "rig_description": 0,
+    "common": 1,
+    "kst": 2, "leap_motion": 2, "reflex": 2, "apriltag_ros": 2,
+    "kuka_control": 3, "leap_kuka": 3, "leap_hand": 3, "vision": 3, "grasping": 3,
+    "leap_rig": 4, "rig_simulation": 4,
+}  # fmt: skip
+ROS = {"rospy", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "rospkg", "geometry_msgs", "std_msgs", "std_srvs",
+       "sensor_msgs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs", "kuka_msgs", "reflex_msgs"}  # fmt: skip
+IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
+# The edge files of a device module: they may hold sockets, clocks and threads.
+EDGES = {"transport", "client"}
+# What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
+STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
+
+FILES = sorted(ROOT.glob("src/**/src/*/**/*.py"))
+
+
+def package(path: Path) -> str:
+    return path.parts[len(path.parts) - 1 - path.parts[::-1].index("src") + 1]
+
+
+def in_ros(path: Path) -> bool:
+    return "ros" in path.parts[path.parts.index("src") + 2 :]
+
+
+def imports(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import hides where the name comes from"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT / "src")))
+class TestModule:
+    def test_imports_go_down(self, path):
+        own = package(path)
+        for name in imports(path):
+            other = name.split(".")[0]
+            if other not in LAYER or other == own:
+                continue
+            assert LAYER[other] < LAYER[own], f"{own} must not import {name}"
+            if own == "rig_simulation":
+                assert LAYER[other] < 3, f"the simulation must not import the feature {name}"
+
+    def test_pure_files_are_pure(self, path):
+        if package(path) in ("rig_simulation",) or in_ros(path):
+            return
+        tops = {name.split(".")[0] for name in imports(path)}
+        assert not tops & ROS, f"{path}: ROS belongs into ros/"
+        assert not any(name.startswith(f"{package(path)}.ros") for name in imports(path))
+        if path.stem in EDGES:
+            return
+        assert not tops & IMPURE, f"{path}: {tops & IMPURE} belongs into ros/ or into an edge file"
+        calls = {
+            n.func.id
+            for n in ast.walk(ast.parse(path.read_text()))
+            if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+        }
+        assert not calls & {"open", "print", "input"}
+
+    def test_simulation_keeps_ros_in_its_ros_folder(self, path):
+        if package(path) == "rig_simulation" and not in_ros(path):
+            assert not {name.split(".")[0] for name in imports(path)} & (ROS - {"rospkg"})
+
+    def test_import_has_no_effect(self, path):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                continue
+            assert isinstance(node, STATEMENTS) or (
+                isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+            ), f"{path}:{node.lineno} acts when it is imported"
+
+    def test_has_a_docstring(self, path):
+        assert ast.get_docstring(ast.parse(path.read_text())) or not path.read_text().strip()
+
+
+def test_every_package_has_a_layer():
+    assert {p.parent.name for p in ROOT.glob("src/**/package.xml")} <= LAYER.keys()
+
+
+def test_scripts_are_short_and_not_named_like_packages():
+    for script in ROOT.glob("src/**/scripts/*.py"):
+        assert script.stem not in LAYER, f"{script} would hide the package of the same name"
+        assert len(script.read_text().splitlines()) <= 20, f"{script} holds more than a call"
+        assert script.stat().st_mode & 0o111, f"{script} is not executable"
+
+
+def test_every_launch_argument_has_a_doc():
+    import xml.etree.ElementTree as ElementTree
+
+    for launch in ROOT.glob("src/**/launch/*.launch"):
+        for arg in ElementTree.parse(launch).getroot().findall("arg"):
+            assert arg.get("doc") or arg.get("value") is not None, (
+                f"{launch}: the argument {arg.get('name')} has no doc"
+            )
