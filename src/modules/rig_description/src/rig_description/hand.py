@@ -1,0 +1,103 @@
+"""The ReFlex TakkTile hand in numbers: joints, limits, masses. Lengths in m, angles in rad.
+
+The hand's frame lies in the centre of its mounting face, z out of the palm, x towards the two fingers; finger 3 is the
+thumb. Proximal 0 is a finger flat outwards, pi/2 one that stands up, pi one folded over the palm. The flexure between
+the finger's links is modelled as one joint at the place where the straight finger's distal frame lies.
+
+Sources: frames and dimensions from the vendor's visual model; mass about 0.9 kg as measured, split over the parts, and
+the ranges of preshape and flexure (two joints of pi/6, each) from simulators of the hand's users. Speed and torque are
+those of the servo behind each tendon.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from rig_description.rigid_body import Body, box, cylinder, joined
+
+CONNECTOR_LENGTH = 0.026
+"""From the media flange's face to the hand's mounting face."""
+
+CONNECTOR_RADIUS = 0.0375
+
+TENDON_SPEED = 3.5
+TENDON_TORQUE = 2.5
+PRESHAPE_MAX = 1.75
+PROXIMAL_MAX = pi
+DISTAL_MAX = pi / 3
+
+
+@dataclass(frozen=True)
+class HandJoint:
+    """One joint of the hand.
+
+    Attributes:
+        name, parent, child: without the prefix `reflex/`.
+        xyz: origin in the parent [m], shape (3,).
+        yaw: turn of the child about the parent's z [rad].
+        axis: shape (3,).
+        limits: lower, upper [rad].
+    """
+
+    name: str
+    parent: str
+    child: str
+    xyz: tuple[float, float, float]
+    yaw: float
+    axis: tuple[int, int, int]
+    limits: tuple[float, float]
+
+
+DOWN, RIGHT = (0, 0, -1), (0, -1, 0)
+
+# The second preshape joint turns against the first: its value is the negative of the motor's.
+JOINTS = (
+    HandJoint("preshape_1", "base_link", "swivel_1", (0.0504, -0.026, 0.063), 0.0, DOWN, (0.0, PRESHAPE_MAX)),
+    HandJoint("preshape_2", "base_link", "swivel_2", (0.0504, 0.026, 0.063), 0.0, DOWN, (-PRESHAPE_MAX, 0.0)),
+    HandJoint("proximal_joint_1", "swivel_1", "proximal_1", (0.010, 0, 0.0186), 0.0, RIGHT, (0.0, PROXIMAL_MAX)),
+    HandJoint("proximal_joint_2", "swivel_2", "proximal_2", (0.010, 0, 0.0186), 0.0, RIGHT, (0.0, PROXIMAL_MAX)),
+    HandJoint("proximal_joint_3", "base_link", "proximal_3", (-0.030, 0, 0.0816), pi, RIGHT, (0.0, PROXIMAL_MAX)),
+    HandJoint("distal_joint_1", "proximal_1", "distal_1", (0.066, 0, 0.004), 0.0, RIGHT, (0.0, DISTAL_MAX)),
+    HandJoint("distal_joint_2", "proximal_2", "distal_2", (0.066, 0, 0.004), 0.0, RIGHT, (0.0, DISTAL_MAX)),
+    HandJoint("distal_joint_3", "proximal_3", "distal_3", (0.066, 0, 0.004), 0.0, RIGHT, (0.0, DISTAL_MAX)),
+)
+
+LINKS = ("base_link", *(joint.child for joint in JOINTS))
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box between two opposite corners [m] in a link's frame."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+COLLISION = {
+    "base_link": Box((-0.055, -0.053, 0.0), (0.083, 0.053, 0.090)),
+    "swivel": Box((-0.018, -0.018, 0.0), (0.021, 0.018, 0.0296)),
+    "proximal": Box((-0.011, -0.008, -0.008), (0.062, 0.008, 0.014)),
+    "distal": Box((0.0, -0.008, -0.008), (0.048, 0.008, 0.010)),
+}
+"""Bounding boxes of the parts, by the link's name without its number."""
+
+_MASSES = {"base_link": 0.63, "swivel": 0.02, "proximal": 0.04, "distal": 0.05}
+_CONNECTOR_MASS = 0.18
+
+
+def part(link: str) -> str:
+    """Returns the link's name without its number: three links share each part."""
+    return link if link == "base_link" else link.rsplit("_", 1)[0]
+
+
+def body(link: str) -> Body:
+    """Returns the mass properties of a link in its frame; the base carries the connector."""
+    shape = COLLISION[part(link)]
+    solid = box(_MASSES[part(link)], shape.low, shape.high)
+    if link != "base_link":
+        return solid
+    faces = np.array([0, 0, -CONNECTOR_LENGTH]), np.zeros(3)
+    return joined([solid, cylinder(_CONNECTOR_MASS, CONNECTOR_RADIUS, *faces)])

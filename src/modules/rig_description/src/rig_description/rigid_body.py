@@ -1,0 +1,73 @@
+"""Mass, centre of mass and inertia of rigid bodies: uniform solids, changes of frame, sums, and whether they can exist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body in some frame.
+
+    Attributes:
+        mass: [kg].
+        com: centre of mass, shape (3,) [m].
+        inertia: about the centre of mass, axes of the frame, shape (3, 3) [kg m^2].
+    """
+
+    mass: float
+    com: np.ndarray
+    inertia: np.ndarray
+
+
+def cylinder(mass: float, radius: float, bottom, top) -> Body:
+    """Returns a uniform solid cylinder between the centres of its two faces, each of shape (3,) [m]."""
+    bottom, top = np.asarray(bottom, dtype=float), np.asarray(top, dtype=float)
+    length = np.linalg.norm(top - bottom)
+    axis = (top - bottom) / length
+    along, across = mass * radius**2 / 2.0, mass * (3.0 * radius**2 + length**2) / 12.0
+    return Body(mass, (bottom + top) / 2.0, across * np.eye(3) + (along - across) * np.outer(axis, axis))
+
+
+def box(mass: float, low, high) -> Body:
+    """Returns a uniform solid box between two opposite corners, each of shape (3,) [m]."""
+    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    squares = (high - low) ** 2
+    return Body(mass, (low + high) / 2.0, mass / 12.0 * np.diag(squares.sum() - squares))
+
+
+def turned(body: Body, R) -> Body:
+    """Returns the body seen from a frame with the same origin; R, shape (3, 3): attitude of the old frame in the new."""
+    R = np.asarray(R, dtype=float)
+    return Body(body.mass, R @ body.com, R @ body.inertia @ R.T)
+
+
+def joined(bodies: list[Body]) -> Body:
+    """Returns several bodies of the same frame as one (parallel axes)."""
+    mass = sum(body.mass for body in bodies)
+    com = sum(body.mass * body.com for body in bodies) / mass
+    inertia = np.zeros((3, 3))
+    for body in bodies:
+        d = body.com - com
+        inertia += body.inertia + body.mass * (d @ d * np.eye(3) - np.outer(d, d))
+    return Body(mass, com, inertia)
+
+
+def fault(body: Body) -> str | None:
+    """Says why no mass distribution can have these numbers, or returns None.
+
+    The principal moments of a real body are positive and none exceeds the sum of the others. Equality belongs to a
+    body without thickness and is refused too.
+    """
+    if not (np.isfinite(body.mass) and body.mass > 0.0):
+        return f"the mass {body.mass} kg is not positive"
+    if np.abs(body.inertia - body.inertia.T).max() > 1e-12:
+        return "the inertia is not symmetric"
+    least, middle, greatest = np.linalg.eigvalsh(body.inertia)
+    if least <= 0.0:
+        return f"the least principal moment {least:.3g} kg m^2 is not positive"
+    if least + middle <= greatest * (1.0 + 1e-9):
+        return f"the principal moments {least:.4g}, {middle:.4g}, {greatest:.4g} kg m^2 break the triangle inequality"
+    return None

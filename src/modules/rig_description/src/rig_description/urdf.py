@@ -1,0 +1,144 @@
+"""The arm with a media flange and the hand as URDF text."""
+
+from __future__ import annotations
+
+from math import pi, radians
+from xml.dom import minidom
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from rig_description import hand
+from rig_description.arms import (
+    ALPHA_DEG,
+    ALUMINIUM,
+    ARMS,
+    MEDIA_FLANGES,
+    RANGE_DEG,
+    WRIST_TO_FLANGE,
+    Arm,
+    link_tube,
+    rotation_x,
+    upright,
+)
+from rig_description.rigid_body import Body, cylinder
+
+FLANGE_RADIUS = 0.050
+
+
+def file_name(robot: str, flange: str) -> str:
+    """Returns the name of the URDF file of an arm and a media flange."""
+    return f"{robot.lower()}_{flange}.urdf"
+
+
+def urdf(robot: str, flange: str) -> str:
+    """Returns the URDF.
+
+    Raises:
+        KeyError: no such arm or media flange.
+    """
+    arm, height = ARMS[robot], MEDIA_FLANGES[flange]
+    root = ET.Element("robot", name=f"{robot}_{flange}")
+    ET.SubElement(root, "link", name="kuka/base_frame")
+    _arm(root, arm)
+    _flange(root, height)
+    _hand(root)
+    note = f"{robot} with {flange} and ReFlex TakkTile hand. Written by tools/generate.py of rig_description: change it there."
+    root.insert(0, ET.Comment(f" {note} "))
+    return minidom.parseString(ET.tostring(root)).toprettyxml(indent="  ", encoding="utf-8").decode()
+
+
+def _arm(root, arm: Arm) -> None:
+    base = cylinder(arm.mass - sum(body.mass for body in arm.links), 0.1, (0, 0, 0), (0, 0, arm.seams[0]))
+    shape = 0.1, np.zeros(3), np.array([0, 0, arm.seams[0]])
+    _link(root, "kuka/link_0", base, [_cylinder(*shape)])
+    _joint(root, "kuka/base", "kuka/base_frame", "kuka/link_0")
+    shifts = (arm.lengths[0], 0.0, arm.lengths[1], 0.0, arm.lengths[2], 0.0, 0.0)
+    for i, body in enumerate(arm.links, start=1):
+        radius, bottom, top = link_tube(arm.lengths, arm.seams, i)
+        R = upright(i).T
+        _link(root, f"kuka/link_{i}", body, [_cylinder(radius, R @ bottom, R @ top)])
+        alpha = ALPHA_DEG[i - 1]
+        joint = _joint(
+            root,
+            f"kuka/joint_{i}",
+            f"kuka/link_{i - 1}",
+            f"kuka/link_{i}",
+            xyz=rotation_x(alpha) @ [0.0, 0.0, shifts[i - 1]],
+            rpy=(radians(alpha), 0.0, 0.0),
+        )
+        limit = radians(RANGE_DEG[i - 1])
+        _movable(joint, (0, 0, 1), (-limit, limit), radians(arm.speeds_deg[i - 1]), arm.torques[i - 1])
+
+
+def _flange(root, height: float) -> None:
+    bottom, top = np.array([0.0, 0.0, -height]), np.zeros(3)
+    mass = ALUMINIUM / 2.0 * pi * FLANGE_RADIUS**2 * height
+    shape = _cylinder(FLANGE_RADIUS, bottom, top)
+    _link(root, "kuka/flange", cylinder(round(mass, 3), FLANGE_RADIUS, bottom, top), [shape])
+    _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, WRIST_TO_FLANGE + height))
+
+
+def _hand(root) -> None:
+    for link in hand.LINKS:
+        shape = hand.COLLISION[hand.part(link)]
+        _link(root, f"reflex/{link}", hand.body(link), [_box(shape.low, shape.high)])
+    _joint(root, "reflex/connector", "kuka/flange", "reflex/base_link", xyz=(0, 0, hand.CONNECTOR_LENGTH))
+    for j in hand.JOINTS:
+        joint = _joint(
+            root, f"reflex/{j.name}", f"reflex/{j.parent}", f"reflex/{j.child}", xyz=j.xyz, rpy=(0, 0, j.yaw)
+        )
+        _movable(joint, j.axis, j.limits, hand.TENDON_SPEED, hand.TENDON_TORQUE)
+
+
+def _link(root, name: str, body: Body, collision: list) -> None:
+    link = ET.SubElement(root, "link", name=name)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=_numbers(body.com), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=_number(body.mass))
+    xx, xy, xz, _, yy, yz, _, _, zz = (_number(value, 9) for value in np.asarray(body.inertia).ravel())
+    ET.SubElement(inertial, "inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
+    for origin, geometry in collision:
+        for role in ("visual", "collision"):
+            element = ET.SubElement(link, role)
+            ET.SubElement(element, "origin", **origin)
+            ET.SubElement(ET.SubElement(element, "geometry"), geometry[0], **geometry[1])
+
+
+def _joint(root, name: str, parent: str, child: str, xyz=(0, 0, 0), rpy=(0, 0, 0)):
+    joint = ET.SubElement(root, "joint", name=name, type="fixed")
+    ET.SubElement(joint, "origin", xyz=_numbers(xyz), rpy=_numbers(rpy, 15))
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    return joint
+
+
+def _movable(joint, axis, limits, speed: float, torque: float) -> None:
+    joint.set("type", "revolute")
+    ET.SubElement(joint, "axis", xyz=_numbers(axis))
+    lower, upper = (_number(value, 15) for value in limits)
+    ET.SubElement(joint, "limit", lower=lower, upper=upper, velocity=_number(speed, 15), effort=_number(torque))
+
+
+def _cylinder(radius: float, bottom: np.ndarray, top: np.ndarray):
+    """Returns origin and geometry of a cylinder between two points [m] of the y-z plane."""
+    axis = top - bottom
+    length = np.linalg.norm(axis)
+    roll = np.arctan2(-axis[1], axis[2])
+    origin = {"xyz": _numbers((bottom + top) / 2.0), "rpy": _numbers((roll, 0, 0))}
+    return origin, ("cylinder", {"radius": _number(radius), "length": _number(length)})
+
+
+def _box(low, high):
+    low, high = np.array(low), np.array(high)
+    origin = {"xyz": _numbers((low + high) / 2.0), "rpy": "0 0 0"}
+    return origin, ("box", {"size": _numbers(high - low)})
+
+
+def _numbers(values, digits: int = 6) -> str:
+    return " ".join(_number(value, digits) for value in values)
+
+
+def _number(value: float, digits: int = 6) -> str:
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text
