@@ -1,0 +1,69 @@
+"""Whether a stream of tracking frames is alive: frames are new, carry the present time and leave no long gap.
+
+Times are handed in as seconds of a monotonic clock; only `age`, the difference between a frame's stamp and the moment
+of its arrival, belongs to the clock of the stamps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+MAX_SKEW_S = 0.5
+"""How far a frame's stamp may be off the present time (reference: faults, 29)."""
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """What a frame is.
+
+    Attributes:
+        usable: whether it is a new frame of the present; otherwise it is to be left aside.
+        broken: why the stream before it must not be continued, or None.
+    """
+
+    usable: bool
+    broken: str | None = None
+
+
+class FrameWatch:
+    """Judges each frame by its number, its age and the time since the frame before.
+
+    Args:
+        max_silence: longest time without a usable frame [s].
+    """
+
+    def __init__(self, max_silence: float) -> None:
+        self._max_silence = max_silence
+        self._last_id: int | None = None
+        self._last_time: float | None = None
+
+    def arrived(self, frame_id: int, age: float, now: float) -> Arrival:
+        """Takes a frame in.
+
+        A repeated number is a tracker that hangs: the frame is left aside, so that the silence runs on. A number that
+        went back is a tracker that started again.
+
+        Args:
+            frame_id: number of the frame.
+            age: time of arrival less the frame's stamp [s].
+            now: time of arrival [s].
+        """
+        if not abs(age) <= MAX_SKEW_S:
+            return Arrival(False, f"the frame's stamp is {abs(age):.1f} s {'old' if age > 0 else 'in the future'}")
+        if frame_id == self._last_id:
+            return Arrival(False)
+        broken = None
+        if self._last_id is not None and frame_id < self._last_id:
+            broken = f"the tracker's frame number went back from {self._last_id} to {frame_id}"
+        elif self._last_time is not None and self.silent(now):
+            broken = f"no tracking frame came for {now - self._last_time:.1f} s"
+        self._last_id, self._last_time = frame_id, now
+        return Arrival(True, broken)
+
+    def silent(self, now: float) -> bool:
+        """Returns whether no usable frame came for longer than `max_silence`, or none came at all."""
+        return self._last_time is None or now - self._last_time > self._max_silence
+
+    def reset(self) -> None:
+        """Forgets all frames."""
+        self._last_id = self._last_time = None
