@@ -1,0 +1,122 @@
+"""The control panel as a Qt widget, clicked as a person does, without a screen."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
+
+
+@pytest.fixture(scope="module")
+def application():
+    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+    from python_qt_binding.QtWidgets import QApplication
+
+    return QApplication.instance() or QApplication(sys.argv[:1])
+
+
+@pytest.fixture
+def panel(application):
+    from kuka_control.gui.panel import ControlPanel
+
+    widget = ControlPanel()
+    widget.show_state(state())
+    widget.show()
+    yield widget
+    widget.close()
+
+
+def state(**changes):
+    from kuka_control.gui.panel_state import PanelState
+
+    return replace(PanelState(True, False, False, 1.0, True, "home: waiting"), **changes)
+
+
+def click(button):
+    from python_qt_binding.QtCore import Qt
+    from python_qt_binding.QtTest import QTest
+
+    QTest.mouseClick(button, Qt.LeftButton)
+
+
+def emitted(signal) -> list:
+    values = []
+    signal.connect(lambda *args: values.append(args))
+    return values
+
+
+@pytest.mark.parametrize("name", ["control", "gripper"])
+def test_a_toggle_asks_and_turns_green_only_when_the_function_is_on(panel, name):
+    button, asked = getattr(panel, name), emitted(getattr(panel, f"{name}_requested"))
+    click(button)
+    assert asked == [(True,)] and not button.isChecked()
+    panel.show_state(state(**{f"{name}_on": True}))
+    assert button.isChecked() and asked == [(True,)]
+    click(button)
+    assert asked == [(True,), (False,)] and button.isChecked()
+
+
+def test_showing_a_state_asks_for_nothing(panel):
+    asked = [emitted(getattr(panel, f"{n}_requested")) for n in ("control", "gripper", "scaling", "exit", "emergency")]
+    panel.show_state(state(control_on=True, gripper_on=True, scaling_factor=0.4, scaling_enabled=False))
+    panel.show_state(state())
+    assert asked == [[], [], [], [], []]
+
+
+def test_the_slider_has_the_range_of_the_scaling_factor(panel):
+    assert (panel.scaling.minimum(), panel.scaling.maximum()) == (1, 15)
+    assert panel.scaling_label.text() == "Scaling Factor: 1.0"
+
+
+def test_keys_move_the_slider_by_a_tenth(panel):
+    from python_qt_binding.QtCore import Qt
+    from python_qt_binding.QtTest import QTest
+
+    asked = emitted(panel.scaling_requested)
+    QTest.keyClick(panel.scaling, Qt.Key_Left)
+    assert asked == [(0.9,)] and panel.scaling_label.text() == "Scaling Factor: 0.9"
+
+
+def test_dragging_asks_once_at_its_end(panel):
+    asked = emitted(panel.scaling_requested)
+    panel.scaling.setSliderDown(True)
+    panel.scaling.setSliderPosition(5)
+    panel.show_state(state(scaling_factor=1.0))
+    assert asked == [] and panel.scaling_label.text() == "Scaling Factor: 0.5"
+    panel.scaling.setSliderDown(False)
+    assert asked == [(0.5,)]
+
+
+def test_reset_asks_for_one(panel):
+    asked = emitted(panel.scaling_requested)
+    click(panel.reset)
+    assert asked == [(1.0,)]
+
+
+def test_scaling_is_locked_while_control_is_on(panel):
+    asked = emitted(panel.scaling_requested)
+    panel.show_state(state(control_on=True, scaling_enabled=False))
+    click(panel.reset)
+    assert asked == [] and not panel.scaling.isEnabled()
+
+
+def test_without_a_controller_only_the_emergency_stop_works(panel):
+    panel.show_state(state(present=False, scaling_enabled=False, status_line="silent"))
+    asked, stopped = emitted(panel.exit_requested), emitted(panel.emergency_requested)
+    click(panel.exit)
+    click(panel.emergency)
+    assert asked == [] and len(stopped) == 1
+    assert not panel.control.isEnabled() and panel.status.text() == "silent"
+
+
+def test_the_arrangement_is_that_of_the_original(panel):
+    kuka, gripper, emergency = panel.control, panel.gripper, panel.emergency
+    left = kuka.mapTo(panel, kuka.rect().center())
+    right = gripper.mapTo(panel, gripper.rect().center())
+    below = emergency.mapTo(panel, emergency.rect().center())
+    assert left.x() < right.x() and right.y() < below.y() and below.x() > left.x()
+    assert "#c62828" in emergency.styleSheet()

@@ -1,0 +1,35 @@
+"""What the control panel shows: nothing is green that was not said to be on just now."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, panel_state
+
+STATUS = ControllerStatus(10.0, True, True, 0.7, "servo", "the hand steers the arm", ("z lower limit",))
+
+
+def test_before_the_first_status_everything_is_off():
+    state = panel_state(None, 0.0)
+    assert not (state.present or state.control_on or state.gripper_on or state.scaling_enabled)
+    assert state.status_line == "Waiting for the controller of the arm."
+
+
+def test_what_the_controller_says_is_shown():
+    state = panel_state(STATUS, 10.1)
+    assert state.present and state.control_on and state.gripper_on and state.scaling_factor == 0.7
+    assert state.status_line == "servo: the hand steers the arm (limited by: z lower limit)"
+
+
+def test_the_scaling_factor_is_locked_while_control_is_on():
+    assert not panel_state(STATUS, 10.0).scaling_enabled
+    assert panel_state(ControllerStatus(10.0, False, False, 1.0, "home", ""), 10.0).scaling_enabled
+
+
+@given(st.floats(0.0, 1e4))
+def test_a_silent_controller_is_shown_as_off(silence):
+    state = panel_state(STATUS, 10.0 + silence)
+    assert state.control_on == state.gripper_on == state.present == (10.0 + silence - 10.0 <= ABSENT_S)
+    if not state.present:
+        assert "silent" in state.status_line and state.scaling_factor == 0.7
