@@ -1,0 +1,172 @@
+"""The socket to the toolbox server: whole lines out, whole replies in, every wait bounded.
+
+Small packets leave at once (TCP_NODELAY), and a cable that is pulled out is noticed within seconds even while the
+link is idle or only written to (keepalive, TCP_USER_TIMEOUT). Once the link is lost every use says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections import deque
+
+from kst.codec import LineSplitter, Reply, parse_reply
+from kst.errors import ConnectionLost, NoServer
+
+USER_TIMEOUT_S = 3.0
+"""Longest time that sent bytes may stay unconfirmed by the peer's TCP before the link counts as lost."""
+
+_KEEPALIVE = ((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 2))
+_CHUNK = 65536
+_RECONNECT = "start MatlabToolboxServer again on the pad and connect anew"
+
+
+class Transport:
+    """One TCP connection; used from one thread, except `abort`."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        self._socket = connected
+        self._socket.setblocking(False)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * USER_TIMEOUT_S))
+        for option, value in _KEEPALIVE:
+            self._socket.setsockopt(socket.IPPROTO_TCP, option, value)
+        self._readable, self._writable = select.poll(), select.poll()
+        self._readable.register(self._socket, select.POLLIN)
+        self._writable.register(self._socket, select.POLLOUT)
+        self._splitter = LineSplitter()
+        self._replies: deque[Reply] = deque()
+        self._aborted = threading.Event()
+        self._lost: str | None = None
+        self.ended_by_peer = False
+
+    @classmethod
+    def connect(cls, host: str, port: int, timeout: float) -> Transport:
+        """Connects within `timeout` seconds.
+
+        Raises:
+            NoServer: nobody listens there, or the address cannot be reached.
+        """
+        try:
+            connected = socket.create_connection((host, port), timeout)
+        except (OSError, OverflowError) as error:
+            raise NoServer(
+                f"no toolbox server at {host}:{port} ({error}): start MatlabToolboxServer on the pad (it waits 60 s for"
+                f" a client and then ends) and check cable and address"
+            ) from error
+        if connected.getsockname() == connected.getpeername():
+            # A free port of the own machine may be handed out to the connecting socket itself.
+            connected.close()
+            raise NoServer(f"no toolbox server at {host}:{port}: the connection met only itself; start the server")
+        return cls(connected)
+
+    def send(self, line: str, timeout: float) -> None:
+        """Writes the line and its line feed.
+
+        Raises:
+            ConnectionLost: the link is lost, or the peer took the line only in part within `timeout` seconds.
+        """
+        self._check()
+        data = memoryview(line.encode("ascii") + b"\n")
+        deadline = time.monotonic() + timeout
+        while data:
+            try:
+                data = data[self._socket.send(data) :]
+            except BlockingIOError:
+                if not self._wait(self._writable, deadline):
+                    self._lose(f"the controller takes no more bytes since {timeout:g} s")
+            except OSError as error:
+                self.ended_by_peer = isinstance(error, ConnectionError)
+                self._lose(f"the link to the controller broke while writing ({error})")
+
+    def receive(self, deadline: float) -> Reply | None:
+        """Returns the next reply, or None when there is none until `deadline`, in seconds of time.monotonic().
+
+        Raises:
+            ConnectionLost: the peer closed or reset the link, or it was aborted.
+        """
+        while not self._replies:
+            self._check()
+            if not self._wait(self._readable, deadline):
+                return None
+            self._read()
+        return self._replies.popleft()
+
+    def waiting(self) -> list[Reply]:
+        """Returns the replies that have come in already; does not wait.
+
+        Raises:
+            ConnectionLost: as in `receive`.
+        """
+        self._check()
+        if self._wait(self._readable, 0.0):
+            self._read()
+        replies = list(self._replies)
+        self._replies.clear()
+        return replies
+
+    def pause(self, duration: float) -> None:
+        """Waits `duration` seconds, less when the link is aborted meanwhile.
+
+        Raises:
+            ConnectionLost: the link was aborted.
+        """
+        self._aborted.wait(duration)
+        self._check()
+
+    def give_up(self, reason: str) -> None:
+        """Declares the link lost.
+
+        Raises:
+            ConnectionLost: always, with the reason.
+        """
+        self._lose(reason)
+
+    def abort(self) -> None:
+        """Ends the connection without a word; safe from any thread, wakes up one that waits here."""
+        self._aborted.set()
+        self._shut_down()
+
+    def close(self) -> None:
+        """Gives the socket back; only from the thread that uses it."""
+        self._lost = self._lost or "the connection is closed"
+        self._shut_down()
+        self._socket.close()
+
+    def _read(self) -> None:
+        try:
+            data = self._socket.recv(_CHUNK)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self.ended_by_peer = isinstance(error, ConnectionError)
+            self._lose(f"the link to the controller broke ({error})")
+        if not data:
+            self._check()
+            self.ended_by_peer = True
+            self._lose("the controller closed the connection: its application has ended")
+        self._replies.extend(map(parse_reply, self._splitter.feed(data)))
+
+    def _wait(self, events: select.poll, deadline: float) -> bool:
+        remaining = max(deadline - time.monotonic(), 0.0)
+        return bool(events.poll(1000.0 * remaining))
+
+    def _check(self) -> None:
+        if self._aborted.is_set():
+            self._lost = self._lost or "the connection was aborted on this side"
+        if self._lost is not None:
+            raise ConnectionLost(f"{self._lost}; {_RECONNECT}")
+
+    def _lose(self, reason: str) -> None:
+        self._lost = self._lost or reason
+        self._shut_down()
+        self._check()
+
+    def _shut_down(self) -> None:
+        # Not close(): another thread may be waiting on this descriptor, and its number could be given to a new file.
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
