@@ -68,21 +68,13 @@ JOINTS = (
 LINKS = ("base_link", *(joint.child for joint in JOINTS))
 
 
-@dataclass(frozen=True)
-class Box:
-    """A box between two opposite corners [m] in a link's frame."""
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-
-
-COLLISION = {
-    "base_link": Box((-0.055, -0.053, 0.0), (0.083, 0.053, 0.090)),
-    "swivel": Box((-0.018, -0.018, 0.0), (0.021, 0.018, 0.0296)),
-    "proximal": Box((-0.011, -0.008, -0.008), (0.062, 0.008, 0.014)),
-    "distal": Box((0.0, -0.008, -0.008), (0.048, 0.008, 0.010)),
+EXTENT = {
+    "base_link": ((-0.055, -0.053, 0.0), (0.083, 0.053, 0.090)),
+    "swivel": ((-0.018, -0.018, 0.0), (0.021, 0.018, 0.0296)),
+    "proximal": ((-0.011, -0.008, -0.008), (0.062, 0.008, 0.014)),
+    "distal": ((0.0, -0.008, -0.008), (0.048, 0.008, 0.010)),
 }
-"""Bounding boxes of the parts, by the link's name without its number."""
+"""Opposite corners of the box around each part, in its frame, by the link's name without its number."""
 
 _MASSES = {"base_link": 0.63, "swivel": 0.02, "proximal": 0.04, "distal": 0.05}
 _CONNECTOR_MASS = 0.18
@@ -95,8 +87,7 @@ def part(link: str) -> str:
 
 def body(link: str) -> Body:
     """Returns the mass properties of a link in its frame; the base carries the connector."""
-    shape = COLLISION[part(link)]
-    solid = box(_MASSES[part(link)], shape.low, shape.high)
+    solid = box(_MASSES[part(link)], *EXTENT[part(link)])
     if link != "base_link":
         return solid
     faces = np.array([0, 0, -CONNECTOR_LENGTH]), np.zeros(3)

@@ -8,7 +8,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from rig_description import hand
+from rig_description import arm_shapes, hand, hand_shapes
+from rig_description.appearance import COLOUR_NAMES, TABLE, Disc
 from rig_description.arms import (
     ALPHA_DEG,
     ALUMINIUM,
@@ -39,9 +40,10 @@ def urdf(robot: str, flange: str) -> str:
     """
     arm, height = ARMS[robot], MEDIA_FLANGES[flange]
     root = ET.Element("robot", name=f"{robot}_{flange}")
-    ET.SubElement(root, "link", name="kuka/base_frame")
+    table = ET.SubElement(root, "link", name="kuka/base_frame")
+    _shown(table, *_box((-0.45, -0.45, -0.04), (0.45, 0.45, 0.0)), TABLE)
     _arm(root, arm)
-    _flange(root, height)
+    _flange(root, flange, height)
     _hand(root)
     note = f"{robot} with {flange} and ReFlex TakkTile hand. Written by tools/generate.py of rig_description: change it there."
     root.insert(0, ET.Comment(f" {note} "))
@@ -50,14 +52,13 @@ def urdf(robot: str, flange: str) -> str:
 
 def _arm(root, arm: Arm) -> None:
     base = cylinder(arm.mass - sum(body.mass for body in arm.links), 0.1, (0, 0, 0), (0, 0, arm.seams[0]))
-    shape = 0.1, np.zeros(3), np.array([0, 0, arm.seams[0]])
-    _link(root, "kuka/link_0", base, [_cylinder(*shape)])
+    _arm_link(root, arm, 0, base, _cylinder(0.1, np.zeros(3), np.array([0, 0, arm.seams[0]])))
     _joint(root, "kuka/base", "kuka/base_frame", "kuka/link_0")
     shifts = (arm.lengths[0], 0.0, arm.lengths[1], 0.0, arm.lengths[2], 0.0, 0.0)
     for i, body in enumerate(arm.links, start=1):
         radius, bottom, top = link_tube(arm.lengths, arm.seams, i)
         R = upright(i).T
-        _link(root, f"kuka/link_{i}", body, [_cylinder(radius, R @ bottom, R @ top)])
+        _arm_link(root, arm, i, body, _cylinder(radius, R @ bottom, R @ top))
         alpha = ALPHA_DEG[i - 1]
         joint = _joint(
             root,
@@ -71,18 +72,31 @@ def _arm(root, arm: Arm) -> None:
         _movable(joint, (0, 0, 1), (-limit, limit), radians(arm.speeds_deg[i - 1]), arm.torques[i - 1])
 
 
-def _flange(root, height: float) -> None:
+def _arm_link(root, arm: Arm, number: int, body: Body, collision) -> None:
+    link = _link(root, f"kuka/link_{number}", body, collision)
+    R = upright(number).T
+    roll = np.arctan2(R[2, 1], R[1, 1])
+    if number < 7:
+        _shown(link, {"xyz": "0 0 0", "rpy": _numbers((roll, 0, 0), 15)}, _mesh(f"{arm.name.lower()}/link_{number}"))
+    _discs(link, arm_shapes.trim(arm, number), R)
+
+
+def _flange(root, name: str, height: float) -> None:
     bottom, top = np.array([0.0, 0.0, -height]), np.zeros(3)
     mass = ALUMINIUM / 2.0 * pi * FLANGE_RADIUS**2 * height
-    shape = _cylinder(FLANGE_RADIUS, bottom, top)
-    _link(root, "kuka/flange", cylinder(round(mass, 3), FLANGE_RADIUS, bottom, top), [shape])
+    body = cylinder(round(mass, 3), FLANGE_RADIUS, bottom, top)
+    link = _link(root, "kuka/flange", body, _cylinder(FLANGE_RADIUS, bottom, top))
+    _discs(link, arm_shapes.media_flange(name, 1e3 * height), np.eye(3))
     _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, WRIST_TO_FLANGE + height))
 
 
 def _hand(root) -> None:
-    for link in hand.LINKS:
-        shape = hand.COLLISION[hand.part(link)]
-        _link(root, f"reflex/{link}", hand.body(link), [_box(shape.low, shape.high)])
+    for name in hand.LINKS:
+        part = hand.part(name)
+        link = _link(root, f"reflex/{name}", hand.body(name), _box(*hand.EXTENT[part]))
+        for mesh in hand_shapes.LOOK[part]:
+            _shown(link, {"xyz": "0 0 0", "rpy": "0 0 0"}, _mesh(f"reflex/{mesh}"))
+        _discs(link, hand_shapes.trim(part), np.eye(3))
     _joint(root, "reflex/connector", "kuka/flange", "reflex/base_link", xyz=(0, 0, hand.CONNECTOR_LENGTH))
     for j in hand.JOINTS:
         joint = _joint(
@@ -91,18 +105,35 @@ def _hand(root) -> None:
         _movable(joint, j.axis, j.limits, hand.TENDON_SPEED, hand.TENDON_TORQUE)
 
 
-def _link(root, name: str, body: Body, collision: list) -> None:
+def _link(root, name: str, body: Body, collision):
     link = ET.SubElement(root, "link", name=name)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=_numbers(body.com), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=_number(body.mass))
     xx, xy, xz, _, yy, yz, _, _, zz = (_number(value, 9) for value in np.asarray(body.inertia).ravel())
     ET.SubElement(inertial, "inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
-    for origin, geometry in collision:
-        for role in ("visual", "collision"):
-            element = ET.SubElement(link, role)
-            ET.SubElement(element, "origin", **origin)
-            ET.SubElement(ET.SubElement(element, "geometry"), geometry[0], **geometry[1])
+    _placed(ET.SubElement(link, "collision"), *collision)
+    return link
+
+
+def _discs(link, discs: list[Disc], R) -> None:
+    for disc in discs:
+        bottom, top = (R @ np.array(point) / 1e3 for point in (disc.bottom, disc.top))
+        _shown(link, *_cylinder(disc.radius / 1e3, bottom, top), disc.colour)
+
+
+def _shown(link, origin, geometry, colour=None) -> None:
+    """Adds a visual element; meshes bring their own colour."""
+    visual = ET.SubElement(link, "visual")
+    _placed(visual, origin, geometry)
+    if colour is not None:
+        material = ET.SubElement(visual, "material", name=f"rig/{COLOUR_NAMES[colour]}")
+        ET.SubElement(material, "color", rgba=_numbers((*colour, 1.0)))
+
+
+def _placed(element, origin, geometry) -> None:
+    ET.SubElement(element, "origin", **origin)
+    ET.SubElement(ET.SubElement(element, "geometry"), geometry[0], **geometry[1])
 
 
 def _joint(root, name: str, parent: str, child: str, xyz=(0, 0, 0), rpy=(0, 0, 0)):
@@ -121,12 +152,17 @@ def _movable(joint, axis, limits, speed: float, torque: float) -> None:
 
 
 def _cylinder(radius: float, bottom: np.ndarray, top: np.ndarray):
-    """Returns origin and geometry of a cylinder between two points [m] of the y-z plane."""
+    """Returns origin and geometry of a cylinder between two points [m]."""
     axis = top - bottom
-    length = np.linalg.norm(axis)
-    roll = np.arctan2(-axis[1], axis[2])
-    origin = {"xyz": _numbers((bottom + top) / 2.0), "rpy": _numbers((roll, 0, 0))}
+    length = np.sqrt((axis**2).sum())
+    roll, pitch = np.arctan2(-axis[1], np.hypot(axis[0], axis[2])), np.arctan2(axis[0], axis[2])
+    # Rx(roll) after Ry(pitch): in the order of URDF the pitch comes last, which is right where one of both is zero.
+    origin = {"xyz": _numbers((bottom + top) / 2.0), "rpy": _numbers((roll, pitch, 0))}
     return origin, ("cylinder", {"radius": _number(radius), "length": _number(length)})
+
+
+def _mesh(name: str):
+    return "mesh", {"filename": f"package://rig_description/meshes/{name}.dae", "scale": "0.001 0.001 0.001"}
 
 
 def _box(low, high):
