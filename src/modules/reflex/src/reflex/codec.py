@@ -1,0 +1,116 @@
+"""The bytes of the ReFlex TakkTile hand: state packets come in little endian, command packets go out big endian.
+
+Pure: bytes in, records out and back. Raw counts only; what they mean in radians is in `conversions`. The wire carries
+no sequence number and no checksum, and the first byte of a state packet equals the mode command's code, so that length
+tells the kinds apart.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+GROUP = "224.0.0.124"
+STATE_BYTES = 202
+MODE_BYTES = 5
+TARGET_BYTES = 9
+
+IDLE = 0
+VELOCITY = 1
+POSITION = 2
+
+_STATE_CODE = 1
+_MODE_CODE = 1
+_TARGET_CODE = 2
+_LAST_RAW = 65535
+
+_STATE = struct.Struct("<B3xI 9H9H9H 11H38H 3H 4B 4H4H4H 4B4B")
+_MODE = struct.Struct(">B4B")
+_TARGET = struct.Struct(">B4H")
+
+
+class PacketError(ValueError):
+    """A datagram is not a state packet of this hand."""
+
+
+@dataclass(frozen=True)
+class StatePacket:
+    """One state packet; fingers in the order f1, f2, f3, motors f1, f2, f3, preshape.
+
+    Attributes:
+        device_time: microseconds since the hand was switched on; wraps at 2**32.
+        pressures: three times nine raw tactile counts.
+        encoders: knuckle encoders, 14 bits each.
+        errors: error bits of each servo.
+        positions: present position of each servo [ticks].
+        speeds: present-speed register of each servo.
+        loads: present-load register of each servo.
+        voltages: supply of each servo [0.1 V].
+        temperatures: of each servo [degrees Celsius].
+    """
+
+    device_time: int
+    pressures: tuple[tuple[int, ...], ...]
+    encoders: tuple[int, ...]
+    errors: tuple[int, ...]
+    positions: tuple[int, ...]
+    speeds: tuple[int, ...]
+    loads: tuple[int, ...]
+    voltages: tuple[int, ...]
+    temperatures: tuple[int, ...]
+
+
+def decode_state(data: bytes) -> StatePacket:
+    """Returns the state packet that `data` holds. The palm's bank and the sensors' temperatures are left out.
+
+    Raises:
+        PacketError: wrong format code or length.
+    """
+    if not data or data[0] != _STATE_CODE:
+        raise PacketError(f"A datagram begins with {data[:1].hex() or 'nothing'}; state packets begin with 01.")
+    if len(data) != STATE_BYTES:
+        raise PacketError(f"A state packet has {STATE_BYTES} bytes, this datagram {len(data)}.")
+    _, device_time, *v = _STATE.unpack(data)
+    bank_f1, bank_f3, bank_f2 = tuple(v[0:9]), tuple(v[9:18]), tuple(v[18:27])
+    rest = v[27 + 11 + 38 :]
+    return StatePacket(
+        device_time=device_time,
+        pressures=(bank_f1, bank_f2, bank_f3),
+        encoders=tuple(rest[0:3]),
+        errors=tuple(rest[3:7]),
+        positions=tuple(rest[7:11]),
+        speeds=tuple(rest[11:15]),
+        loads=tuple(rest[15:19]),
+        voltages=tuple(rest[19:23]),
+        temperatures=tuple(rest[23:27]),
+    )
+
+
+def encode_mode(mode: int) -> bytes:
+    """Returns the packet that puts all four motors into `mode`: IDLE, VELOCITY or POSITION.
+
+    Raises:
+        ValueError: there is no such mode.
+    """
+    if mode not in (IDLE, VELOCITY, POSITION):
+        raise ValueError(f"the hand knows the modes 0, 1 and 2, not {mode!r}")
+    return _MODE.pack(_MODE_CODE, mode, mode, mode, mode)
+
+
+def encode_target(raw: Sequence[int]) -> bytes:
+    """Returns the packet with the targets of f1, f2, f3, preshape: ticks in position mode, units in velocity mode.
+
+    Raises:
+        ValueError: not four whole numbers in 0..65535.
+    """
+    if len(raw) != 4 or not all(isinstance(r, int) and 0 <= r <= _LAST_RAW for r in raw):
+        raise ValueError(f"targets are four whole numbers in 0..{_LAST_RAW}, not {list(raw)}")
+    return _TARGET.pack(_TARGET_CODE, *raw)
+
+
+def is_command(data: bytes) -> bool:
+    """Whether `data` is a packet from a host to the hand, such as a host hears when another one commands."""
+    return (len(data) == MODE_BYTES and data[0] == _MODE_CODE) or (
+        len(data) == TARGET_BYTES and data[0] == _TARGET_CODE
+    )

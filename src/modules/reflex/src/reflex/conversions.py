@@ -1,0 +1,85 @@
+"""Raw counts of the ReFlex TakkTile hand and what they mean at its joints.
+
+A motor's joint angle is the turn of its tendon spool [rad], 0 = open: for a finger the sum of proximal and distal
+flexion. Motors in the order f1, f2, f3, preshape. f2 and preshape are mounted the other way round: closing lowers their
+position.
+Constants as in the maker's driver, where pi is entered as 3.141596.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+MOTORS = ("f1", "f2", "f3", "preshape")
+FINGERS = MOTORS[:3]
+
+PI = 3.141596
+TICK_RAD = 8 * PI / 4095
+ENCODER_RAD = 2 * PI / 16383
+SPEED_UNIT_RAD_S = 0.01194
+SIGNS = (1, -1, 1, -1)
+RATIOS = (1.42, 1.42, 1.42, 1.5)
+TURN_TICKS = 1024
+MAX_TARGET_TICKS = 16383
+MAX_SPEED_UNITS = 1023
+
+_DIRECTION_BIT = 1024
+_MAX_FORWARD_LOAD = 1023
+
+
+def joint_angle(motor: int, raw: float, zero: float) -> float:
+    """Returns the joint angle [rad] of a motor whose servo is at `raw` [ticks] and open at `zero` [joint rad]."""
+    return SIGNS[motor] * (zero_reference(motor, raw) - zero)
+
+
+def zero_reference(motor: int, raw: float) -> float:
+    """Returns the zero [joint rad] that makes the position `raw` [ticks] the open one."""
+    return raw * TICK_RAD / RATIOS[motor]
+
+
+def raw_target(motor: int, angle: float, zero: float) -> int:
+    """Returns the servo position [ticks], truncated, of a joint angle [rad].
+
+    Raises:
+        ValueError: the angle is not finite, or the position is outside of what the hand may be sent.
+    """
+    ticks = (SIGNS[motor] * angle + zero) * RATIOS[motor] / TICK_RAD
+    if not math.isfinite(ticks) or not 0 <= ticks <= MAX_TARGET_TICKS:
+        raise ValueError(
+            f"{angle} rad of motor {MOTORS[motor]} is position {ticks:g}; positions lie in 0..{MAX_TARGET_TICKS}"
+        )
+    return int(ticks)
+
+
+def speed_units(motor: int, speed: float) -> int:
+    """Returns the moving-speed register for a joint speed [rad/s]; never 0, which means full speed.
+
+    Raises:
+        ValueError: the speed is not finite.
+    """
+    if not math.isfinite(speed):
+        raise ValueError(f"the speed of motor {MOTORS[motor]} is {speed}")
+    units = int(min(abs(speed) * RATIOS[motor] / SPEED_UNIT_RAD_S, MAX_SPEED_UNITS))
+    if SIGNS[motor] * speed < 0:
+        units += _DIRECTION_BIT
+    return units or 1
+
+
+def proximal_angle(raw: int, zero: float) -> float:
+    """Returns the proximal angle [rad] of a knuckle encoder at `raw` counts that is open at `zero` [rad].
+
+    Closing lowers the count. The encoder turns through its end, so the angle is the one in [-pi/2, 3 pi/2), which holds
+    all that a finger can reach.
+    """
+    return (zero - raw * ENCODER_RAD + PI / 2) % (2 * PI) - PI / 2
+
+
+def closing_load(motor: int, raw: int) -> int:
+    """Returns the load [0.1 % of the largest torque] of a present-load register; positive = closing effort."""
+    return SIGNS[motor] * (raw - _MAX_FORWARD_LOAD if raw > _MAX_FORWARD_LOAD else -raw)
+
+
+def all_joint_angles(raw: Sequence[int], zeros: Sequence[float]) -> tuple[float, ...]:
+    """Returns the joint angles [rad] of the four motors."""
+    return tuple(joint_angle(i, raw[i], zeros[i]) for i in range(4))

@@ -1,0 +1,79 @@
+"""Protects the fingers: an overloaded motor is loosened, a hot one is not driven further, the others stay as they are.
+
+A motor whose effort is too high gets a bound just before its measured angle. The bound stays until a command turns back
+from it, so that a stream of commands which still ask for more does not squeeze again and again. Joint angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from reflex.conversions import MOTORS
+from reflex.reading import Reading
+from reflex.settings import Settings
+
+
+class EffortGuard:
+    """Bounds of the goals, and why they are there."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Takes all bounds away."""
+        self._low = np.zeros(4)
+        self._high = np.array(self._settings.travel)
+        self._overloaded = [False] * 4
+        self._hot = [False] * 4
+
+    @property
+    def overloaded(self) -> tuple[str, ...]:
+        """Motors that are overloaded now."""
+        return tuple(name for name, on in zip(MOTORS, self._overloaded) if on)
+
+    @property
+    def hot(self) -> tuple[str, ...]:
+        """Motors that are hot now."""
+        return tuple(name for name, on in zip(MOTORS, self._hot) if on)
+
+    @property
+    def bounded(self) -> tuple[str, ...]:
+        """Motors that follow their commands only in part."""
+        inside = (self._low <= 0) & (self._high >= self._settings.travel)
+        return tuple(name for name, free in zip(MOTORS, inside) if not free)
+
+    def clip(self, goals: Sequence[float]) -> tuple[float, ...]:
+        """Returns the goals [rad] within travel and bounds; a goal that turns back from a bound removes it."""
+        goals = np.clip(goals, 0.0, self._settings.travel)
+        self._high = np.where(goals < self._high, self._settings.travel, self._high)
+        self._low = np.where(goals > self._low, 0.0, self._low)
+        return tuple(np.clip(goals, self._low, self._high).tolist())
+
+    def check(self, reading: Reading, goals: Sequence[float]) -> tuple[tuple[float, ...], list[str]]:
+        """Returns the goals [rad] by the rule, equal to `goals` where nothing is wrong, and news as sentences."""
+        settings = self._settings
+        new_goals, notes = list(goals), []
+        for i, name in enumerate(MOTORS):
+            load, angle, most = reading.loads[i], reading.joint_angles[i], float(settings.travel[i])
+            temperature = reading.packet.temperatures[i]
+            overloaded = abs(load) > settings.overload[i]
+            hot = temperature >= settings.hot
+            if overloaded and not self._overloaded[i]:
+                notes.append(f"Motor {name} is overloaded (load {load:.0f} of {settings.overload[i]:.0f}): loosened.")
+            if hot and not self._hot[i]:
+                notes.append(f"Motor {name} has {temperature} degrees Celsius: it is not closed further.")
+            self._overloaded[i], self._hot[i] = overloaded, hot
+            if overloaded and load > 0:
+                self._high[i] = min(self._high[i], max(0.0, angle - settings.loosen_angle))
+            elif overloaded:
+                self._low[i] = max(self._low[i], min(most, angle + settings.loosen_angle))
+            if hot:
+                self._high[i] = min(self._high[i], max(0.0, new_goals[i]))
+            if self._low[i] > self._high[i]:
+                self._low[i] = 0.0
+            if overloaded:
+                new_goals[i] = float(np.clip(new_goals[i], self._low[i], self._high[i]))
+        return tuple(new_goals), notes

@@ -1,0 +1,120 @@
+"""Finds where the fingers are open: draws the tendons in, step by step, until each knuckle begins to turn.
+
+The person opens the fingers first. The present encoder values are the encoders' zeros; each round every finger whose
+knuckle has not turned yet is closed by a small step; the motors' zeros lie a slack before the point where it has.
+Unlike the maker's, this calibration ends: it gives up on a bound of closing, time or load and on servos that do not
+answer, with a sentence. Pure: packets and time [s] are handed in, targets [ticks] come out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from reflex.calibration import FingerZeros, open_positions, zeros_here
+from reflex.codec import StatePacket
+from reflex.conversions import ENCODER_RAD, FINGERS, MOTORS, PI, SIGNS, TURN_TICKS
+from reflex.settings import Settings
+
+_JUMP_TICKS = 200
+_TURN_TOLERANCE_TICKS = 40
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a packet led to.
+
+    Attributes:
+        target: positions to send [ticks], or None.
+        zeros: the result, when the calibration has succeeded.
+        failure: why it has failed, as a sentence, or empty.
+    """
+
+    target: tuple[int, ...] | None = None
+    zeros: FingerZeros | None = None
+    failure: str = ""
+
+
+class FingerCalibration:
+    """One calibration, from its first packet to success or failure."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._first: StatePacket | None = None
+        self._last_positions: tuple[int, ...] = ()
+        self._start_time = 0.0
+        self._round_time = 0.0
+        self._origin: list[int] = []
+        self._held: list[int | None] = [None] * 3
+
+    def step(self, packet: StatePacket, loads: Sequence[float], now: float) -> Step:
+        """Takes in the next packet, received at `now` [s], and the filtered loads [0.1 %] of the motors."""
+        silent = [name for name, raw in zip(MOTORS, packet.positions) if raw == 0]
+        if silent:
+            return Step(failure=f"Servo {', '.join(silent)} reports position 0: is its cable loose?")
+        if self._first is None:
+            self._first, self._start_time, self._round_time = packet, now, now
+            self._origin = list(packet.positions)
+            self._last_positions = packet.positions
+            return Step(target=self._closer(packet))
+        turned = self._follow_jumps(packet)
+        self._last_positions = packet.positions
+        if turned is None:
+            return Step(target=packet.positions, failure="A servo's position jumped: its reports cannot be trusted.")
+        failure = self._bound_reached(packet, loads, now)
+        if failure:
+            return Step(target=tuple(self._origin), failure=failure)
+        for i in range(3):
+            if self._held[i] is None and self._knuckle_turn(packet, i) > self._settings.calibration_moved:
+                self._held[i] = packet.positions[i]
+        if all(h is not None for h in self._held):
+            slack = self._settings.calibration_slack
+            zeros = zeros_here(self._first.encoders, (*self._held, packet.positions[3]), slack)
+            return Step(target=open_positions((*self._held, packet.positions[3]), slack), zeros=zeros)
+        if turned or now - self._round_time >= self._settings.calibration_round:
+            self._round_time = now
+            return Step(target=self._closer(packet))
+        return Step()
+
+    def _closer(self, packet: StatePacket) -> tuple[int, ...]:
+        step = self._settings.calibration_step
+        fingers = [packet.positions[i] + SIGNS[i] * step if self._held[i] is None else self._held[i] for i in range(3)]
+        return (*fingers, self._origin[3])
+
+    def _follow_jumps(self, packet: StatePacket) -> bool | None:
+        """Whether a servo now counts from another turn; None after a jump that is no whole turn.
+
+        The old target lies a turn away then, so the caller sends a new one at once.
+        """
+        turned = False
+        for i, (raw, last) in enumerate(zip(packet.positions, self._last_positions)):
+            jump = raw - last
+            if abs(jump) <= _JUMP_TICKS:
+                continue
+            if abs(abs(jump) - TURN_TICKS) > _TURN_TOLERANCE_TICKS:
+                return None
+            turned = True
+            self._origin[i] += jump
+            if i < 3 and self._held[i] is not None:
+                self._held[i] += jump
+        return turned
+
+    def _knuckle_turn(self, packet: StatePacket, finger: int) -> float:
+        """Returns how far the knuckle has closed since the start [rad], across the encoder's end."""
+        turn = (self._first.encoders[finger] - packet.encoders[finger]) * ENCODER_RAD
+        return (turn + PI) % (2 * PI) - PI
+
+    def _bound_reached(self, packet: StatePacket, loads: Sequence[float], now: float) -> str:
+        settings = self._settings
+        for i, name in enumerate(FINGERS):
+            closed = SIGNS[i] * (packet.positions[i] - self._origin[i])
+            if closed > settings.calibration_max_closing - settings.calibration_step and self._held[i] is None:
+                if self._knuckle_turn(packet, i) > settings.calibration_moved:
+                    continue
+                return f"Finger {name} was closed by {closed} ticks and its knuckle encoder did not turn."
+            if abs(loads[i]) > settings.calibration_max_load:
+                return f"Motor {name} has a load of {loads[i]:.0f} during the calibration: is it blocked?"
+        if now - self._start_time > settings.calibration_max_time:
+            waiting = ", ".join(name for name, held in zip(FINGERS, self._held) if held is None)
+            return f"After {settings.calibration_max_time:g} s the knuckles of {waiting} had not turned."
+        return ""

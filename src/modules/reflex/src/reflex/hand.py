@@ -1,0 +1,413 @@
+"""The hand as one state machine: packets and requests go in, packets to send and readings come out.
+
+Pure: every call takes the time `now` [s, monotonic] and returns a Result; nothing is sent, saved or logged here. Angles
+are joint angles [rad], motors f1, f2, f3, preshape, 0 = open. A target goes only to a hand that is heard, has torque
+and stands where its calibration makes sense; everything else is refused with a sentence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from reflex.calibration import FingerZeros, TactileOffsets, mean_offsets, open_positions, zeros_here
+from reflex.codec import IDLE, POSITION, StatePacket, encode_mode, encode_target
+from reflex.conversions import MOTORS, TURN_TICKS, all_joint_angles, raw_target
+from reflex.effort import EffortGuard
+from reflex.finger_calibration import FingerCalibration
+from reflex.link import Arrival, Link
+from reflex.reading import Reader, Reading
+from reflex.settings import Settings
+from reflex.speed_change import SpeedChange
+
+_JUMP_TICKS = TURN_TICKS - 124
+_COMPLAINT_PERIOD_S = 10.0
+
+
+class State(Enum):
+    """What the hand does."""
+
+    WAITING = "waiting"
+    SILENT = "silent"
+    TORQUE_OFF = "torque off"
+    CALIBRATING = "calibrating"
+    CHANGING_SPEED = "changing speed"
+    READY = "ready"
+
+
+@dataclass(frozen=True)
+class Note:
+    """Something that a person should read; level is "info", "warning" or "error"."""
+
+    level: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a packet, a request or the passing of time led to.
+
+    Attributes:
+        send: packets for the hand, in their order.
+        notes: for the log.
+        refusal: why a request was not followed, as a sentence; empty when it was.
+        reading: what the hand measured, when a packet came.
+        zeros: new zeros of the fingers, to be saved.
+        offsets: new zeros of the tactile sensors, to be saved.
+    """
+
+    send: tuple[bytes, ...] = ()
+    notes: tuple[Note, ...] = ()
+    refusal: str = ""
+    reading: Reading | None = None
+    zeros: FingerZeros | None = None
+    offsets: TactileOffsets | None = None
+
+
+class Hand:
+    """State of one hand.
+
+    Args:
+        settings: the driver's settings.
+        zeros: where the fingers are open.
+        offsets: counts of the untouched tactile sensors.
+    """
+
+    def __init__(self, settings: Settings, zeros: FingerZeros, offsets: TactileOffsets) -> None:
+        self._settings = settings
+        self._zeros = zeros
+        self._offsets = offsets
+        self._thresholds = ((settings.default_contact_threshold,) * 9,) * 3
+        self.link = Link(settings.silence_time)
+        self.guard = EffortGuard(settings)
+        self._reader = Reader()
+        self._torque = True
+        self._speeds = tuple(settings.default_speed.tolist())
+        self._change: SpeedChange | None = None
+        self._calibration: FingerCalibration | None = None
+        self._requests: dict[str, float] = {}
+        self._tactile: list[StatePacket] | None = None
+        self._goals: tuple[int, ...] | None = None
+        self._waiting_command: tuple[float, ...] | None = None
+        self._waiting_target: tuple[int, ...] | None = None
+        self._reading: Reading | None = None
+        self._said_silent = False
+        self._complaint_time = -math.inf
+        self.calibration_outcome = "none yet"
+        self.commands = 0
+        self.refused = 0
+        self._begin()
+
+    def state(self, now: float) -> State:
+        """Returns what the hand does at `now`."""
+        if not self.link.alive(now):
+            return State.SILENT if self.link.heard() else State.WAITING
+        if not self._torque:
+            return State.TORQUE_OFF
+        if self._calibration:
+            return State.CALIBRATING
+        return State.CHANGING_SPEED if self._change else State.READY
+
+    @property
+    def reading(self) -> Reading | None:
+        """The last reading."""
+        return self._reading
+
+    def start(self) -> Result:
+        """Returns the packet that a driver begins with: torque on, targets are positions."""
+        return Result(send=(encode_mode(POSITION),))
+
+    def stop(self) -> Result:
+        """Returns the packet that a driver ends with: torque off."""
+        return Result(send=(encode_mode(IDLE),))
+
+    def receive(self, data: bytes, source: tuple, now: float) -> Result:
+        """Takes a datagram in that came from `source` (address, port)."""
+        self._begin()
+        arrival, packet, why = self.link.sort(data, source, now)
+        if packet is None:
+            if why and now - self._complaint_time > _COMPLAINT_PERIOD_S:
+                self._complaint_time = now
+                self._note("warning", why)
+            return self._result()
+        previous = self._reading.packet if self._reading else None
+        if arrival is not Arrival.NEXT:
+            self._appeared(arrival, now)
+            previous = None
+        reading = self._reader.read(packet, self._zeros, self._offsets, self._thresholds)
+        self._reading = reading
+        self._serve_requests(packet, now)
+        if self._calibration:
+            self._calibrate(reading, now)
+        elif self._torque and not self._change:
+            self._hold_after_jumps(packet, previous)
+            self._relieve(reading)
+        return self._result(reading)
+
+    def tick(self, now: float) -> Result:
+        """Lets time pass: packets of a speed change, silence, requests that waited too long."""
+        self._begin()
+        if self._change:
+            self._send.extend(self._change.step(now))
+            if self._change.done:
+                self._change = None
+                self._send_waiting()
+        if self.link.heard() and not self.link.alive(now) and not self._said_silent:
+            self._said_silent = True
+            self._note("error", f"The hand is silent: no packet for {self._settings.silence_time:g} s.")
+            self._tactile = None
+            if self._calibration:
+                self._fail("The hand fell silent.")
+        for name, since in list(self._requests.items()):
+            if now - since > self._settings.request_time:
+                del self._requests[name]
+                self._note("error", f"{name} was given up: no packet came for {self._settings.request_time:g} s.")
+        return self._result()
+
+    def command(self, angles: Sequence[float], now: float) -> Result:
+        """Sends the motors to joint angles [rad], clamped to their travel; waits for the end of a calibration."""
+        self._begin()
+        angles = tuple(float(a) for a in angles)
+        if not all(math.isfinite(a) for a in angles):
+            return self._refuse(f"The command {list(angles)} is not finite; the last one stays.")
+        refusal = self._not_ready(now)
+        if refusal:
+            return self._refuse(refusal)
+        if self._calibration:
+            self._waiting_command = angles
+            return self._result()
+        refusal = self._command(angles)
+        return self._refuse(refusal) if refusal else self._result()
+
+    def command_raw(self, positions: Sequence[int], now: float) -> Result:
+        """Sends the servos to positions [ticks] as they are; for tests of the hand. Refused during a calibration."""
+        self._begin()
+        refusal = self._not_ready(now) or ("The fingers are being calibrated." if self._calibration else "")
+        if refusal:
+            return self._refuse(refusal)
+        self.commands += 1
+        self._target(tuple(int(p) for p in positions))
+        return self._result()
+
+    def set_speed(self, speeds: Sequence[float], now: float) -> Result:
+        """Begins to set the joint speeds [rad/s]; the state is CHANGING_SPEED until it is done. Switches torque on."""
+        self._begin()
+        if not self.link.alive(now):
+            return self._refuse(self._silent_sentence())
+        if self._calibration:
+            return self._refuse("The fingers are being calibrated; set the speed afterwards.")
+        try:
+            change = SpeedChange(speeds, now)
+        except ValueError as error:
+            return self._refuse(f"The speeds {list(speeds)} were refused: {error}.")
+        self._speeds = tuple(speeds)
+        self._torque = True
+        self._change = change
+        self._send.extend(change.step(now))
+        return self._result()
+
+    def disable_torque(self) -> Result:
+        """Lets all motors go, whatever they do; torque returns with `set_speed`."""
+        self._begin()
+        self._torque = False
+        self._change = self._waiting_target = self._waiting_command = None
+        self._requests.pop("calibrate_fingers", None)
+        if self._calibration:
+            self._fail("Torque was switched off.")
+        self._goals = None
+        self._send.append(encode_mode(IDLE))
+        return self._result()
+
+    def calibrate_fingers(self, now: float) -> Result:
+        """Asks for the finger calibration, which begins with the next packet; no effect while one is under way."""
+        self._begin()
+        if not self._torque:
+            return self._refuse("Torque is off; set_speed switches it on again.")
+        if not self._calibration:
+            self._requests["calibrate_fingers"] = now
+        return self._result()
+
+    def calibrate_tactile(self, now: float) -> Result:
+        """Asks for the tactile sensors to be zeroed over the next packets."""
+        self._begin()
+        self._requests["calibrate_tactile"] = now
+        return self._result()
+
+    def zero_pose(self, now: float) -> Result:
+        """Asks for the pose of the next packet to be taken as zero, the fingers let out by the slack."""
+        self._begin()
+        if self._calibration:
+            return self._refuse("The fingers are being calibrated.")
+        self._requests["zero_pose"] = now
+        return self._result()
+
+    def set_thresholds(self, thresholds: Sequence[Sequence[int]]) -> Result:
+        """Sets the contact thresholds, three times nine counts."""
+        self._begin()
+        self._thresholds = tuple(tuple(row) for row in thresholds)
+        return self._result()
+
+    def _begin(self) -> None:
+        self._send: list[bytes] = []
+        self._notes: list[Note] = []
+        self._new_zeros: FingerZeros | None = None
+        self._new_offsets: TactileOffsets | None = None
+
+    def _result(self, reading: Reading | None = None, refusal: str = "") -> Result:
+        return Result(tuple(self._send), tuple(self._notes), refusal, reading, self._new_zeros, self._new_offsets)
+
+    def _note(self, level: str, text: str) -> None:
+        self._notes.append(Note(level, text))
+
+    def _refuse(self, sentence: str) -> Result:
+        self.refused += 1
+        return self._result(refusal=sentence)
+
+    def _silent_sentence(self) -> str:
+        return "The hand is silent." if self.link.heard() else "The hand has not been heard yet."
+
+    def _not_ready(self, now: float) -> str:
+        if not self.link.alive(now):
+            return self._silent_sentence()
+        return "" if self._torque else "Torque is off; set_speed switches it on again."
+
+    def _appeared(self, arrival: Arrival, now: float) -> None:
+        """The first packet ever, after a silence, or after the hand was switched off and on."""
+        self._said_silent = False
+        if self._calibration:
+            self._fail("The hand was interrupted.")
+        self._reader.reset()
+        if arrival is Arrival.RESUMED:
+            self._note("info", "The hand is heard again.")
+            if self._torque and not self._change:
+                self._send.append(encode_mode(POSITION))
+            return
+        self._goals = self._waiting_target = None
+        self.guard.reset()
+        if arrival is Arrival.FIRST:
+            self._note("info", "The hand is there.")
+        else:
+            self._note("warning", "The hand was switched off and on: calibrate its fingers before they are used.")
+        if self._torque:
+            self._change = SpeedChange(self._speeds, now)
+            self._send.extend(self._change.step(now))
+
+    def _serve_requests(self, packet: StatePacket, now: float) -> None:
+        if self._requests.pop("calibrate_tactile", None) is not None:
+            self._tactile = []
+        if self._tactile is not None:
+            self._tactile.append(packet)
+            if len(self._tactile) >= self._settings.tactile_packets:
+                self._offsets = self._new_offsets = mean_offsets(self._tactile)
+                self._tactile = None
+                self._note("info", "The tactile sensors are zeroed.")
+        if self._change:
+            return
+        if self._requests.pop("zero_pose", None) is not None:
+            self._take_zero_pose(packet)
+        if self._torque and self._requests.pop("calibrate_fingers", None) is not None:
+            self._note("info", "The fingers are being calibrated.")
+            self.calibration_outcome = "under way"
+            self._calibration = FingerCalibration(self._settings)
+
+    def _take_zero_pose(self, packet: StatePacket) -> None:
+        if 0 in packet.positions:
+            self._note("error", f"zero_pose was refused: servo positions {list(packet.positions)} hold a 0.")
+            return
+        slack = self._settings.calibration_slack
+        self._adopt(zeros_here(packet.encoders, packet.positions, slack))
+        self._note("info", "This pose is zero now, with the fingers' tendons let out.")
+        if self._torque:
+            self._target(open_positions(packet.positions, slack))
+
+    def _calibrate(self, reading: Reading, now: float) -> None:
+        step = self._calibration.step(reading.packet, reading.loads, now)
+        if step.target is not None:
+            self._target(step.target)
+        if step.failure:
+            self._fail(step.failure)
+        if step.zeros is not None:
+            self._calibration = None
+            self.calibration_outcome = "succeeded"
+            self._adopt(step.zeros)
+            self._note("info", "The fingers are calibrated.")
+            waiting, self._waiting_command = self._waiting_command, None
+            refusal = self._command(waiting) if waiting is not None else ""
+            if refusal:
+                self.refused += 1
+                self._note("warning", refusal)
+
+    def _fail(self, sentence: str) -> None:
+        self._calibration = self._waiting_command = None
+        self.calibration_outcome = f"failed: {sentence}"
+        self._note("error", f"The finger calibration failed, the old one stays. {sentence}")
+
+    def _adopt(self, zeros: FingerZeros) -> None:
+        self._zeros = self._new_zeros = zeros
+        self.guard.reset()
+
+    def _command(self, angles: tuple[float, ...]) -> str:
+        """Sends the motors to `angles`; returns why not, or an empty text."""
+        packet, zeros = self._reading.packet, self._zeros.motor_zero_reference
+        margin, travel = self._settings.travel_margin, self._settings.travel
+        for i, (name, angle) in enumerate(zip(MOTORS, all_joint_angles(packet.positions, zeros))):
+            if packet.positions[i] == 0:
+                return f"Servo {name} reports position 0: is its cable loose?"
+            if not -margin <= angle <= travel[i] + margin:
+                return (
+                    f"Motor {name} stands at {angle:.2f} rad by its calibration, outside of its travel "
+                    f"0..{travel[i]:g} rad: calibrate the fingers."
+                )
+        try:
+            target = tuple(raw_target(i, angle, zeros[i]) for i, angle in enumerate(self.guard.clip(angles)))
+        except ValueError as error:
+            return f"The command was refused: {error}."
+        self.commands += 1
+        self._target(target)
+        return ""
+
+    def _target(self, positions: tuple[int, ...]) -> None:
+        """Makes the positions [ticks] the goals; during a change of speed the hand would read them as speeds."""
+        self._goals = positions
+        if self._change:
+            self._waiting_target = positions
+        else:
+            self._send.append(encode_target(positions))
+
+    def _send_waiting(self) -> None:
+        waiting, self._waiting_target = self._waiting_target, None
+        if waiting is not None:
+            self._target(waiting)
+
+    def _hold_after_jumps(self, packet: StatePacket, previous: StatePacket | None) -> None:
+        """Stops a motor whose servo suddenly counts from another turn; it would wind on to its old goal."""
+        if previous is None or 0 in packet.positions or 0 in previous.positions:
+            return
+        jumped = [i for i in range(4) if abs(packet.positions[i] - previous.positions[i]) > _JUMP_TICKS]
+        if not jumped:
+            return
+        goals = list(self._goals or packet.positions)
+        for i in jumped:
+            goals[i] = packet.positions[i]
+        names = ", ".join(MOTORS[i] for i in jumped)
+        self._note("error", f"The position of motor {names} jumped by a turn: held there, calibrate the fingers.")
+        self._target(tuple(goals))
+
+    def _relieve(self, reading: Reading) -> None:
+        """Loosens what is overloaded; all other motors keep the goals that they were last sent to."""
+        if 0 in reading.packet.positions:
+            return
+        zeros = self._zeros.motor_zero_reference
+        goals = self._goals or reading.packet.positions
+        angles = all_joint_angles(goals, zeros)
+        relieved, notes = self.guard.check(reading, angles)
+        for text in notes:
+            self._note("warning", text)
+        target = list(goals)
+        for i, (old, new) in enumerate(zip(angles, relieved)):
+            if new != old:
+                target[i] = raw_target(i, new, zeros[i])
+        if target != list(goals):
+            self._target(tuple(target))

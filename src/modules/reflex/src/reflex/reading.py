@@ -1,0 +1,106 @@
+"""What the hand measures, in units of its joints: the maker's conversions of a state packet.
+
+Fingers f1, f2, f3 (index, middle, thumb), motors f1, f2, f3, preshape; angles in rad, 0 = open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from reflex.calibration import FingerZeros, TactileOffsets
+from reflex.codec import StatePacket
+from reflex.conversions import all_joint_angles, closing_load, proximal_angle
+
+NEW_LOAD_WEIGHT = 0.25
+JOINT_NAMES = (
+    "reflex/preshape_1",
+    "reflex/preshape_2",
+    "reflex/proximal_joint_1",
+    "reflex/proximal_joint_2",
+    "reflex/proximal_joint_3",
+    "reflex/distal_joint_1",
+    "reflex/distal_joint_2",
+    "reflex/distal_joint_3",
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A state packet in units of the joints.
+
+    Attributes:
+        proximal: turn of each knuckle [rad].
+        distal: estimated flexion of each finger's outer link [rad], never negative.
+        pressure: three times nine counts above the untouched sensor.
+        contact: three times nine, whether the pressure is above the sensor's threshold.
+        joint_angles: turn of each motor's spool [rad].
+        loads: filtered load of each motor [0.1 % of the largest torque], positive = closing effort.
+        packet: the raw counts.
+    """
+
+    proximal: tuple[float, ...]
+    distal: tuple[float, ...]
+    pressure: tuple[tuple[int, ...], ...]
+    contact: tuple[tuple[bool, ...], ...]
+    joint_angles: tuple[float, ...]
+    loads: tuple[float, ...]
+    packet: StatePacket
+
+    @property
+    def dead_cells(self) -> tuple[str, ...]:
+        """Tactile sensors that never answered the hand, such as "f1.3"; their raw count is 0."""
+        return tuple(
+            f"f{finger + 1}.{cell}"
+            for finger, counts in enumerate(self.packet.pressures)
+            for cell, count in enumerate(counts)
+            if count == 0
+        )
+
+
+class Reader:
+    """Turns packets into readings; remembers the filtered load."""
+
+    def __init__(self) -> None:
+        self._loads = (0.0,) * 4
+
+    def reset(self) -> None:
+        """Lets the load filter start again at zero."""
+        self._loads = (0.0,) * 4
+
+    def read(
+        self,
+        packet: StatePacket,
+        zeros: FingerZeros,
+        offsets: TactileOffsets,
+        thresholds: tuple[tuple[int, ...], ...],
+    ) -> Reading:
+        """Returns the reading of the newest packet; `thresholds` are three times nine counts."""
+        self._loads = tuple(
+            NEW_LOAD_WEIGHT * closing_load(i, raw) + (1 - NEW_LOAD_WEIGHT) * old
+            for i, (raw, old) in enumerate(zip(packet.loads, self._loads))
+        )
+        angles = all_joint_angles(packet.positions, zeros.motor_zero_reference)
+        proximal = tuple(proximal_angle(r, z) for r, z in zip(packet.encoders, zeros.encoder_zero_reference))
+        pressure = tuple(
+            tuple(raw - int(zero) for raw, zero in zip(packet.pressures[finger], offsets.of_finger(finger)))
+            for finger in range(3)
+        )
+        contact = tuple(tuple(p > t for p, t in zip(pressure[finger], thresholds[finger])) for finger in range(3))
+        return Reading(
+            proximal=proximal,
+            distal=tuple(max(0.0, angle - p) for angle, p in zip(angles, proximal)),
+            pressure=pressure,
+            contact=contact,
+            joint_angles=angles,
+            loads=self._loads,
+            packet=packet,
+        )
+
+
+def joint_positions(reading: Reading) -> tuple[float, ...]:
+    """Returns the positions [rad] of the joints of the hand's model, in the order of JOINT_NAMES.
+
+    The two swivels turn against each other about axes that point the same way.
+    """
+    spread = reading.joint_angles[3]
+    return (spread, -spread, *reading.proximal, *reading.distal)

@@ -1,0 +1,95 @@
+"""The files in which a hand's calibration is kept, in a folder that the user may write."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+
+import rospkg
+
+from common.errors import DeviceError
+from reflex.calibration import (
+    FingerZeros,
+    TactileOffsets,
+    offsets_from_text,
+    offsets_text,
+    zeros_from_text,
+    zeros_text,
+)
+
+FINGERS = "finger_calibrate.yaml"
+TACTILE = "tactile_calibrate.yaml"
+
+
+class CalibrationFiles:
+    """Reads and writes the two files.
+
+    Args:
+        folder: where they are kept; `~` at its beginning is the home folder. Made when something is saved.
+    """
+
+    def __init__(self, folder: str) -> None:
+        self._folder = Path(os.path.expanduser(folder))
+        self._shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
+
+    def load(self) -> tuple[FingerZeros, TactileOffsets, str]:
+        """Returns both calibrations, and as one sentence where they come from; the shipped ones where none was saved.
+
+        Raises:
+            ConfigError: a file holds something else.
+            DeviceError: a file cannot be read.
+        """
+        fingers, tactile = self._find(FINGERS), self._find(TACTILE)
+        zeros = zeros_from_text(_read(fingers), str(fingers))
+        offsets = offsets_from_text(_read(tactile), str(tactile))
+        return zeros, offsets, f"Calibration from {fingers} and {tactile}."
+
+    def save_zeros(self, zeros: FingerZeros) -> Path:
+        """Writes the zeros of the fingers and returns the file.
+
+        Raises:
+            DeviceError: the disk is full or the folder cannot be written; the old file is whole.
+        """
+        return self._write(FINGERS, zeros_text(zeros))
+
+    def save_offsets(self, offsets: TactileOffsets) -> Path:
+        """Writes the zeros of the tactile sensors and returns the file.
+
+        Raises:
+            DeviceError: the disk is full or the folder cannot be written; the old file is whole.
+        """
+        return self._write(TACTILE, offsets_text(offsets))
+
+    def _find(self, name: str) -> Path:
+        saved = self._folder / name
+        return saved if saved.exists() else self._shipped / name
+
+    def _write(self, name: str, text: str) -> Path:
+        path = self._folder / name
+        temporary = None
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            handle, temporary = tempfile.mkstemp(prefix=name, dir=str(self._folder))
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except OSError as error:
+            if temporary:
+                with contextlib.suppress(OSError):
+                    os.unlink(temporary)
+            raise DeviceError(
+                f"Cannot write {path}: {error.strerror}; the calibration holds until the driver ends."
+            ) from None
+        return path
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DeviceError(f"Cannot read {path}: {error}.") from None

@@ -1,0 +1,68 @@
+"""The state of the hand as one level, one sentence and its numbers, for whoever watches the rig."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from reflex.conversions import MOTORS
+from reflex.hand import Hand, State
+from reflex.settings import Settings
+
+ERROR_BITS = ("voltage", "angle limit", "overheating", "range", "checksum", "overload", "instruction")
+
+
+def status(hand: Hand, settings: Settings, wire_fault: str, now: float) -> tuple[str, str, dict[str, object]]:
+    """Returns level ("ok", "warning", "error"), one sentence, and the values.
+
+    Args:
+        hand: the hand.
+        settings: the driver's settings.
+        wire_fault: what is wrong with the sockets, or an empty text.
+        now: time [s].
+    """
+    state = hand.state(now)
+    values: dict[str, object] = {
+        **asdict(hand.link.counters),
+        "commands": hand.commands,
+        "refused": hand.refused,
+        "state": state.value,
+        "calibration": hand.calibration_outcome,
+        "interface": settings.network_interface,
+        "overloaded": ", ".join(hand.guard.overloaded),
+        "hot": ", ".join(hand.guard.hot),
+        "bounded": ", ".join(hand.guard.bounded),
+    }
+    reading = hand.reading
+    errors = []
+    if reading:
+        packet = reading.packet
+        values.update(
+            age=f"{hand.link.age(now):.3f}",
+            loads=", ".join(f"{load:.0f}" for load in reading.loads),
+            temperatures=", ".join(map(str, packet.temperatures)),
+            voltages=", ".join(f"{v / 10:.1f}" for v in packet.voltages),
+            dead_cells=", ".join(reading.dead_cells),
+        )
+        errors = [
+            f"Servo {name} reports {', '.join(error_names(bits))}." for name, bits in zip(MOTORS, packet.errors) if bits
+        ]
+    if state in (State.WAITING, State.SILENT):
+        sentence = "The hand has not been heard yet." if state is State.WAITING else "The hand is silent."
+        return "error", f"{sentence} {wire_fault}".strip(), values
+    if wire_fault or errors:
+        return "error", " ".join([wire_fault, *errors]).strip(), values
+    for what, motors in (("overloaded", hand.guard.overloaded), ("hot", hand.guard.hot)):
+        if motors:
+            return "warning", f"Motor {', '.join(motors)} is {what}.", values
+    if hand.calibration_outcome.startswith("failed"):
+        return "warning", f"The last finger calibration {hand.calibration_outcome}", values
+    if state is State.TORQUE_OFF:
+        return "warning", "Torque is off.", values
+    if reading.dead_cells:
+        return "warning", "Some tactile sensors do not answer.", values
+    return "ok", f"The hand is {state.value}.", values
+
+
+def error_names(bits: int) -> list[str]:
+    """Returns the names of the bits that are set in a servo's error byte."""
+    return [name for i, name in enumerate(ERROR_BITS) if bits >> i & 1] or ["an unknown error"]

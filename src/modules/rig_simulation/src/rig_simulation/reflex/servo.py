@@ -1,0 +1,88 @@
+"""A Dynamixel MX-28 as the hand sees it: multi-turn positions of 1024 ticks a turn, speed, load, torque.
+
+Effort and movement are counted in the direction of rising positions.
+"""
+
+from __future__ import annotations
+
+import math
+
+TURN_TICKS = 1024
+TICK_RAD = 2 * math.pi / TURN_TICKS
+POWER_UP_TICKS = 13000
+SPEED_UNIT_RAD_S = 0.114 * 2 * math.pi / 60
+NO_LOAD_SPEED_RAD_S = 55 * 2 * math.pi / 60
+MAX_EFFORT = 1000
+STALL_EFFORT_PER_TICK = 10
+FRICTION = 25
+
+_RISING_BIT = 1024
+_SPEED_MASK = 1023
+
+
+class Servo:
+    """One servo.
+
+    Args:
+        shaft: where its shaft stands [ticks], any turn; it reports the position within one turn at first.
+    """
+
+    def __init__(self, shaft: float) -> None:
+        self.shaft = shaft
+        self.temperature = 34
+        self.error = 0
+        self.present = True
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Switches on: the turn is forgotten, torque is off, no speed is set."""
+        self._reported_minus_shaft = POWER_UP_TICKS + self.shaft % TURN_TICKS - self.shaft
+        self.goal = self.position
+        self.torque = False
+        self.speed_setting = 0
+        self.velocity = 0.0
+        self.effort = 0.0
+
+    @property
+    def position(self) -> int:
+        """The reported position [ticks]."""
+        return round(self.shaft + self._reported_minus_shaft)
+
+    def jump(self, turns: int) -> None:
+        """Counts from another turn from now on."""
+        self._reported_minus_shaft += turns * TURN_TICKS
+
+    def step(self, dt: float, low: float, high: float, resistance: float) -> None:
+        """Moves for `dt` [s] towards the goal, between the stops `low` and `high` [ticks of the shaft].
+
+        Args:
+            dt: time [s].
+            low: lower stop.
+            high: upper stop.
+            resistance: effort [0.1 %] that what the servo presses against takes.
+        """
+        before = self.shaft
+        if not self.torque:
+            self.velocity, self.effort = 0.0, 0.0
+            return
+        speed = NO_LOAD_SPEED_RAD_S
+        if self.speed_setting & _SPEED_MASK:
+            speed = min(speed, (self.speed_setting & _SPEED_MASK) * SPEED_UNIT_RAD_S)
+        reach = speed / TICK_RAD * dt
+        wanted = self.goal - self._reported_minus_shaft
+        moved = before + max(-reach, min(reach, wanted - before))
+        self.shaft = max(low, min(high, moved))
+        self.velocity = (self.shaft - before) * TICK_RAD / dt
+        self.effort = resistance + math.copysign(FRICTION, self.velocity) * (self.velocity != 0)
+        if self.shaft in (low, high):
+            self.effort += STALL_EFFORT_PER_TICK * (wanted - self.shaft)
+        self.effort = max(-MAX_EFFORT, min(MAX_EFFORT, self.effort))
+
+    def speed_register(self) -> int:
+        """The present-speed register."""
+        units = min(_SPEED_MASK, round(abs(self.velocity) / SPEED_UNIT_RAD_S))
+        return units + _RISING_BIT * (self.velocity > 0)
+
+    def load_register(self, effort: float) -> int:
+        """The present-load register for an effort [0.1 %] in the direction of rising positions."""
+        return min(_SPEED_MASK, round(abs(effort))) + _RISING_BIT * (effort > 0)
