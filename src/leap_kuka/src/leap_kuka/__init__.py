@@ -1,0 +1,1 @@
+"""From the hand over the Leap Motion to the desired tool frame of the arm."""

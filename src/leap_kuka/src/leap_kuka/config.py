@@ -1,0 +1,51 @@
+"""What leap_params.yaml holds, and what this package needs to know of the arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.config import integer, number, vector
+
+
+@dataclass(frozen=True)
+class LeapConfig:
+    """The parameters under `leap/`."""
+
+    z_clearance: float = number(
+        "m", low=0.0, high=1.0, doc="height of the workspace's lower limit over the virtual Leap, beside z_lower_limit"
+    )
+    box_dimensions: np.ndarray = vector(
+        3, "m", above=0.0, high=1.0, doc="size of the interaction box along the Leap's axes"
+    )
+    buffer_size: int = integer("samples", low=1, high=1000, doc="how many samples of the hand are averaged")
+    start_tol_pitch: float = number("deg", above=0.0, below=90.0, doc="largest pitch at which a stream starts")
+    start_tol_roll: float = number("deg", above=0.0, below=90.0, doc="largest roll at which a stream starts")
+    run_tol_yaw: float = number("deg", low=0.0, high=90.0, doc="yaw is clipped to this, counted from the start")
+    run_tol_pitch: float = number("deg", low=0.0, below=90.0, doc="pitch is clipped to this")
+    run_tol_roll: float = number("deg", low=0.0, high=90.0, doc="roll is clipped to this")
+    min_confidence: float = number(low=0.0, below=1.0, doc="confidence above which a stream runs")
+
+
+@dataclass(frozen=True)
+class ArmConfig:
+    """Those parameters under `kuka/` that place the virtual Leap and the flange."""
+
+    center_line: np.ndarray = vector(3, doc="middle of the workspace seen from above")
+    z_lower_limit: float = number("m", low=0.0, doc="lower limit of the workspace")
+    tool_length: float = number("m", low=0.0, doc="from the flange to the tool point along z")
+    ws_center: np.ndarray = vector(3, "m", doc="centre of the workspace, uploaded by the controller")
+
+    def faults(self) -> list[str]:
+        """Returns what no single value shows."""
+        faults = []
+        if self.center_line[2] != 0.0:
+            faults.append(f"center_line is {self.center_line.tolist()}, but its z must be zero.")
+        if not np.any(self.center_line[:2]):
+            faults.append("center_line is the zero vector and has no direction.")
+        if self.ws_center[2] <= self.z_lower_limit:
+            faults.append(
+                f"ws_center has z {self.ws_center[2]:g} m, but must be above z_lower_limit {self.z_lower_limit:g} m."
+            )
+        return faults

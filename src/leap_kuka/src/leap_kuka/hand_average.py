@@ -1,0 +1,91 @@
+"""The mean of the newest samples of one hand, and the gate that keeps single glitches out of it.
+
+A palm moves at most 20 mm from one frame to the next, or at most 2 m/s over longer gaps; beyond that a sample is a
+glitch of the tracker (reference: leap, 6.4) and is left out. So is a sample whose numbers are no hand. The mean stands
+still meanwhile. After a few left out in a row the hand counts as lost: what jumps and stays is not the same motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.averaging import Window
+from common.poses import pose, read_only
+from leap_kuka.hand_frame import HandSample, hand_rotation, sample_fault
+
+MAX_STEP_M = 0.02
+MAX_SPEED_M_S = 2.0
+MAX_LEFT_OUT = 5
+
+MIN_MEAN_LENGTH = 0.8
+"""Shortest mean of unit vectors that is taken for a direction. Above 1/sqrt(2) the means of direction and normal cannot
+be parallel: the samples are orthogonal, so the cosine between the means is at most (1 - l^2) / l^2."""
+
+
+@dataclass(frozen=True)
+class MeanHand:
+    """The averaged hand.
+
+    Attributes:
+        T_leap_hand: pose of the hand frame in the Leap frame, shape (4, 4) [m].
+        confidence: 0 to 1.
+    """
+
+    T_leap_hand: np.ndarray
+    confidence: float
+
+    @property
+    def palm(self) -> np.ndarray:
+        """Palm centre in the Leap frame, shape (3,) [m]."""
+        return self.T_leap_hand[:3, 3]
+
+
+class HandAverage:
+    """First-in, first-out mean over `size` samples of one hand."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self._window = Window(size)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets all samples."""
+        self._window.reset()
+        self._last: tuple[np.ndarray, float] | None = None
+        self.count = 0
+        self.left_out = 0
+
+    @property
+    def lost(self) -> bool:
+        """Whether so many samples in a row were left out that the hand counts as lost."""
+        return self.left_out >= MAX_LEFT_OUT
+
+    def add(self, sample: HandSample, now: float) -> str | None:
+        """Takes a sample in, at the time `now` [s]; returns why it was left out, or None."""
+        fault = sample_fault(sample) or self._glitch(sample.position, now)
+        if fault:
+            self.left_out += 1
+            return fault
+        self.left_out = 0
+        self._last = (sample.position, now)
+        self._window.add(np.concatenate([sample.position, sample.direction, sample.normal, [sample.confidence]]))
+        self.count = min(self.count + 1, self.size)
+        return None
+
+    def mean(self) -> MeanHand | None:
+        """Returns the mean hand, or None before the window is full or while the hand turns too fast for a mean."""
+        mean = self._window.mean()
+        if mean is None or min(np.linalg.norm(mean[3:6]), np.linalg.norm(mean[6:9])) < MIN_MEAN_LENGTH:
+            return None
+        return MeanHand(read_only(pose(hand_rotation(mean[3:6], mean[6:9]), mean[:3])), float(mean[9]))
+
+    def _glitch(self, position: np.ndarray, now: float) -> str | None:
+        if self._last is None:
+            return None
+        step = float(np.linalg.norm(position - self._last[0]))
+        elapsed = now - self._last[1]
+        if step <= max(MAX_STEP_M, MAX_SPEED_M_S * elapsed):
+            return None
+        return f"the palm jumped by {1e3 * step:.0f} mm within {1e3 * elapsed:.0f} ms"

@@ -1,0 +1,98 @@
+"""What the operator sees of the stream: its state with the reason, and the interaction box in RViz."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from leap_kuka.start_gate import Box
+from leap_kuka.teleop import RUNNING, TeleopResult
+
+GREEN = (0.2, 0.8, 0.3)
+AMBER = (1.0, 0.7, 0.1)
+BOX_ALPHA = 0.25
+TEXT_HEIGHT_M = 0.025
+
+
+class StreamStatus:
+    """Publishes a change of the state at once, and a change of the reason alone when `flush` is called.
+
+    The reason may change with every frame (how far the palm is outside), which nobody can read.
+    """
+
+    def __init__(self, box: Box, frame_id: str) -> None:
+        self._box = box
+        self._frame_id = frame_id
+        self._status = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
+        self._markers = rospy.Publisher("leap_kuka/interaction_box", MarkerArray, queue_size=10, latch=True)
+        self._lock = threading.Lock()
+        self._newest: TeleopResult | None = None
+        self._published: tuple[str, str] | None = None
+
+    def update(self, result: TeleopResult) -> None:
+        """Takes the newest result; publishes if the state changed."""
+        with self._lock:
+            self._newest = result
+            if self._published is None or self._published[0] != result.state:
+                rospy.loginfo("Stream %s: %s.", result.state, result.reason)
+                self._publish(result)
+
+    def flush(self) -> None:
+        """Publishes the newest result if its reason is not the one that was published last."""
+        with self._lock:
+            result = self._newest
+            if result is not None and self._published != (result.state, result.reason):
+                self._publish(result)
+
+    @property
+    def text(self) -> tuple[int, str, str]:
+        """Level, reason and state for diagnostics."""
+        result = self._newest
+        if result is None:
+            return DiagnosticStatus.WARN, "starting", "waiting"
+        return _level(result), result.reason, result.state
+
+    def _publish(self, result: TeleopResult) -> None:
+        self._published = (result.state, result.reason)
+        self._status.publish(
+            DiagnosticStatus(
+                level=_level(result),
+                name="leap_kuka",
+                message=result.reason,
+                values=[KeyValue("state", result.state)],
+            )
+        )
+        colour = GREEN if result.state == RUNNING else AMBER
+        self._markers.publish(MarkerArray([self._box_marker(colour), self._text_marker(colour, result.reason)]))
+
+    def _box_marker(self, colour: tuple[float, float, float]) -> Marker:
+        marker = self._marker(Marker.CUBE, 0, self._box.center)
+        marker.scale = Vector3(*self._box.size)
+        marker.color = ColorRGBA(*colour, BOX_ALPHA)
+        return marker
+
+    def _text_marker(self, colour: tuple[float, float, float], text: str) -> Marker:
+        above = self._box.center + np.array([0.0, self._box.size[1] / 2.0 + 2.0 * TEXT_HEIGHT_M, 0.0])
+        marker = self._marker(Marker.TEXT_VIEW_FACING, 1, above)
+        marker.scale.z = TEXT_HEIGHT_M
+        marker.color = ColorRGBA(*colour, 1.0)
+        marker.text = text
+        return marker
+
+    def _marker(self, kind: int, number: int, position: np.ndarray) -> Marker:
+        """Returns a marker at `position`, shape (3,) [m]; its zero stamp lets it follow the newest frame."""
+        marker = Marker(ns="interaction_box", id=number, type=kind, action=Marker.ADD, frame_locked=True)
+        marker.header.frame_id = self._frame_id
+        marker.pose.position = Point(*position)
+        marker.pose.orientation = Quaternion(w=1.0)
+        return marker
+
+
+def _level(result: TeleopResult) -> int:
+    return DiagnosticStatus.OK if result.state == RUNNING else DiagnosticStatus.WARN

@@ -1,0 +1,107 @@
+"""Whether the hand steers the arm: it starts inside the interaction box, level and well seen, and ends on bad sight.
+
+The interaction box stands upright on the Leap's y axis; its axes are the Leap's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.errors import ConfigError
+from common.poses import read_only
+from leap_kuka.config import ArmConfig, LeapConfig
+from leap_kuka.desired_tool import attitude
+from leap_kuka.hand_average import MeanHand
+from leap_kuka.virtual_leap import heading
+
+SIDES = (("left of", "right of"), ("below", "above"), ("behind", "in front of"))
+"""How a palm lies beyond the box, per axis and sign, as its user sees it: -z points away from the user."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box with the Leap's axes.
+
+    Attributes:
+        center: in the Leap frame, shape (3,) [m].
+        size: lengths of its edges, shape (3,) [m].
+    """
+
+    center: np.ndarray
+    size: np.ndarray
+
+    def outside(self, point: np.ndarray) -> np.ndarray:
+        """Returns how far the point, shape (3,) [m], is beyond the box along each axis, with sign; zero inside."""
+        offset = point - self.center
+        return np.sign(offset) * np.maximum(np.abs(offset) - self.size / 2.0, 0.0)
+
+
+def interaction_box(leap: LeapConfig, arm: ArmConfig) -> Box:
+    """Returns the box whose centre falls on the centre of the workspace.
+
+    Raises:
+        ConfigError: it would reach into the Leap.
+    """
+    height = arm.ws_center[2] - arm.z_lower_limit + leap.z_clearance
+    if height < leap.box_dimensions[1] / 2.0:
+        raise ConfigError(
+            [
+                f"The centre of the interaction box would be {height:g} m above the Leap, and the box, "
+                f"{leap.box_dimensions[1]:g} m high, would reach into it: enlarge leap/z_clearance."
+            ]
+        )
+    return Box(read_only([0.0, height, 0.0]), leap.box_dimensions)
+
+
+class StartGate:
+    """Decides with hysteresis: more is asked of a hand to start than to go on."""
+
+    def __init__(self, leap: LeapConfig, box: Box) -> None:
+        self._leap = leap
+        self._box = box
+        self.running = False
+
+    def reset(self) -> None:
+        """Ends the stream."""
+        self.running = False
+
+    def step(self, hand: MeanHand) -> list[str]:
+        """Takes the averaged hand in; `running` is the answer.
+
+        Returns:
+            What is not as it has to be for the stream to start, or to go on; empty while it runs.
+        """
+        faults = self._poor_sight(hand)
+        if not self.running:
+            faults = self._outside(hand) + self._tilted(hand) + faults
+        self.running = not faults
+        return faults
+
+    def _poor_sight(self, hand: MeanHand) -> list[str]:
+        if hand.confidence > self._leap.min_confidence:
+            return []
+        return [f"the confidence is {hand.confidence:.2f} and must be above {self._leap.min_confidence:g}"]
+
+    def _outside(self, hand: MeanHand) -> list[str]:
+        beyond = self._box.outside(hand.palm)
+        parts = [
+            f"{max(1.0, 1e3 * abs(distance)):.0f} mm {side[int(distance > 0.0)]}"
+            for distance, side in zip(beyond, SIDES)
+            if distance != 0.0
+        ]
+        return [f"the palm is {' and '.join(parts)} the box"] if parts else []
+
+    def _tilted(self, hand: MeanHand) -> list[str]:
+        R_leap_hand = hand.T_leap_hand[:3, :3]
+        angles = attitude(R_leap_hand, heading(R_leap_hand[:, 0]))
+        return [
+            f"the {name} is {math.degrees(angle):.0f} deg and must be within {limit:g} deg"
+            for name, angle, limit in (
+                ("pitch", angles.pitch, self._leap.start_tol_pitch),
+                ("roll", angles.roll, self._leap.start_tol_roll),
+            )
+            if abs(angle) >= math.radians(limit)
+        ]

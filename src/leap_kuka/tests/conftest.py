@@ -1,0 +1,102 @@
+"""Hands made by hand and hands from recordings, for the tests of leap_kuka."""
+
+import gzip
+import json
+
+import numpy as np
+import pytest
+
+from common.rotations import rotation_from_zyx
+from leap_kuka.config import ArmConfig, LeapConfig
+from leap_kuka.desired_tool import R_LEAP_REFERENCE
+from leap_kuka.hand_frame import HandSample
+from leap_kuka.teleop import TrackingFrame
+
+LEAP = {
+    "z_clearance": 0.15,
+    "box_dimensions": np.array([0.2, 0.2, 0.2]),
+    "buffer_size": 10,
+    "start_tol_pitch": 20.0,
+    "start_tol_roll": 20.0,
+    "run_tol_yaw": 25.0,
+    "run_tol_pitch": 25.0,
+    "run_tol_roll": 25.0,
+    "min_confidence": 0.05,
+}
+ARM = {
+    "center_line": np.array([1.0, -1.0, 0.0]),
+    "z_lower_limit": 0.2,
+    "tool_length": 0.106,
+    "ws_center": np.array([0.42, -0.42, 0.4]),
+}
+BOX_HEIGHT = 0.35
+
+
+@pytest.fixture(scope="session")
+def leap():
+    """Makes the parameters of the package, with what differs from the defaults."""
+    return lambda **changes: LeapConfig(**{**LEAP, **changes})
+
+
+@pytest.fixture(scope="session")
+def arm():
+    """Makes the arm's parameters, with what differs from the defaults."""
+    return lambda **changes: ArmConfig(**{**ARM, **changes})
+
+
+@pytest.fixture(scope="session")
+def sample():
+    """Makes a hand from its angles against the reference hand [deg]; by default level in the middle of the box."""
+
+    def make(yaw=0.0, pitch=0.0, roll=0.0, position=(0.0, BOX_HEIGHT, 0.0), id=12, is_left=False, confidence=1.0):
+        R = R_LEAP_REFERENCE @ rotation_from_zyx(*np.radians([yaw, pitch, roll]))
+        return HandSample(id, is_left, position, R[:, 0], R[:, 2], confidence)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def player():
+    """Feeds hands to a Teleop as frames of a tracker at 100 Hz."""
+
+    class Player:
+        def __init__(self, teleop):
+            self.teleop = teleop
+            self.number = 0
+            self.now = 50.0
+
+        def step(self, *hands, dt=0.01):
+            self.number += 1
+            self.now += dt
+            return self.teleop.step(TrackingFrame(self.number, 0.0, hands), self.now)
+
+        def steps(self, count, *hands):
+            return [self.step(*hands) for _ in range(count)]
+
+    return Player
+
+
+@pytest.fixture
+def recording(shared_data):
+    """Reads a recording as a list of (time [s], hands); the palms are shifted by `offset` [m]."""
+
+    def read(name, offset=(0.0, 0.0, 0.0)):
+        frames = []
+        with gzip.open(shared_data / "leap" / f"{name}.jsonl.gz", "rt") as file:
+            for line in file:
+                frame = json.loads(line)
+                hands = tuple(
+                    HandSample(
+                        hand["id"],
+                        hand["type"] == "left",
+                        np.array(hand["palmPosition"]) / 1e3 + offset,
+                        hand["direction"],
+                        hand["palmNormal"],
+                        hand["confidence"],
+                    )
+                    for hand in frame["hands"]
+                )
+                frames.append((frame["timestamp"] / 1e6, hands))
+        return frames
+
+    return read

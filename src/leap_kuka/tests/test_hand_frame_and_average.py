@@ -1,0 +1,170 @@
+"""Hand frame, checks of a sample, mean and the gate against glitches."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.rotations import check_rotation, rotation_about
+from leap_kuka.hand_average import MAX_LEFT_OUT, HandAverage
+from leap_kuka.hand_frame import hand_rotation, sample_fault
+
+angles = st.floats(-180.0, 180.0)
+small = st.floats(-60.0, 60.0)
+
+
+@given(angles, st.floats(-89.0, 89.0), angles)
+def test_the_hand_frame_is_a_rotation_with_x_along_the_hand_and_z_out_of_the_palm(sample, yaw, pitch, roll):
+    hand = sample(yaw, pitch, roll)
+    R = hand_rotation(hand.direction, hand.normal)
+    check_rotation(R)
+    np.testing.assert_allclose(R[:, 0], hand.direction, atol=1e-9)
+    np.testing.assert_allclose(R[:, 2], hand.normal, atol=1e-9)
+    np.testing.assert_allclose(R[:, 1], np.cross(hand.normal, hand.direction), atol=1e-9)
+
+
+@given(angles, st.floats(-89.0, 89.0), angles)
+def test_a_mirrored_hand_has_the_mirrored_frame(sample, yaw, pitch, roll):
+    """The mirror image through the Leap's y-z plane keeps x and z, and turns y round to stay a rotation."""
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    hand = sample(yaw, pitch, roll)
+    R = hand_rotation(hand.direction, hand.normal)
+    mirrored = hand_rotation(mirror @ hand.direction, mirror @ hand.normal)
+    np.testing.assert_allclose(mirrored, mirror @ R @ np.diag([1.0, -1.0, 1.0]), atol=1e-9)
+
+
+def test_a_level_hand_that_points_away_from_the_user(sample):
+    hand = sample()
+    np.testing.assert_allclose(hand.direction, [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(hand.normal, [0, -1, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        hand_rotation(hand.direction, hand.normal), [[0, 1, 0], [0, 0, -1], [-1, 0, 0]], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"position": (np.nan, 0.3, 0.0)}, "finite"),
+        ({"direction": (0.0, 0.0, -np.inf)}, "finite"),
+        ({"confidence": float("nan")}, "finite"),
+        ({"position": (0.0, 350.0, 0.0)}, "350.0 m"),
+        ({"direction": (0.0, 0.0, 0.0)}, "direction of the hand has length 0"),
+        ({"direction": (0.0, 0.0, -1.01)}, "length 1.01"),
+        ({"normal": (0.0, -0.9, 0.0)}, "normal of the hand has length 0.9"),
+        ({"normal": (0.0, 0.0, -1.0)}, "0.0 deg"),
+        ({"normal": (0.0, -np.cos(0.02), -np.sin(0.02))}, "88.9 deg"),
+        ({"confidence": 1.5}, "1.5"),
+    ],
+)
+def test_numbers_that_are_no_hand_are_named(sample, change, word):
+    assert word in sample_fault(dataclasses.replace(sample(), **change))
+
+
+def test_six_printed_digits_are_good_enough(sample):
+    hand = sample(31.0, 17.0, -8.0)
+    rounded = dataclasses.replace(
+        hand, direction=np.float32(np.round(hand.direction, 5)), normal=np.float32(np.round(hand.normal, 5))
+    )
+    assert sample_fault(rounded) is None
+
+
+def test_records_cannot_be_written_to(sample):
+    with pytest.raises(ValueError):
+        sample().position[0] = 1.0
+
+
+@given(st.integers(1, 20), st.integers(0, 40))
+def test_there_is_a_mean_exactly_when_the_window_is_full(sample, size, count):
+    average = HandAverage(size)
+    for i in range(count):
+        assert average.add(sample(), 0.01 * i) is None
+    assert (average.mean() is not None) == (count >= size)
+    average.reset()
+    assert average.mean() is None and average.count == 0
+
+
+@given(small, small, small)
+def test_the_mean_of_equal_samples_is_the_sample(sample, yaw, pitch, roll):
+    average = HandAverage(3)
+    hand = sample(yaw, pitch, roll, confidence=0.4)
+    for i in range(3):
+        average.add(hand, 0.01 * i)
+    mean = average.mean()
+    np.testing.assert_allclose(mean.palm, hand.position, atol=1e-12)
+    np.testing.assert_allclose(mean.T_leap_hand[:3, :3], hand_rotation(hand.direction, hand.normal), atol=1e-9)
+    assert mean.confidence == pytest.approx(0.4)
+
+
+@given(st.lists(st.tuples(small, small, small), min_size=4, max_size=4))
+def test_the_mean_is_a_rotation_or_nothing(sample, attitudes):
+    average = HandAverage(4)
+    for i, (yaw, pitch, roll) in enumerate(attitudes):
+        average.add(sample(yaw, pitch, roll), 0.01 * i)
+    if average.mean() is not None:
+        check_rotation(average.mean().T_leap_hand[:3, :3])
+
+
+def test_the_mean_follows_with_half_the_window_as_delay(sample):
+    average = HandAverage(10)
+    for i in range(10):
+        average.add(sample(position=(0.001 * i, 0.35, 0.0)), 0.01 * i)
+    np.testing.assert_allclose(average.mean().palm, [0.0045, 0.35, 0.0])
+
+
+def test_a_hand_that_turns_over_within_the_window_has_no_mean(sample):
+    average = HandAverage(2)
+    average.add(sample(), 0.0)
+    average.add(sample(roll=179.0), 0.01)
+    assert average.mean() is None
+    average.add(sample(roll=178.0), 0.02)
+    assert average.mean() is not None
+
+
+def test_one_glitch_is_left_out_and_the_mean_stands_still(sample):
+    average = HandAverage(3)
+    for i in range(3):
+        average.add(sample(), 0.01 * i)
+    before = average.mean().T_leap_hand
+    assert "200 mm" in average.add(sample(position=(0.2, 0.35, 0.0)), 0.03)
+    np.testing.assert_array_equal(average.mean().T_leap_hand, before)
+    assert average.add(sample(position=(0.005, 0.35, 0.0)), 0.04) is None
+    assert not average.lost and average.left_out == 0
+
+
+def test_a_palm_that_jumped_and_stays_there_is_lost(sample):
+    average = HandAverage(3)
+    average.add(sample(), 0.0)
+    for i in range(MAX_LEFT_OUT):
+        assert not average.lost
+        average.add(sample(position=(0.3, 0.35, 0.0)), 0.01 * (i + 1))
+    assert average.lost
+
+
+@pytest.mark.parametrize(
+    "step, dt, taken", [(19, 0.009, True), (21, 0.009, False), (34, 0.0175, True), (19, 0.0, True)]
+)
+def test_the_gate_is_one_of_speed_with_a_floor(sample, step, dt, taken):
+    average = HandAverage(3)
+    average.add(sample(), 1.0)
+    assert (average.add(sample(position=(step / 1e3, 0.35, 0.0)), 1.0 + dt) is None) == taken
+
+
+def test_the_recordings_of_real_hands_hold_no_glitch(recording):
+    for name in ("HandSplay-110fps", "confidence-74fps", "grab", "rollAndPitchWithEntry", "three-claps"):
+        averages = {}
+        for time, hands in recording(name):
+            for hand in hands:
+                assert averages.setdefault(hand.id, HandAverage(10)).add(hand, time) is None
+
+
+def test_turning_about_the_vertical_keeps_the_frame_rigid(sample):
+    hand = sample(10.0, 20.0, 30.0)
+    turn = rotation_about(1, 0.7)
+    np.testing.assert_allclose(
+        hand_rotation(turn @ hand.direction, turn @ hand.normal),
+        turn @ hand_rotation(hand.direction, hand.normal),
+        atol=1e-9,
+    )
