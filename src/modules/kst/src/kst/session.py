@@ -236,7 +236,8 @@ class Session:
                     late = self._sort_out(self.transport.waiting(), missing)
                 self._unanswered = None
                 return late
-            late = late or self._sort_out([reply], missing)
+            found = self._sort_out([reply], missing)
+            late = late or found
         self.transport.give_up(
             f"the controller answers neither `{missing.word}` nor `{probe.word}`: its application is stopped or deaf"
         )
@@ -249,7 +250,7 @@ class Session:
             ReplyTimeout, ProtocolError, ConnectionLost: as in `ask`.
         """
         deadline = time.monotonic() + longest
-        while self._arm_moves() and time.monotonic() < deadline:
+        while time.monotonic() < deadline and self._arm_moves():
             pass
 
     def farewell(self, stop_servo: bool) -> None:
@@ -308,7 +309,7 @@ class Session:
         late = None
         for reply in replies:
             expected = reply.kind is missing.answer or (reply.kind is Kind.NAK and missing.thread is Thread.MAIN)
-            if late is None and expected:
+            if expected and self._unanswered is missing:
                 self._unanswered = None
                 self._count(stray=1)
                 late = reply

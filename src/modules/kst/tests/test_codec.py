@@ -1,0 +1,183 @@
+"""The wire text against lines recorded from the published server, and laws of its numbers, poses and framing."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.poses import pose, translation
+from common.rotations import rotation_from_zyx
+from kst import codec
+from kst.codec import Feedback, Kind, LineSplitter, Thread, ToolTransform, parse_reply
+
+doubles = st.floats(allow_nan=False, allow_infinity=False)
+angles = st.floats(-math.pi, math.pi)
+
+
+@pytest.mark.parametrize(
+    ("command", "line", "thread", "answer"),
+    [
+        (codec.relative_velocity(0.25), "jRelVel_0.25_", "main", "done"),
+        (codec.START_PTP, "doPTPinJS", "main", "done"),
+        (codec.START_SERVO, "startDirectServoJoints", "main", "done"),
+        (codec.STOP_SERVO, "stopDirectServoJoints", "reader", "done"),
+        (codec.JOINTS, "getJointsPositions", "reader", "7 numbers"),
+        (codec.EXTERNAL_TORQUES, "Torques_ext_J", "main", "7 numbers"),
+        (codec.MEASURED_TORQUES, "Torques_m_J", "main", "7 numbers"),
+        (codec.POSE, "Eef_pos", "main", "6 numbers"),
+        (codec.FORCE, "Eef_force", "main", "3 numbers"),
+        (codec.MOMENT, "Eef_moment", "main", "3 numbers"),
+        (codec.blue(True), "blueOn", "reader", "done"),
+        (codec.blue(False), "blueOff", "reader", "done"),
+        (codec.set_pin(1, True), "pin1on", "reader", "done"),
+        (codec.set_pin(11, False), "pin11off", "reader", "done"),
+        (codec.get_pin(3), "getPin3", "reader", "0 or 1"),
+        (codec.END, "end", "reader", "no answer"),
+    ],
+)
+def test_commands_are_spelled_as_the_server_reads_them(command, line, thread, answer):
+    assert command == codec.Command(line, Thread(thread), Kind(answer))
+
+
+def test_a_tool_that_only_shifts_along_z():
+    tool = ToolTransform(translation(0.0, 0.0, 0.106))
+    command = codec.attach_tool(tool)
+    assert (command.thread, command.answer) == (Thread.MAIN, Kind.DONE)
+    assert [float(f) for f in command.line.split("_")[1:-1]] == [0.0, 0.0, 106.0, 0.0, 0.0, 0.0]
+
+
+def test_the_tool_is_six_numbers_in_millimetres_and_rad():
+    tool = ToolTransform(pose(rotation_from_zyx(0.5, -0.25, 2.0), (0.001, -0.002, 0.106)))
+    word, *fields, end = codec.attach_tool(tool).line.split("_")
+    assert (word, end) == ("TFtrans", "")
+    np.testing.assert_allclose([float(f) for f in fields], [1.0, -2.0, 106.0, 0.5, -0.25, 2.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("feedback", "prefix", "answer"),
+    [
+        (Feedback.DONE, "jp_", Kind.DONE),
+        (Feedback.NOTHING, "jf_", Kind.NOTHING),
+        (Feedback.JOINTS, "jpJP_", Kind.SEVEN),
+        (Feedback.EXTERNAL_TORQUES, "jpExT_", Kind.SEVEN),
+        (Feedback.MEASURED_TORQUES, "jpMT_", Kind.SEVEN),
+        (Feedback.POSE, "jpEEfP_", Kind.SIX),
+        (Feedback.FORCE, "jpEEfFrelEEF_", Kind.THREE),
+    ],
+)
+def test_joint_goals(feedback, prefix, answer):
+    goal = codec.joint_goal(np.array([-0.7834, 0.5236, 0.0, -1.39626, 1e-7, 1.22173, -0.0]), feedback)
+    assert goal.line == prefix + "-0.7834_0.5236_0.0_-1.39626_1e-07_1.22173_-0.0_"
+    assert (goal.thread, goal.answer) == (Thread.READER, answer)
+
+
+@pytest.mark.parametrize(
+    ("line", "kind", "numbers"),
+    [
+        (b"done", Kind.DONE, ()),
+        (b"nak", Kind.NAK, ()),
+        (b"1", Kind.PIN, (1.0,)),
+        (b"0", Kind.PIN, (0.0,)),
+        (b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_", Kind.SEVEN, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)),
+        (
+            b"-1.3405321274206328E-5_8.936880849470885E-6_0.0_-2.383156847762074E-5_0.0_2.0852665088281255E-5_0.0_",
+            Kind.SEVEN,
+            (-1.3405321274206328e-5, 8.936880849470885e-6, 0.0, -2.383156847762074e-5, 0.0, 2.0852665088281255e-5, 0.0),
+        ),
+        (b"0.0_-0.0_1.0E7_", Kind.THREE, (0.0, -0.0, 1e7)),
+        (b"Infinity_-Infinity_5.0E-5_", Kind.THREE, (math.inf, -math.inf, 5e-5)),
+    ],
+)
+def test_replies(line, kind, numbers):
+    reply = parse_reply(line)
+    assert reply.kind is kind
+    assert reply.numbers == numbers
+
+
+def test_a_reported_nan_is_seen():
+    assert np.isnan(parse_reply(b"0.0_NaN_0.0_").numbers[1])
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(b"Done", b"done ", b"interrupted", b"2", b"0.5", b"1_2_", b"0.1__0.2_0.3_", b"1_2_3_4_5_6_7_8_"),
+        *(b"a_b_c_", b"nan_0_0_", b"0x1_0_0_", b"\xff\x00\x81", b"1_2_" + b"3" * 600),
+    ],
+)
+def test_what_is_no_reply_is_foreign_and_printable(line):
+    reply = parse_reply(line)
+    assert reply.kind is Kind.FOREIGN
+    assert reply.text.isprintable() and len(reply.text) <= 60
+
+
+@given(st.binary(max_size=600))
+def test_no_bytes_break_the_parser(line):
+    assert isinstance(parse_reply(line).kind, Kind)
+
+
+@given(doubles)
+def test_numbers_keep_every_bit_and_suit_javas_parser(value):
+    text = codec.number(value)
+    assert struct.pack("d", float(text)) == struct.pack("d", value)
+    assert set(text) <= set("0123456789.e+-")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_numbers_that_would_deafen_the_server_are_refused(value):
+    with pytest.raises(ValueError, match="must not be sent"):
+        codec.number(value)
+
+
+@given(angles, st.one_of(st.floats(-math.pi / 2, math.pi / 2), st.sampled_from([-math.pi / 2, math.pi / 2])), angles)
+def test_poses_survive_the_wire_units_even_at_the_euler_singularity(a, b, c):
+    T = pose(rotation_from_zyx(a, b, c), (0.4, -0.3, 0.25))
+    np.testing.assert_allclose(codec.pose_from_fields(codec.fields_from_pose(T)), T, rtol=0.0, atol=1e-9)
+
+
+def test_a_recorded_pose_is_where_the_arm_was():
+    reply = parse_reply(
+        b"407.206829637132_-407.2083253940839_282.60267766133745_2.356192653589793_2.6535897931254714E-6"
+        b"_-3.141592653589793_"
+    )
+    T = codec.pose_from_fields(reply.numbers)
+    np.testing.assert_allclose(T[:3, 3], [0.4072068, -0.4072083, 0.2826027], atol=1e-7)
+    np.testing.assert_allclose(T[:3, 2], [0.0, 0.0, -1.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("tool", [translation(0.0, 0.0, 106.0), np.eye(4) * np.nan, np.diag([2.0, 2.0, 2.0, 1.0])])
+def test_a_tool_in_millimetres_or_not_rigid_is_refused(tool):
+    with pytest.raises(ValueError, match=r"millimetres|finite|orthonormal"):
+        ToolTransform(tool)
+
+
+@pytest.mark.parametrize("number", [0, 5, 17])
+def test_pins_that_the_server_does_not_know_are_refused(number):
+    with pytest.raises(ValueError, match=f"pin {number}"):
+        codec.set_pin(number, True)
+    with pytest.raises(ValueError, match=f"pin {number}"):
+        codec.get_pin(number)
+
+
+@given(st.lists(st.binary(max_size=30), max_size=8), st.data())
+def test_lines_do_not_depend_on_how_the_stream_is_cut(lines, data):
+    stream = b"\n".join(lines) + b"\n" + b"x" * 600 + b"\r\nno end"
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=12)))
+    splitter = LineSplitter()
+    pieces = [stream[i:j] for i, j in zip([0, *cuts], [*cuts, len(stream)])]
+    assert [line for piece in pieces for line in splitter.feed(piece)] == LineSplitter().feed(stream)
+
+
+def test_two_replies_in_one_packet_and_the_empty_line_after_a_pin():
+    assert LineSplitter().feed(b"1\n\ndone\r\n0.0_") == [b"1", b"done"]
+
+
+def test_a_line_without_end_takes_no_memory_and_no_neighbour():
+    splitter = LineSplitter()
+    assert all(splitter.feed(b"1" * 1000) == [] for _ in range(1000))
+    overlong, good = splitter.feed(b"\ndone\n")
+    assert parse_reply(overlong).kind is Kind.FOREIGN and len(overlong) < 1000
+    assert good == b"done"

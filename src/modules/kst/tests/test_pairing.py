@@ -1,0 +1,213 @@
+"""Answers that are wiped, late, foreign or doubled: a result is the answer to its own question, or there is none."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from kst.client import Mode, Timing
+from kst.errors import ConnectionLost, ProtocolError, ReplyTimeout
+
+HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
+TORQUES = np.arange(1, 8) / 10
+BRIEF = {"reply": 0.3, "servo_reply": 0.3, "quiet": 0.05}
+
+
+def joints(first):
+    return b"%f_0.0_0.0_0.0_0.0_0.0_0.0_\n" % first
+
+
+@pytest.mark.parametrize("wiped", ["TFtrans", "jRelVel", "doPTPinJS", "startDirectServoJoints", "Torques_ext_J"])
+def test_a_wiped_command_is_sent_again(server, connect, wiped):
+    server.once(wiped, b"")
+    client = connect(**BRIEF)
+    server.once("doPTPinJS", b"done\ndone\n")
+    client.ptp_joints(HOME, 0.25, timeout=10.0)
+    np.testing.assert_allclose(client.external_torques(), TORQUES)
+    client.start_joint_servo()
+    client.servo(HOME)
+    client.stop_joint_servo()
+    assert server.words().count(wiped) == 2
+    assert (client.counts.missed, client.counts.resent, client.counts.stray) == (1, 1, 0)
+
+
+def test_it_looks_at_the_joints_before_it_sends_again(server, connect):
+    client = connect(**BRIEF)
+    server.once("doPTPinJS", b"")
+    client.start_ptp_joints(HOME, 0.25)
+    assert server.words()[3:] == ["doPTPinJS", *["getJointsPositions"] * 3, "doPTPinJS"]
+
+
+def test_nothing_is_sent_again_while_the_arm_moves(server, connect):
+    client = connect(**BRIEF)
+    server.once("doPTPinJS", b"")
+    server.once("getJointsPositions", *(joints(0.01 * i) for i in range(3)))
+    with pytest.raises(ReplyTimeout, match="the arm moves"):
+        client.start_ptp_joints(HOME, 0.25)
+    assert server.words().count("doPTPinJS") == 1
+    assert client.mode is Mode.PTP
+
+
+def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect, wait_until):
+    client = connect(**BRIEF)
+    server.once("doPTPinJS", b"")
+    server.once("getJointsPositions", *(joints(0.01 * i) for i in range(3)))
+    with pytest.raises(ReplyTimeout):
+        client.start_ptp_joints(HOME, 0.25)
+    server.push(b"done\n")
+    np.testing.assert_array_equal(client.joints(), HOME)
+    assert not client.ptp_arrived()
+    server.push(b"done\n")
+    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+
+
+@pytest.mark.parametrize("word", ["jRelVel", "doPTPinJS", "startDirectServoJoints", "Torques_ext_J"])
+def test_a_dead_main_thread_is_told_from_a_dead_link(server, connect, wait_until, word):
+    client = connect(**BRIEF, tries=2)
+    server.answers[word] = b""
+    with pytest.raises(ReplyTimeout, match=rf"`{word}` was not answered in 2 tries.*main thread"):
+        client.start_ptp_joints(HOME, 0.25)
+        server.push(b"done\n")
+        wait_until(client.ptp_arrived, 10.0, "the arrival")
+        client.external_torques()
+        client.start_joint_servo()
+    assert client.mode is Mode.IDLE
+    assert server.words().count(word) == 2
+    np.testing.assert_array_equal(client.joints(), HOME)
+
+
+@pytest.mark.parametrize("late", [b"done\n", b"done\ndone\n"])
+def test_a_late_start_of_a_motion_is_taken_as_its_start(server, connect, wait_until, late):
+    client = connect(**BRIEF)
+    server.once("doPTPinJS", b"")
+    server.once("getJointsPositions", late + server.answers["getJointsPositions"])
+    client.start_ptp_joints(HOME, 0.25)
+    assert server.words().count("doPTPinJS") == 1
+    if late == b"done\n":
+        assert not client.ptp_arrived()
+        server.push(b"done\n")
+    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+
+
+def test_a_late_answer_of_the_main_thread_behind_the_probe(server, connect):
+    client = connect(**{**BRIEF, "quiet": 0.3})
+    server.once("Torques_ext_J", b"")
+    server.once("getPin3", b"1\n\n" + server.answers["Torques_ext_J"])
+    np.testing.assert_allclose(client.external_torques(), TORQUES)
+    assert server.words()[1:] == ["Torques_ext_J", "getPin3"]
+
+
+@pytest.mark.parametrize("arrives", ["before the next command", "with the probe", "never"])
+def test_a_late_answer_is_never_taken_for_the_next_one(server, connect, arrives):
+    client = connect(**BRIEF)
+    client.start_joint_servo()
+    server.answers["jpJP"] = joints(2.0)
+    server.once("jpJP", b"")
+    with pytest.raises(ReplyTimeout, match="`jpJP` was not answered"):
+        client.servo_joints(HOME)
+    if arrives == "before the next command":
+        server.push(joints(1.0))
+    elif arrives == "with the probe":
+        server.once("getPin3", joints(1.0) + b"1\n\n")
+    for _ in range(3):
+        assert client.servo_joints(HOME)[0] == 2.0
+    assert client.counts.stray == (0 if arrives == "never" else 1)
+    assert client.mode is Mode.SERVO
+
+
+def test_a_late_acknowledgement_does_not_count_for_the_next_goal(server, connect):
+    client = connect(**BRIEF)
+    client.start_joint_servo()
+    server.once("jp", b"")
+    with pytest.raises(ReplyTimeout):
+        client.servo(HOME)
+    server.once("getJointsPositions", b"done\n" + server.answers["getJointsPositions"])
+    server.once("jp", b"")
+    with pytest.raises(ReplyTimeout):
+        client.servo(HOME)
+
+
+def test_a_reader_that_falls_silent_is_a_lost_connection(server, connect):
+    client = connect(**BRIEF)
+    client.start_joint_servo()
+    server.answers.clear()
+    with pytest.raises(ReplyTimeout):
+        client.servo(HOME)
+    with pytest.raises(ConnectionLost, match="deaf"):
+        client.servo(HOME)
+    with pytest.raises(ConnectionLost, match="deaf"):
+        client.joints()
+
+
+def test_a_flood_of_lines_does_not_hold_a_call_for_ever(server, connect):
+    client = connect(**BRIEF)
+    server.once("getJointsPositions", b"")
+    with pytest.raises(ReplyTimeout):
+        client.joints()
+    server.answers["getPin3"] = b"0.5_0.5_0.5_\n" * 1000
+    with pytest.raises(ConnectionLost):
+        client.joints()
+
+
+@pytest.mark.parametrize("garbage", [b"\xff\x00\x12\n", b"hello\n", b"9" * 5000 + b"\n", b"1.0_2.0_\n"])
+def test_garbage_before_an_answer_is_dropped_and_counted(server, connect, garbage):
+    client = connect()
+    server.once("getJointsPositions", garbage + server.answers["getJointsPositions"])
+    np.testing.assert_array_equal(client.joints(), HOME)
+    assert client.counts.foreign == 1
+
+
+def test_nothing_but_garbage(server, connect):
+    client = connect()
+    server.once("getJointsPositions", b"hello\n" * 100)
+    with pytest.raises(ProtocolError, match="hello"):
+        client.joints()
+    np.testing.assert_array_equal(client.joints(), HOME)
+
+
+def test_an_answer_of_the_wrong_kind_leaves_the_next_one_right(server, connect):
+    client = connect()
+    server.once("getJointsPositions", b"done\n" + joints(1.0))
+    with pytest.raises(ProtocolError, match="`getJointsPositions` was answered by `done` instead of 7 numbers"):
+        client.joints()
+    for _ in range(3):
+        np.testing.assert_array_equal(client.joints(), HOME)
+
+
+def test_the_pose_of_an_old_server_is_its_force(server, connect):
+    client = connect()
+    client.start_joint_servo()
+    server.answers["jpEEfP"] = b"0.0_0.0_0.0_\n"
+    with pytest.raises(ProtocolError, match="another version"):
+        client.servo_pose(HOME)
+
+
+def test_an_answer_in_single_bytes(server, connect):
+    client = connect()
+    server.once("getJointsPositions", b"")
+
+    def drip():
+        for byte in server.answers["getJointsPositions"]:
+            server.push(bytes([byte]))
+
+    dripping = threading.Timer(0.1, drip)
+    dripping.start()
+    np.testing.assert_array_equal(client.joints(), HOME)
+    dripping.join()
+
+
+def test_a_pause_follows_every_answer_of_the_main_thread(connect, monkeypatch):
+    client = connect(main_pause=60.0)
+    pauses = []
+    monkeypatch.setattr(client._session.transport, "pause", pauses.append)
+    client.external_torques()
+    client.external_torques()
+    client.abort()
+    assert len(pauses) == 2
+    assert min(pauses) > 50.0
+
+
+def test_the_shortest_pause_outlasts_the_wiping():
+    assert Timing().main_pause >= 0.005
+    assert Timing().servo_start >= 0.3
+    assert Timing().servo_stop >= 0.1
