@@ -1,0 +1,272 @@
+"""WebSocket client of the Leap service: always the newest frame, and always a sentence about the link.
+
+A thread reads every message as it comes and keeps only the newest frame, because a queue of frames would be delay. Who
+asks for a frame decodes it in his own thread. The service sends frames at about 110 Hz, also without hands, so that
+silence is a fault. Nothing persists over a reconnect: the policy messages are sent again.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, ProtocolError, read_header, read_message
+from leap_motion.frames import LeapFrame
+
+SILENCE_S = 0.1
+HEADER_TIMEOUT_S = 2.0
+OPEN_TIMEOUT_S = 2.0
+CLOSE_TIMEOUT_S = 0.5
+PING_S = 2.0
+RETRY_S = 0.5
+RETRY_FACTOR = 1.6
+RETRY_MAX_S = 3.0
+MAX_REASONS = 20
+UNKNOWN_CAUSE = "is it paused, or has another program the focus?"
+
+
+class Link(Enum):
+    """State of the link to the service."""
+
+    CONNECTING = "connecting"
+    NO_SERVICE = "no service"
+    REFUSED = "refused"
+    STREAMING = "streaming"
+    SILENT = "silent"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True)
+class Counters:
+    """What came over the link since the client was made.
+
+    Attributes:
+        received: frames read from the socket.
+        superseded: frames that a newer one replaced before anybody asked for them.
+        dropped: frames that were not usable, by reason.
+        connections: how often a header was received; all but the first are reconnects.
+    """
+
+    received: int = 0
+    superseded: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    connections: int = 0
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of the link, one sentence about it, and version of the service where it says so."""
+
+    link: Link
+    sentence: str
+    service: str = ""
+
+
+@dataclass(frozen=True)
+class Received:
+    """A frame and what the clock said when its message had come in."""
+
+    frame: LeapFrame
+    stamp: object
+
+
+class LeapClient:
+    """Reads the Leap service until it is closed, through missing services, restarts and broken messages.
+
+    Args:
+        host: address of the service.
+        port: its plain WebSocket port.
+        clock: called when a message came in; its value becomes the stamp of the frame.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 6437, clock: Callable[[], object] = time.time) -> None:
+        self._address = f"{host}:{port}"
+        self._url = f"ws://{host}:{port}/v6.json"
+        self._clock = clock
+        self._closing = threading.Event()
+        self._changed = threading.Condition()
+        self._newest: tuple[str | bytes, object] | None = None
+        self._last: tuple[int, int] | None = None
+        self._counters = Counters()
+        self._status = Status(Link.CONNECTING, f"Connecting to the Leap service on {self._address}.")
+        self._thread = threading.Thread(target=self._run, name="leap client", daemon=True)
+        self._thread.start()
+
+    @property
+    def status(self) -> Status:
+        """The present state of the link."""
+        with self._changed:
+            return self._status
+
+    @property
+    def counters(self) -> Counters:
+        """What was counted so far."""
+        with self._changed:
+            return replace(self._counters, dropped=dict(self._counters.dropped))
+
+    def next_frame(self, timeout: float) -> Received | None:
+        """Returns the newest frame that was not returned before, or None if none came within `timeout` [s].
+
+        Frames that are not usable are counted with their reason, and the wait goes on.
+        """
+        deadline = time.monotonic() + timeout
+        while True:
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._newest is not None or self._closing.is_set(), deadline - time.monotonic()
+                )
+                newest, self._newest = self._newest, None
+            if newest is None:
+                return None
+            text, stamp = newest
+            try:
+                frame = read_message(text)
+                if (frame.id, frame.timestamp_us) == self._last:
+                    raise ProtocolError("A frame came twice.")
+            except ProtocolError as error:
+                self._drop(str(error))
+                continue
+            self._last = (frame.id, frame.timestamp_us)
+            return Received(frame, stamp)
+
+    def close(self) -> None:
+        """Ends the link and waits for its thread, a few seconds at most. Any thread may call it, also twice."""
+        self._closing.set()
+        with self._changed:
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(OPEN_TIMEOUT_S + HEADER_TIMEOUT_S + CLOSE_TIMEOUT_S)
+
+    def _run(self) -> None:
+        retry = RETRY_S
+        while not self._closing.is_set():
+            connections = self._counters.connections
+            try:
+                self._converse()
+            except _LinkFault as fault:
+                self._set_status(fault.link, str(fault))
+            if self._counters.connections > connections:
+                retry = RETRY_S
+            self._closing.wait(retry)
+            retry = min(retry * RETRY_FACTOR, RETRY_MAX_S)
+        self._set_status(Link.CLOSED, f"The link to the Leap service on {self._address} is closed.")
+
+    def _converse(self) -> None:
+        """One connection from opening to end.
+
+        Raises:
+            _LinkFault: it ended, and not because the client is closed.
+        """
+        try:
+            connection = connect(
+                self._url, compression=None, open_timeout=OPEN_TIMEOUT_S, close_timeout=CLOSE_TIMEOUT_S
+            )
+        except (OSError, EOFError, UnicodeError, WebSocketException) as error:
+            raise _LinkFault(
+                Link.NO_SERVICE,
+                f"No Leap service answers on {self._address} ({_reason(error)}); start it with "
+                "`sudo leapd` or `sudo systemctl start leapd`. Trying again.",
+            ) from error
+        with connection:
+            try:
+                self._greet(connection)
+                self._read(connection)
+            except ConnectionClosed as error:
+                code = error.rcvd.code if error.rcvd else "no close frame"
+                raise _LinkFault(
+                    Link.REFUSED, f"The Leap service on {self._address} ended the connection ({code}). Trying again."
+                ) from error
+            except OSError as error:
+                raise _LinkFault(
+                    Link.NO_SERVICE, f"The Leap service on {self._address} is lost: {_reason(error)}."
+                ) from error
+
+    def _greet(self, connection: ClientConnection) -> None:
+        try:
+            header = read_header(connection.recv(HEADER_TIMEOUT_S))
+        except TimeoutError as error:
+            raise _LinkFault(
+                Link.REFUSED, f"What answers on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s."
+            ) from error
+        except ProtocolError as error:
+            raise _LinkFault(Link.REFUSED, f"{error} Trying again.") from error
+        for message in POLICY_MESSAGES:
+            connection.send(message)
+        with self._changed:
+            self._counters = replace(self._counters, connections=self._counters.connections + 1)
+        version = header.service or "of unknown version"
+        self._set_status(
+            Link.SILENT, f"Connected to Leap service {version} on {self._address}; no frame yet.", header.service
+        )
+
+    def _read(self, connection: ClientConnection) -> None:
+        next_ping, pong = time.monotonic() + PING_S, None
+        cause = UNKNOWN_CAUSE
+        while not self._closing.is_set():
+            try:
+                text = connection.recv(SILENCE_S)
+            except TimeoutError:
+                self._set_status(Link.SILENT, f"The Leap service on {self._address} sends no frames; {cause}")
+                if time.monotonic() >= next_ping:
+                    if pong is not None and not pong.is_set():
+                        raise OSError(f"no answer to a ping for {PING_S:g} s") from None
+                    next_ping, pong = time.monotonic() + PING_S, connection.ping()
+                continue
+            stamp = self._clock()
+            next_ping, pong = time.monotonic() + PING_S, None
+            if isinstance(text, str) and '"event"' in text:
+                cause = self._take_event(text)
+            else:
+                self._take_frame(text, stamp)
+
+    def _take_frame(self, text: str | bytes, stamp: object) -> None:
+        with self._changed:
+            counters = self._counters
+            superseded = counters.superseded + (self._newest is not None)
+            self._counters = replace(counters, received=counters.received + 1, superseded=superseded)
+            self._newest = (text, stamp)
+            self._changed.notify_all()
+            streaming = self._status.link is Link.STREAMING
+        if not streaming:
+            self._set_status(Link.STREAMING, f"The Leap service on {self._address} sends frames.")
+
+    def _take_event(self, text: str) -> str:
+        """Returns what the event says about the reason for a silence that may follow."""
+        try:
+            event = read_message(text)
+        except ProtocolError as error:
+            self._drop(str(error))
+            return UNKNOWN_CAUSE
+        if not isinstance(event, DeviceEvent) or event.streaming:
+            return UNKNOWN_CAUSE
+        return "tracking is paused." if event.attached else "the controller is not plugged in."
+
+    def _drop(self, reason: str) -> None:
+        with self._changed:
+            dropped = dict(self._counters.dropped)
+            if reason not in dropped and len(dropped) >= MAX_REASONS:
+                reason = "other reasons"
+            dropped[reason] = dropped.get(reason, 0) + 1
+            self._counters = replace(self._counters, dropped=dropped)
+
+    def _set_status(self, link: Link, sentence: str, service: str | None = None) -> None:
+        with self._changed:
+            self._status = Status(link, sentence, self._status.service if service is None else service)
+
+
+class _LinkFault(Exception):
+    """A connection could not be made or ended; the text is one sentence for the user."""
+
+    def __init__(self, link: Link, sentence: str) -> None:
+        super().__init__(sentence)
+        self.link = link
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__

@@ -1,0 +1,1 @@
+"""The driver node of the Leap Motion controller."""

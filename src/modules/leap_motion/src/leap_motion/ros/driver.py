@@ -1,0 +1,95 @@
+"""The node leap_driver: every frame of the Leap service becomes a message on leap_motion/leap_device."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from common.config import choice, integer, parse, text
+from common.ros.diagnostics import Diagnostics
+from common.ros.node import run
+from common.ros.stage_times import StageTimes
+from leap_motion.client import LeapClient, Link
+from leap_motion.msg import Human
+from leap_motion.ros.human import COMPATIBLE, CORRECT, human_from_frame
+
+NAME = "leap_driver"
+TOPIC = "leap_motion/leap_device"
+POLL_S = 0.1
+REMIND_S = 10.0
+DEFAULTS = {"host": "127.0.0.1", "port": 6437, "orientation": COMPATIBLE}
+
+
+@dataclass(frozen=True)
+class DriverConfig:
+    """Private parameters of the node."""
+
+    host: str = text(doc="address of the Leap service")
+    port: int = integer(low=1, high=65535, doc="its plain WebSocket port")
+    orientation: str = choice(COMPATIBLE, CORRECT, doc="bone orientations as the C++ driver fills them, or true ones")
+
+
+class LinkReport:
+    """Logs the state of the link when it changes, and every 10 s while no frames come."""
+
+    def __init__(self, client: LeapClient) -> None:
+        self._client = client
+        self._logged: tuple[Link, str] | None = None
+        self._time = 0.0
+
+    def update(self) -> None:
+        """Logs if there is something to say."""
+        status, now = self._client.status, time.monotonic()
+        streaming = status.link is Link.STREAMING
+        changed = (status.link, status.sentence) != self._logged
+        if changed or (not streaming and now - self._time > REMIND_S):
+            self._logged, self._time = (status.link, status.sentence), now
+            log = rospy.loginfo if streaming or status.link is Link.CONNECTING else rospy.logwarn
+            log("%s", status.sentence)
+
+    def diagnostics(self) -> tuple[int, str, dict[str, object]]:
+        """Returns level, sentence and counters for /diagnostics."""
+        status, counters = self._client.status, self._client.counters
+        values = {
+            "state": status.link.value,
+            "service_version": status.service,
+            "frames_received": counters.received,
+            "frames_superseded": counters.superseded,
+            "frames_dropped": sum(counters.dropped.values()),
+            "reconnects": max(0, counters.connections - 1),
+        }
+        values.update({f"dropped: {reason}": count for reason, count in counters.dropped.items()})
+        level = DiagnosticStatus.OK if status.link is Link.STREAMING else DiagnosticStatus.ERROR
+        return level, status.sentence, values
+
+
+def start() -> None:
+    """Reads the parameters and publishes until ROS shuts down.
+
+    Raises:
+        ConfigError: a parameter is unknown or out of range.
+    """
+    config = parse(DriverConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")
+    rospy.loginfo("Leap service %s:%d, orientation %s.", config.host, config.port, config.orientation)
+    publisher = rospy.Publisher(TOPIC, Human, queue_size=1, tcp_nodelay=True)
+    stage = StageTimes("leap_motion")
+    client = LeapClient(config.host, config.port, clock=rospy.Time.now)
+    report = LinkReport(client)
+    Diagnostics("leap_motion", report.diagnostics)
+    try:
+        while not rospy.is_shutdown():
+            report.update()
+            received = client.next_frame(POLL_S)
+            if received is not None:
+                publisher.publish(human_from_frame(received.frame, received.stamp, config.orientation))
+                stage.done(received.stamp)
+    finally:
+        client.close()
+
+
+def main() -> None:
+    """Entry point of the script."""
+    run(NAME, start)

@@ -1,0 +1,284 @@
+"""Client against a service on a free port of loopback that keeps, or breaks, the protocol."""
+
+import contextlib
+import json
+import threading
+import time
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import serve
+
+from leap_motion import client as client_module
+from leap_motion.client import LeapClient, Link
+
+HEADER = '{"version":6,"serviceVersion":"2.3.1+33747"}'
+
+
+def frame(number, **fields):
+    return json.dumps({"id": number, "timestamp": number * 8650, "hands": [], "pointables": [], **fields})
+
+
+class Service:
+    """Runs one function per connection, the last one again for all later ones; notes what clients sent."""
+
+    def __init__(self, *conversations):
+        self._conversations = list(conversations)
+        self.heard = []
+        self.paths = []
+        self.ended = threading.Event()
+        self._server = serve(self._handle, "127.0.0.1", 0)
+        self.port = self._server.socket.getsockname()[1]
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    def _handle(self, connection):
+        self.paths.append(connection.request.path)
+        talk = self._conversations.pop(0) if len(self._conversations) > 1 else self._conversations[0]
+        with contextlib.suppress(ConnectionClosed):
+            talk(self, connection)
+
+    def listen(self, connection, count=2):
+        """Receives the client's policy messages."""
+        self.heard += [connection.recv(5.0) for _ in range(count)]
+
+    def stay(self, connection):
+        """Says nothing until the client goes or the test ends."""
+        with contextlib.suppress(TimeoutError):
+            while not self.ended.is_set():
+                with contextlib.suppress(TimeoutError):
+                    connection.recv(0.1)
+
+    def close(self):
+        self.ended.set()
+        self._server.shutdown()
+
+
+@pytest.fixture
+def start(monkeypatch):
+    """Starts a service and a client of it; both end with the test."""
+    monkeypatch.setattr(client_module, "RETRY_S", 0.05)
+    ends = []
+
+    def start(*conversations, **options):
+        service = Service(*conversations)
+        client = LeapClient(port=service.port, **options)
+        ends.extend([client.close, service.close])
+        return service, client
+
+    yield start
+    for end in ends:
+        end()
+
+
+def greet(service, connection):
+    connection.send(HEADER)
+    service.listen(connection)
+
+
+def stream(*texts):
+    """A conversation that keeps the protocol, sends the texts and stays."""
+
+    def talk(service, connection):
+        greet(service, connection)
+        for text in texts:
+            connection.send(text)
+        service.stay(connection)
+
+    return talk
+
+
+def test_frames_arrive_with_the_stamp_of_their_receipt(start):
+    stamps = iter(range(100, 200))
+    service, client = start(stream(frame(1)), clock=lambda: next(stamps))
+    received = client.next_frame(10.0)
+    assert (received.frame.id, received.stamp) == (1, 100)
+    assert client.status.link in (Link.STREAMING, Link.SILENT)
+    assert client.status.service == "2.3.1+33747"
+    assert service.paths == ["/v6.json"]
+
+
+def test_policy_messages_are_compact_and_in_order(start, wait_until):
+    service, _client = start(stream())
+    wait_until(lambda: len(service.heard) == 2, 10.0, "the policy messages")
+    assert service.heard == ['{"background":true}', '{"focused":true}']
+
+
+def test_reconnects_and_sends_the_policy_messages_again(start, wait_until):
+    def ends(service, connection):
+        greet(service, connection)
+        connection.send(frame(1))
+        connection.close(1001)
+
+    service, client = start(ends, stream(frame(2)))
+    wait_until(lambda: client.next_frame(0.2) and client.counters.connections == 2, 10.0, "the second connection")
+    assert service.heard == ['{"background":true}', '{"focused":true}'] * 2
+
+
+@pytest.mark.parametrize(
+    ("first", "sentence"),
+    [
+        ('{"version":7}', "protocol version '7'"),
+        (frame(1), "no protocol version"),
+        ("garbage", "not JSON"),
+        (b"\x00\x01", "not JSON"),
+    ],
+)
+def test_a_wrong_first_message_is_refused_and_tried_again(start, wait_until, first, sentence):
+    def wrong(service, connection):
+        connection.send(first)
+        service.stay(connection)
+
+    service, client = start(wrong)
+    wait_until(lambda: sentence in client.status.sentence, 10.0, sentence)
+    assert client.status.link is Link.REFUSED
+    wait_until(lambda: len(service.paths) >= 2, 10.0, "another try")
+    assert service.heard == []
+    assert client.counters.connections == 0
+
+
+def test_a_wrong_service_that_gets_right_is_used(start):
+    def wrong(_service, connection):
+        connection.send('{"version":7}')
+
+    _service, client = start(wrong, stream(frame(3)))
+    assert client.next_frame(10.0).frame.id == 3
+
+
+def test_no_header(start, wait_until, monkeypatch):
+    monkeypatch.setattr(client_module, "HEADER_TIMEOUT_S", 0.1)
+    _service, client = start(Service.stay)
+    wait_until(lambda: "sent no header within 0.1 s" in client.status.sentence, 10.0, "the sentence")
+
+
+def test_close_1001_before_the_header(start, wait_until):
+    _service, client = start(lambda _service, connection: connection.close(1001))
+    wait_until(lambda: "ended the connection (1001)" in client.status.sentence, 10.0, "the sentence")
+    assert client.status.link is Link.REFUSED
+
+
+def test_silence_is_a_fault_and_ends_with_the_next_frame(start, wait_until):
+    go = threading.Event()
+
+    def pauses(service, connection):
+        greet(service, connection)
+        connection.send(frame(1))
+        go.wait(20.0)
+        while not service.ended.is_set():
+            connection.send(frame(int(time.monotonic() * 1e3)))
+            service.ended.wait(0.01)
+
+    _service, client = start(pauses)
+    assert client.next_frame(10.0).frame.id == 1
+    wait_until(
+        lambda: client.status.link is Link.SILENT and "sends no frames" in client.status.sentence, 10.0, "silence"
+    )
+    go.set()
+    wait_until(lambda: client.status.link is Link.STREAMING, 10.0, "the end of the silence")
+    assert client.next_frame(10.0) is not None
+
+
+@pytest.mark.parametrize(
+    ("attached", "streaming", "cause"), [(False, False, "not plugged in"), (True, False, "tracking is paused")]
+)
+def test_a_silence_is_explained_by_the_device_event(start, wait_until, attached, streaming, cause):
+    state = {"attached": attached, "streaming": streaming, "id": "LP1", "type": "Peripheral"}
+    _service, client = start(stream(json.dumps({"event": {"type": "deviceEvent", "state": state}})))
+    wait_until(lambda: cause in client.status.sentence, 10.0, cause)
+
+
+def test_a_service_that_does_not_answer_pings_is_left(start, wait_until, monkeypatch):
+    monkeypatch.setattr(client_module, "PING_S", 0.2)
+    stopped = threading.Event()
+
+    def hangs(service, connection):
+        greet(service, connection)
+        with connection.protocol_mutex:  # the server's own thread cannot answer while this is held
+            stopped.wait(20.0)
+
+    _service, client = start(hangs, stream(frame(5)))
+    received = client.next_frame(20.0)
+    stopped.set()
+    assert received.frame.id == 5
+    assert client.counters.connections == 2
+
+
+def test_of_a_backlog_only_the_newest_frame_is_returned(start, wait_until):
+    _service, client = start(stream(*[frame(i) for i in range(1, 51)]))
+    wait_until(lambda: client.counters.received == 50, 10.0, "all frames")
+    assert client.next_frame(5.0).frame.id == 50
+    assert client.next_frame(0.0) is None
+    assert client.counters.superseded == 49
+
+
+def test_bad_frames_are_dropped_with_a_reason_and_the_stream_goes_on(start, wait_until):
+    bad = ['{"id":2,"timestamp":NaN,"hands":[],"pointables":[]}', '{"id":3,"hands":[', frame(4, hands=[{}]), b"\xff"]
+    step = threading.Semaphore(0)
+
+    def talk(service, connection):
+        greet(service, connection)
+        for text in [*bad, frame(5), frame(5), frame(6)]:
+            connection.send(text)
+            step.acquire(timeout=10.0)
+        service.stay(connection)
+
+    _service, client = start(talk)
+    for count in range(1, 5):
+        wait_until(lambda: client.next_frame(0.05) or sum(client.counters.dropped.values()) == count, 10.0, "a drop")  # noqa: B023
+        step.release()
+    assert client.next_frame(10.0).frame.id == 5
+    step.release()
+    wait_until(lambda: client.next_frame(0.05) or "A frame came twice." in client.counters.dropped, 10.0, "a drop")
+    step.release()
+    assert client.next_frame(10.0).frame.id == 6
+    assert client.counters.dropped == {
+        "The text holds the number NaN.": 1,
+        "The text is not JSON.": 2,
+        "The field type is missing.": 1,
+        "A frame came twice.": 1,
+    }
+    assert client.counters.connections == 1
+
+
+def test_reasons_are_counted_without_growing_for_ever(start, wait_until):
+    _service, client = start(stream())
+    for i in range(100):
+        client._drop(f"reason {i}")
+    assert len(client.counters.dropped) == client_module.MAX_REASONS + 1
+    assert client.counters.dropped["other reasons"] == 100 - client_module.MAX_REASONS
+
+
+def test_a_missing_service_is_named_with_the_way_to_start_it(free_port, wait_until):
+    client = LeapClient(port=free_port())
+    try:
+        wait_until(lambda: client.status.link is Link.NO_SERVICE, 10.0, "the missing service")
+        assert "sudo leapd" in client.status.sentence
+        assert client.next_frame(0.01) is None
+    finally:
+        client.close()
+    assert client.status.link is Link.CLOSED
+
+
+def test_close_from_another_thread_ends_a_wait(start, wait_until):
+    _service, client = start(stream())
+    wait_until(lambda: client.counters.connections == 1, 10.0, "the connection")
+    threading.Timer(0.2, client.close).start()
+    before = time.monotonic()
+    assert client.next_frame(60.0) is None
+    assert time.monotonic() - before < 30.0
+    client.close()
+
+
+def test_close_with_unread_messages_is_bounded(start, wait_until):
+    def floods(service, connection):
+        greet(service, connection)
+        number = 0
+        while not service.ended.is_set():
+            number += 1
+            connection.send(frame(number))
+
+    _service, client = start(floods)
+    wait_until(lambda: client.counters.received > 100, 10.0, "a flood")
+    before = time.monotonic()
+    client.close()
+    assert time.monotonic() - before < 30.0
+    assert client.status.link is Link.CLOSED
