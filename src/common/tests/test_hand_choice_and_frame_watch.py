@@ -67,13 +67,16 @@ def test_a_repeated_frame_is_left_aside_and_does_not_end_the_silence():
     for now in (0.1, 0.2, 0.25):
         arrival = watch.arrived(1, 0.0, now)
         assert not arrival.usable and arrival.broken is None
-    assert watch.silent(0.25)
+    assert watch.silence(0.25) == "the tracker repeats frame 1"
+    assert watch.silence(0.5) == "no tracking frames come in"
 
 
 @pytest.mark.parametrize("age, word", [(0.7, "old"), (-3.0, "future"), (float("nan"), "stamp")])
 def test_a_stamp_far_from_now_is_refused_with_the_skew(age, word):
-    arrival = FrameWatch(0.2).arrived(1, age, 0.0)
+    watch = FrameWatch(0.2)
+    arrival = watch.arrived(1, age, 0.0)
     assert not arrival.usable and word in arrival.broken
+    assert watch.silence(0.0) == arrival.broken
 
 
 @given(st.floats(-MAX_SKEW_S, MAX_SKEW_S))
@@ -91,9 +94,9 @@ def test_gaps_and_restarts_break_the_stream():
 
 def test_silence():
     watch = FrameWatch(0.2)
-    assert watch.silent(0.0)
+    assert watch.silence(0.0)
     watch.arrived(1, 0.0, 0.0)
-    assert not watch.silent(0.2)
-    assert watch.silent(0.21)
+    assert watch.silence(0.2) is None
+    assert watch.silence(0.21) == "no tracking frames come in"
     watch.reset()
-    assert watch.silent(0.0)
+    assert watch.silence(0.0)

@@ -161,7 +161,7 @@ def test_a_repeated_frame_is_no_frame(play, sample):
     assert not play.teleop.step(frozen, play.now + 0.1).usable
     assert play.teleop.silence(play.now + 0.15) is None
     silent = play.teleop.silence(play.now + 0.25)
-    assert (silent.state, silent.reason, silent.usable) == (WAITING, "no tracking frames come in", False)
+    assert (silent.state, silent.reason, silent.usable) == (WAITING, "the tracker repeats frame 10", False)
     assert [r.state for r in play.steps(10, sample())] == [WAITING] * 9 + [RUNNING]
 
 

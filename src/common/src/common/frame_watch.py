@@ -36,6 +36,7 @@ class FrameWatch:
         self._max_silence = max_silence
         self._last_id: int | None = None
         self._last_time: float | None = None
+        self._refusal: tuple[str, float] | None = None
 
     def arrived(self, frame_id: int, age: float, now: float) -> Arrival:
         """Takes a frame in.
@@ -49,21 +50,28 @@ class FrameWatch:
             now: time of arrival [s].
         """
         if not abs(age) <= MAX_SKEW_S:
-            return Arrival(False, f"the frame's stamp is {abs(age):.1f} s {'old' if age > 0 else 'in the future'}")
+            skewed = f"the stamps of the tracking frames are {abs(age):.1f} s {'old' if age > 0 else 'in the future'}"
+            self._refusal = (skewed, now)
+            return Arrival(False, skewed)
         if frame_id == self._last_id:
+            self._refusal = (f"the tracker repeats frame {frame_id}", now)
             return Arrival(False)
         broken = None
         if self._last_id is not None and frame_id < self._last_id:
             broken = f"the tracker's frame number went back from {self._last_id} to {frame_id}"
-        elif self._last_time is not None and self.silent(now):
+        elif self._last_time is not None and now - self._last_time > self._max_silence:
             broken = f"no tracking frame came for {now - self._last_time:.1f} s"
         self._last_id, self._last_time = frame_id, now
         return Arrival(True, broken)
 
-    def silent(self, now: float) -> bool:
-        """Returns whether no usable frame came for longer than `max_silence`, or none came at all."""
-        return self._last_time is None or now - self._last_time > self._max_silence
+    def silence(self, now: float) -> str | None:
+        """Returns why no usable frame came for longer than `max_silence`, or None where one came."""
+        if self._last_time is not None and now - self._last_time <= self._max_silence:
+            return None
+        if self._refusal is not None and now - self._refusal[1] <= self._max_silence:
+            return self._refusal[0]
+        return "no tracking frames come in"
 
     def reset(self) -> None:
         """Forgets all frames."""
-        self._last_id = self._last_time = None
+        self._last_id = self._last_time = self._refusal = None

@@ -146,9 +146,10 @@ class Teleop:
 
     def silence(self, now: float) -> TeleopResult | None:
         """Ends the stream if no usable frame came for MAX_SILENCE_S; returns that result, or None while frames come."""
-        if not self._watch.silent(now):
+        silence = self._watch.silence(now)
+        if silence is None:
             return None
-        self._lose(NO_FRAMES)
+        self._lose(silence)
         return self._result(usable=False)
 
     def _take(self, hand: HandSample, now: float) -> None:

@@ -1,0 +1,274 @@
+"""The node leap_kuka_node on a master of its own, with hands made by hand."""
+
+import threading
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+pytestmark = pytest.mark.ros
+
+LAUNCH = sorted((Path(__file__).parents[1] / "launch").glob("*.launch"))
+SHIPPED = yaml.safe_load((Path(__file__).parents[1] / "config" / "leap_params.yaml").read_text())
+ARM = {"center_line": [1, 0, 0], "z_lower_limit": 0.2, "tool_length": 0.106, "ws_center": [0.5, 0, 0.4]}
+TF_ROUNDING_NS = 1
+"""A stamp that went through tf2's buffer can come out a nanosecond earlier."""
+
+PARENTS = {
+    "leap_motion/virtual_frame": "kuka/base_frame",
+    "hand/frame": "leap_motion/virtual_frame",
+    "kuka/tool_frame/desired": "leap_motion/virtual_frame",
+    "kuka/flange_frame/desired": "kuka/tool_frame/desired",
+}
+
+
+class Tracker:
+    """Publishes Human messages at 50 Hz, with the hands that `show` was given last, until it stops."""
+
+    def __init__(self):
+        import rospy
+
+        from leap_motion.msg import Human
+
+        self._publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=10)
+        self._hands = ()
+        self._number = 0
+        self._stop = threading.Event()
+        self.age = 0.0
+        self.stamps = set()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def show(self, *hands):
+        self._hands = hands
+
+    def stop(self):
+        self._stop.set()
+        self._thread.join()
+
+    def end(self):
+        self.stop()
+        self._publisher.unregister()
+
+    def _loop(self):
+        import rospy
+
+        from leap_motion.msg import Human
+
+        while not self._stop.wait(0.02):
+            self._number += 1
+            human = Human(lmc_frame_id=self._number, nr_of_hands=len(self._hands))
+            human.header.frame_id = "leap_hands"
+            human.header.stamp = rospy.Time.now() - rospy.Duration(self.age)
+            for hand, is_left in self._hands:
+                setattr(human, "left_hand" if is_left else "right_hand", hand)
+            self.stamps.add(human.header.stamp)
+            self._publisher.publish(human)
+
+
+@pytest.fixture
+def tracker(ros):
+    tracker = Tracker()
+    yield tracker
+    tracker.end()
+
+
+@pytest.fixture
+def hand(sample):
+    """Makes a hand as `sample` does, as (message, is_left)."""
+    from geometry_msgs.msg import Point, Vector3
+
+    from leap_motion.msg import Hand
+
+    def make(**changes):
+        s = sample(**changes)
+        message = Hand(lmc_hand_id=s.id, is_present=True, confidence=s.confidence)
+        message.palm_center, message.direction, message.normal = (
+            Point(*s.position),
+            Vector3(*s.direction),
+            Vector3(*s.normal),
+        )
+        return message, s.is_left
+
+    return make
+
+
+def set_params(leap=None, arm=None):
+    import rospy
+
+    rospy.set_param("leap", {**SHIPPED, **(leap or {})})
+    rospy.set_param("kuka", {"robot": "LBR7R800", **ARM, **(arm or {})})
+
+
+@pytest.fixture
+def node(ros):
+    """The node with its topics recorded."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+    from sensor_msgs.msg import TimeReference
+    from tf2_msgs.msg import TFMessage
+    from visualization_msgs.msg import MarkerArray
+
+    class Node:
+        tf = ros.record("/tf", TFMessage)
+        stream = ros.record("leap_kuka/stream", DiagnosticStatus)
+        markers = ros.record("leap_kuka/interaction_box", MarkerArray)
+        diagnostics = ros.record("/diagnostics", DiagnosticArray)
+        times = ros.record("rig/stage_times", TimeReference)
+
+        @staticmethod
+        def start():
+            return ros.run("leap_kuka", "leap_kuka_node.py")
+
+        def states(self):
+            return [{v.key: v.value for v in m.values}["state"] for m in self.stream]
+
+        def children(self):
+            return {t.child_frame_id for t in self.tf[-1].transforms} if self.tf else set()
+
+    return Node()
+
+
+def test_a_hand_is_followed_and_lost(ros, node, tracker, hand, wait_until):
+    import rospy
+    import tf2_ros
+
+    set_params()
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+    node.start()
+    wait_until(lambda: node.children() == {"leap_motion/virtual_frame"}, 20.0, "the virtual Leap without a hand")
+    assert node.states()[-1] == "waiting"
+
+    tracker.show(hand(yaw=50.0))
+    wait_until(lambda: "kuka/flange_frame/desired" in node.children(), 20.0, "the desired flange")
+    message = node.tf[-1]
+    assert {t.child_frame_id: t.header.frame_id for t in message.transforms} == PARENTS
+    assert len({t.header.stamp for t in message.transforms}) == 1
+    assert message.transforms[0].header.stamp in tracker.stamps
+
+    desired = buffer.lookup_transform("kuka/base_frame", "kuka/tool_frame/desired", rospy.Time(0), rospy.Duration(5.0))
+    nearest = min(abs((desired.header.stamp - stamp).to_nsec()) for stamp in tracker.stamps)
+    assert nearest <= TF_ROUNDING_NS
+    t, q = desired.transform.translation, desired.transform.rotation
+    np.testing.assert_allclose([t.x, t.y, t.z], [0.5, 0.0, 0.4], atol=1e-6)
+    np.testing.assert_allclose(np.abs([q.x, q.y, q.z, q.w]), [0, 1, 0, 0], atol=1e-6)
+    flange = buffer.lookup_transform("kuka/base_frame", "kuka/flange_frame/desired", rospy.Time(0), rospy.Duration(5.0))
+    assert flange.transform.translation.z == pytest.approx(0.506, abs=1e-6)
+
+    wait_until(lambda: node.states()[-1] == "running", 5.0, "the stream to be announced")
+    assert node.stream[-1].level == 0 and "right hand 12 is followed" in node.stream[-1].message
+    wait_until(lambda: node.times, 5.0, "a stage time")
+    assert node.times[-1].source == "leap_kuka" and node.times[-1].header.stamp in tracker.stamps
+
+    tracker.show()
+    wait_until(lambda: node.children() == {"leap_motion/virtual_frame"}, 20.0, "the frames of the hand to end")
+    wait_until(lambda: node.states()[-1] == "waiting", 5.0, "the end to be announced")
+    assert any(m.level == 1 and m.message == "right hand 12 was lost" for m in node.stream)
+    listener.unregister()
+
+
+def test_a_silent_tracker_ends_the_stream_and_nothing_is_sent_again(ros, node, tracker, hand, wait_until):
+    set_params()
+    tracker.show(hand())
+    node.start()
+    wait_until(lambda: node.states()[-1:] == ["running"], 20.0, "the stream")
+    tracker.stop()
+    wait_until(lambda: node.states()[-1] == "waiting", 10.0, "the end of the stream")
+    assert node.stream[-1].message == "no tracking frames come in"
+    sent = len(node.tf)
+    node.diagnostics.clear()
+    wait_until(lambda: len(node.diagnostics) >= 2, 10.0, "a second of diagnostics")
+    assert len(node.tf) == sent
+    status = node.diagnostics[-1].status[0]
+    values = {v.key: v.value for v in status.values}
+    assert (status.name, values["state"], values["streams"]) == ("leap_kuka", "waiting", "1")
+
+
+def test_frames_with_old_stamps_are_not_sent_on(ros, node, tracker, hand, wait_until):
+    set_params()
+    tracker.age = 60.0
+    tracker.show(hand())
+    node.start()
+    wait_until(lambda: node.stream and "s old" in node.stream[-1].message, 20.0, "the reason")
+    assert not node.tf
+
+
+def test_the_box_is_shown_in_the_colour_of_the_state_with_the_reason(ros, node, tracker, hand, wait_until):
+    set_params()
+    tracker.show(hand(pitch=40.0))
+    node.start()
+    wait_until(lambda: node.markers and "pitch is 40" in node.markers[-1].markers[1].text, 20.0, "the reason")
+    box, text = node.markers[-1].markers
+    assert box.header.frame_id == text.header.frame_id == "leap_motion/virtual_frame"
+    np.testing.assert_allclose([box.pose.position.x, box.pose.position.y, box.pose.position.z], [0, 0.35, 0])
+    np.testing.assert_allclose([box.scale.x, box.scale.y, box.scale.z], [0.2, 0.2, 0.2])
+    waiting = box.color
+    tracker.show(hand())
+    wait_until(lambda: node.markers[-1].markers[0].color != waiting, 20.0, "the other colour")
+    assert "is followed" in node.markers[-1].markers[1].text
+
+
+def test_the_node_waits_for_the_controller_and_says_so(ros, node, tracker, wait_until):
+    import rospy
+
+    set_params()
+    rospy.delete_param("kuka/ws_center")
+    process = node.start()
+    wait_until(lambda: b"/kuka/ws_center" in process.log_path.read_bytes(), 20.0, "the node to say what it waits for")
+    assert process.poll() is None and not node.tf
+    rospy.set_param("kuka/ws_center", ARM["ws_center"])
+    wait_until(lambda: node.tf, 20.0, "the frames")
+
+
+@pytest.mark.parametrize(
+    "leap, arm, words",
+    [
+        ({"buffer_size": 0}, {}, ["leap/buffer_size is 0"]),
+        (
+            {"min_confidence": "high", "run_tol_yav": 3},
+            {},
+            ["leap/min_confidence is 'high'", "leap/run_tol_yav is not"],
+        ),
+        ({}, {"center_line": [0, 0, 0]}, ["kuka/center_line is the zero vector"]),
+        ({"z_clearance": 0.0}, {"ws_center": [0.5, 0, 0.21]}, ["reach into it"]),
+    ],
+)
+def test_bad_parameters_end_the_node_with_a_sentence(ros, node, leap, arm, words, wait_until):
+    set_params(leap, arm)
+    process = node.start()
+    wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    log = process.log_path.read_text()
+    assert process.returncode == 1 and "Traceback" not in log
+    assert all(word in log for word in words)
+    assert not node.tf
+
+
+def test_missing_keys_end_the_node(ros, node, wait_until):
+    import rospy
+
+    set_params()
+    rospy.delete_param("leap/buffer_size")
+    process = node.start()
+    wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    assert process.returncode == 1 and "leap/buffer_size is missing" in process.log_path.read_text()
+
+
+def test_the_debug_launch_file_runs_without_a_controller(ros, node, tracker, hand, wait_until):
+    tracker.show(hand(position=(0.0, 0.45, 0.0)))
+    ros.launch("leap_kuka", "leap_kuka_debug.launch", driver="false")
+    wait_until(lambda: "kuka/tool_frame/desired" in node.children(), 40.0, "the desired tool")
+
+
+@pytest.mark.parametrize("path", LAUNCH, ids=lambda path: path.name)
+def test_every_launch_argument_is_explained(path):
+    arguments = ElementTree.parse(path).getroot().findall("arg")
+    assert all(a.get("doc") for a in arguments)
+
+
+def test_an_interrupted_node_ends_by_itself(ros, node, processes, wait_until):
+    set_params()
+    process = node.start()
+    wait_until(lambda: node.stream, 20.0, "the node")
+    assert processes.end(process) == 0
