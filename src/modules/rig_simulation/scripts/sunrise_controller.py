@@ -1,0 +1,8 @@
+#!/usr/bin/env python3
+"""Simulated KUKA Sunrise controller; needs no ROS master. See --help."""
+
+import sys
+
+from rig_simulation.sunrise.program import main
+
+sys.exit(main())

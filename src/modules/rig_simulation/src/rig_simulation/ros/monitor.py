@@ -1,0 +1,98 @@
+"""Publishes the truth about the simulated arm, which no real rig knows, and offers its key "run".
+
+Topics: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status` (speed, stops, goals, mode).
+Service: `simulation/release`, the key "run" after a safety stop.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from std_srvs.srv import Trigger, TriggerResponse
+
+from common.config import integer, parse, text
+from common.errors import DeviceError
+from common.rotations import quaternion_from_rotation
+from rig_simulation.control_port import ControlClient
+
+BASE_FRAME = "kuka/base_frame"
+FLANGE_PERIOD_S = 0.01
+STATUS_PERIOD_S = 0.1
+RETRY_PERIOD_S = 0.5
+REMIND_S = 10.0
+TIMEOUT_S = 1.0
+SHOWN = ("mode", "tcp_speed", "max_tcp_speed", "stops", "goals", "safety_stop", "connected")
+DEFAULTS = {"host": "127.0.0.1", "port": 30011}
+
+
+@dataclasses.dataclass(frozen=True)
+class MonitorConfig:
+    """Private parameters of the node."""
+
+    host: str = text(doc="address of the simulated controller")
+    port: int = integer(low=1, high=65535, doc="its control port")
+
+
+class Monitor:
+    """Polls the control port of the simulated controller and publishes what it says."""
+
+    def __init__(self, config: MonitorConfig) -> None:
+        self._client = ControlClient(config.host, config.port, TIMEOUT_S)
+        self._flange = rospy.Publisher("simulation/flange", PoseStamped, queue_size=10)
+        self._status = rospy.Publisher("simulation/status", DiagnosticStatus, queue_size=10)
+        self._next_status = 0.0
+        rospy.Service("simulation/release", Trigger, self._release)
+
+    def run(self) -> None:
+        """Polls until ROS shuts down; waits where the controller does not answer."""
+        next_poll = time.monotonic()
+        while not rospy.is_shutdown():
+            try:
+                state = self._client.ask("state")
+            except DeviceError as error:
+                rospy.logwarn_throttle(REMIND_S, "%s", error)
+                self._publish_status(DiagnosticStatus.ERROR, str(error), {})
+                next_poll = time.monotonic() + RETRY_PERIOD_S
+            else:
+                self._publish(state)
+                next_poll = max(next_poll + FLANGE_PERIOD_S, time.monotonic())
+            time.sleep(max(0.0, next_poll - time.monotonic()))
+
+    def _publish(self, state: dict) -> None:
+        flange = np.array(state["flange"])
+        message = PoseStamped()
+        message.header.frame_id = BASE_FRAME
+        age = max(0.0, time.monotonic() - state["time"])
+        message.header.stamp = rospy.Time.now() - rospy.Duration.from_sec(age)
+        message.pose = Pose(Point(*flange[:3, 3]), Quaternion(*quaternion_from_rotation(flange[:3, :3])))
+        self._flange.publish(message)
+        if time.monotonic() >= self._next_status:
+            self._next_status = time.monotonic() + STATUS_PERIOD_S
+            stop = state["safety_stop"]
+            self._publish_status(
+                DiagnosticStatus.WARN if stop else DiagnosticStatus.OK,
+                stop or "The arm is ready.",
+                {name: state[name] for name in SHOWN},
+            )
+
+    def _publish_status(self, level: int, message: str, values: dict) -> None:
+        texts = [KeyValue(name, "" if value is None else str(value)) for name, value in values.items()]
+        self._status.publish(DiagnosticStatus(level=level, name="simulation", message=message, values=texts))
+
+    def _release(self, _) -> TriggerResponse:
+        try:
+            self._client.ask("release")
+        except DeviceError as error:
+            return TriggerResponse(False, str(error))
+        return TriggerResponse(True, "The safety stop is released; the arm goes on.")
+
+
+def main() -> None:
+    """Runs the node with its private parameters."""
+    values = rospy.get_param("~", {})
+    Monitor(parse(MonitorConfig, {**DEFAULTS, **values}, prefix="~")).run()

@@ -1,0 +1,1 @@
+"""The simulated KUKA Sunrise controller with the toolbox server on it."""

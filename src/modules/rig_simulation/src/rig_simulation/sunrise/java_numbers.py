@@ -1,0 +1,57 @@
+"""Numbers as the server's Java writes and reads them (the rules of Double.toString and Double.parseDouble)."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from decimal import Decimal
+
+_DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?[dDfF]?", re.ASCII)
+_HEXADECIMAL = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)[pP][+-]?\d+[dDfF]?", re.ASCII)
+_SPECIAL = re.compile(r"[+-]?(NaN|Infinity)")
+_BLANKS = "".join(map(chr, range(0x21)))
+
+
+def text(value: float) -> str:
+    """Returns the shortest text that names the double `value`, such as 0.1, -0.0, 5.0E-5, 1.0E7, NaN."""
+    value = float(value)
+    if math.isnan(value):
+        return "NaN"
+    sign = "-" if math.copysign(1.0, value) < 0.0 else ""
+    if math.isinf(value):
+        return f"{sign}Infinity"
+    if value == 0.0:
+        return f"{sign}0.0"
+    _, digit_tuple, exponent = Decimal(repr(abs(value))).as_tuple()
+    digits = "".join(map(str, digit_tuple)).rstrip("0")
+    point = len(digit_tuple) + exponent
+    if -3 < point <= 7:
+        whole = digits[:point].ljust(point, "0") if point > 0 else "0"
+        fraction = "0" * -point + digits[max(point, 0) :]
+        return f"{sign}{whole}.{fraction or '0'}"
+    return f"{sign}{digits[0]}.{digits[1:] or '0'}E{point - 1}"
+
+
+def vector(values: Iterable[float]) -> str:
+    """Returns the server's text of several numbers: each followed by `_`."""
+    return "".join(f"{text(v)}_" for v in values)
+
+
+def number(source: str) -> float:
+    """Returns the double that the text names.
+
+    Raises:
+        ValueError: Java's parser would refuse the text, as it refuses `nan`, `inf`, `1,5` and the empty text.
+    """
+    stripped = source.strip(_BLANKS)
+    if _SPECIAL.fullmatch(stripped):
+        return float(stripped)
+    if _HEXADECIMAL.fullmatch(stripped):
+        try:
+            return float.fromhex(stripped.rstrip("dDfF"))
+        except OverflowError:
+            return -math.inf if stripped.startswith("-") else math.inf
+    if not _DECIMAL.fullmatch(stripped):
+        raise ValueError(f"{source!r} is not a number")
+    return float(stripped.rstrip("dDfF"))

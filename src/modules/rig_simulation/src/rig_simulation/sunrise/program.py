@@ -1,0 +1,100 @@
+"""The program `sunrise_controller.py`: arguments in, one ready line out, then the server until it is to end."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import sys
+
+from common.errors import DeviceError
+from rig_simulation.sunrise.arm import Arm, ArmSettings
+from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
+from rig_simulation.sunrise.robot import Robot
+from rig_simulation.sunrise.server import Server, ServerSettings
+from rig_simulation.sunrise.servo import LAWS
+
+NAME = "sunrise_controller"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the simulated controller; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law)
+    server_settings = ServerSettings(
+        options.wiped_window, options.wait_for_client, options.deaf_after_lost_client, options.end_exits
+    )
+    try:
+        arm = Arm(Robot(read_urdf(options.robot, options.flange)), arm_settings)
+        server = Server(arm, server_settings, options.host, options.port, options.control_port, _log)
+    except (DeviceError, FileNotFoundError, ValueError) as error:
+        print(f"{NAME}: {error}", file=sys.stderr)
+        return 1
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: server.stop())
+    control = f"{server.host}:{server.control_port}"
+    print(f"{NAME}: listening on {server.host}:{server.port}, control port {control}", flush=True)
+    server.run()
+    return 0
+
+
+def _log(sentence: str) -> None:
+    print(f"{NAME}: {sentence}", file=sys.stderr, flush=True)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> None:
+        self.exit(1, f"{NAME}: {message}\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog=f"{NAME}.py", description="Simulated KUKA Sunrise controller with the toolbox server on it.")
+    parser.add_argument("--host", default="127.0.0.1", help="loopback address to listen on")
+    parser.add_argument("--port", type=_port, default=30001, help="port of the toolbox server; 0 takes any free port")
+    parser.add_argument("--control-port", type=_port, default=30011, help="port for tests; 0 takes any free port")
+    parser.add_argument("--robot", choices=ROBOTS, default=ROBOTS[0], help="which arm")
+    parser.add_argument("--flange", choices=FLANGES, default=FLANGES[0], help="which media flange")
+    parser.add_argument(
+        "--servo-law",
+        choices=sorted(LAWS),
+        default="lts",
+        help="how joint servo approaches a goal: lts = law of the published server, none = straight to the goal",
+    )
+    parser.add_argument(
+        "--wiped-window", type=_positive, default=0.0, help="seconds after an answer in which a main command is lost"
+    )
+    parser.add_argument(
+        "--wait-for-client", type=_positive, default=math.inf, help="seconds without a client after which it ends"
+    )
+    parser.add_argument(
+        "--deaf-after-lost-client", action="store_true", help="a client lost without `end` leaves the port deaf"
+    )
+    parser.add_argument("--end-exits", action="store_true", help="the command `end` ends the program")
+    parser.add_argument("--safety-torque", type=_positive, default=25.0, help="external torque of the safety stop, Nm")
+    parser.add_argument("--safety-speed", type=_positive, default=0.8, help="tool speed of the safety stop, m/s")
+    # roslaunch adds a node's name and log file to every program it starts.
+    parser.add_argument("ros_arguments", nargs="*", type=_ros_argument, help=argparse.SUPPRESS)
+    return parser
+
+
+def _port(text: str) -> int:
+    value = int(text) if text.isdecimal() else -1
+    if not 0 <= value <= 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port between 0 and 65535")
+    return value
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not value >= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 up")
+    return value
+
+
+def _ros_argument(text: str) -> str:
+    if ":=" not in text:
+        raise argparse.ArgumentTypeError(f"{text!r} is not known")
+    return text

@@ -1,0 +1,97 @@
+"""Kinematics and dynamics of the arm, from the URDF of the rig; the controller under test has a closed form of its own.
+
+Positions in metres in the frame `kuka/base_frame`; the hand's joints stand at zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from common.poses import inverse, read_only
+
+JOINTS = tuple(f"kuka/joint_{k}" for k in range(1, 8))
+FLANGE = "kuka/flange"
+MAX_ITERATIONS = 200
+TOLERANCE = 1e-9
+DAMPING = 1e-6
+MAX_STEP_RAD = 0.2
+MIN_STEP = 1e-12
+
+
+class Robot:
+    """One arm with its media flange and the hand on it.
+
+    Args:
+        urdf: text of the URDF.
+
+    Attributes:
+        lower, upper: joint range, shape (7,) [rad].
+        max_speed: joint speed limits, shape (7,) [rad/s].
+
+    Raises:
+        ValueError: the text is no URDF with the arm's seven joints and its flange.
+    """
+
+    def __init__(self, urdf: str) -> None:
+        full = pin.buildModelFromXML(urdf)
+        missing = [name for name in JOINTS if not full.existJointName(name)]
+        if missing or not full.existFrame(FLANGE):
+            raise ValueError(f"the robot description lacks {', '.join(missing) or FLANGE}")
+        locked = [full.getJointId(name) for name in full.names[1:] if name not in JOINTS]
+        self._model = pin.buildReducedModel(full, locked, pin.neutral(full))
+        self._data = self._model.createData()
+        frame = self._model.frames[self._model.getFrameId(FLANGE)]
+        self._last_joint = frame.parent
+        self._flange_in_joint = frame.placement
+        self.lower = read_only(self._model.lowerPositionLimit)
+        self.upper = read_only(self._model.upperPositionLimit)
+        self.max_speed = read_only(self._model.velocityLimit)
+
+    def within_range(self, q: np.ndarray) -> bool:
+        """Says whether all joint angles, shape (7,) [rad], are numbers within the joint range."""
+        return bool(np.all((q >= self.lower) & (q <= self.upper)))
+
+    def flange(self, q: np.ndarray) -> np.ndarray:
+        """Returns the pose of the flange in the base, shape (4, 4), at the joint angles q, shape (7,) [rad]."""
+        pin.forwardKinematics(self._model, self._data, q)
+        return (self._data.oMi[self._last_joint] * self._flange_in_joint).homogeneous
+
+    def tool_speed(self, q: np.ndarray, v: np.ndarray, T_flange_tool: np.ndarray) -> float:
+        """Returns how fast the tool point moves [m/s] at the joint angles q [rad] and speeds v [rad/s], shape (7,)."""
+        pin.forwardKinematics(self._model, self._data, q, v)
+        motion = self._data.v[self._last_joint]
+        point = self._flange_in_joint.act(T_flange_tool[:3, 3])
+        return float(np.linalg.norm(motion.linear + np.cross(motion.angular, point)))
+
+    def jacobian(self, q: np.ndarray, T_flange_tool: np.ndarray) -> np.ndarray:
+        """Returns the geometric Jacobian at the tool point, in the tool's axes, shape (6, 7); rows 0-2 linear."""
+        J = pin.computeJointJacobian(self._model, self._data, q, self._last_joint)
+        return (self._flange_in_joint * pin.SE3(T_flange_tool)).actionInverse @ J
+
+    def torques(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Returns the joint torques, shape (7,) [Nm], of gravity and motion at angles, speeds and accelerations."""
+        return np.array(pin.rnea(self._model, self._data, q, v, a))
+
+    def solve(self, T_base_tool: np.ndarray, T_flange_tool: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
+        """Returns joint angles, shape (7,) [rad], near the seed that bring the tool to the pose, or None.
+
+        Damped least squares from the seed: it finds the solution of the seed's arm configuration.
+        """
+        target = pin.SE3(T_base_tool @ inverse(T_flange_tool))
+        q = np.array(seed, dtype=float)
+        for _ in range(MAX_ITERATIONS):
+            pin.forwardKinematics(self._model, self._data, q)
+            placement = self._data.oMi[self._last_joint] * self._flange_in_joint
+            error = pin.log6(placement.actInv(target)).vector
+            if np.linalg.norm(error) < TOLERANCE:
+                return q if self.within_range(q) else None
+            J = self._flange_in_joint.actionInverse @ pin.computeJointJacobian(
+                self._model, self._data, q, self._last_joint
+            )
+            step = J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error)
+            length = np.max(np.abs(step))
+            if not np.isfinite(length) or length < MIN_STEP:
+                return None
+            q = q + step * min(1.0, MAX_STEP_RAD / length)
+        return None

@@ -1,0 +1,265 @@
+"""The simulated controller on the network: one client of the toolbox port, and the control port beside it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import selectors
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from common.errors import DeviceError
+from rig_simulation.control_port import ControlPort, listen
+from rig_simulation.sunrise.application import Application, Panel
+from rig_simulation.sunrise.arm import Arm
+from rig_simulation.sunrise.lines import LineSplitter
+
+BACKLOG = 50
+MOVING_TICK_S = 0.004
+RESTING_TICK_S = 0.02
+SEND_TIMEOUT_S = 1.0
+RESET_ON_CLOSE = struct.pack("ii", 1, 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class ServerSettings:
+    """How faithfully the inconvenient sides of the real server are kept.
+
+    Attributes:
+        wiped_window: for so long after an answer of the main thread the next word for it is lost [s].
+        wait_for_client: the program ends when no client came for so long [s].
+        deaf_after_lost_client: a client that vanishes without `end` leaves the port bound but deaf and the servo
+            running; otherwise the arm stops and the next client is served.
+        end_exits: `end` ends the program; otherwise the application is started again.
+    """
+
+    wiped_window: float = 0.0
+    wait_for_client: float = math.inf
+    deaf_after_lost_client: bool = False
+    end_exits: bool = False
+
+
+class Server:
+    """Serves the arm until `stop` or until the settings end it.
+
+    Args:
+        arm: the arm.
+        settings: switches.
+        host: a loopback address.
+        port: of the toolbox server; 0 takes any free port, see `port`.
+        control_port: likewise.
+        log: takes one sentence about each change of state.
+
+    Raises:
+        DeviceError: a port is not to be had.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: ServerSettings,
+        host: str,
+        port: int,
+        control_port: int,
+        log: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._arm = arm
+        self._settings = settings
+        self._log = log
+        self._panel = Panel()
+        self._lock = threading.RLock()
+        self._stop = threading.Event()
+        self._client: socket.socket | None = None
+        self._lines = LineSplitter()
+        self._deaf = False
+        self._outbox = ""
+        self._selector = selectors.DefaultSelector()
+        self._listener = listen(host, port, "the toolbox port", BACKLOG)
+        self._listener.setblocking(False)
+        self.host, self.port = self._listener.getsockname()[:2]
+        handlers = {
+            "state": self._state,
+            "release": self._release,
+            "set_external_torque": self._set_external_torque,
+            "set_tcp_force": self._set_tcp_force,
+        }
+        self._start_application()
+        try:
+            self._control = ControlPort(handlers, host, control_port)
+        except DeviceError:
+            self._listener.close()
+            raise
+        self.control_port = self._control.port
+
+    def run(self) -> None:
+        """Serves until it is to stop; closes everything then."""
+        try:
+            while not self._stop.is_set():
+                self._wait()
+                with self._lock:
+                    self._advance()
+                    self._send()
+                    self._take_turns()
+        finally:
+            self._control.close()
+            self._listener.close()
+            if self._client is not None:
+                self._client.close()
+            self._selector.close()
+
+    def stop(self) -> None:
+        """Makes `run` return soon; may be called from a signal handler."""
+        self._stop.set()
+
+    def _start_application(self) -> None:
+        self._application = Application(self._arm, self._panel, self._settings.wiped_window)
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._waiting_since = time.monotonic()
+
+    def _wait(self) -> None:
+        calm = self._arm.resting and not self._application.busy
+        for key, _ in self._selector.select(RESTING_TICK_S if calm else MOVING_TICK_S):
+            if key.fileobj is self._listener:
+                self._accept()
+            else:
+                self._receive()
+
+    def _accept(self) -> None:
+        try:
+            self._client, address = self._listener.accept()
+        except OSError:
+            return
+        self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._client.settimeout(SEND_TIMEOUT_S)
+        self._lines = LineSplitter()
+        self._selector.unregister(self._listener)
+        self._selector.register(self._client, selectors.EVENT_READ)
+        self._log(f"client {address[0]}:{address[1]} connected")
+
+    def _receive(self) -> None:
+        try:
+            data = self._client.recv(65536)
+            lines = self._lines.feed(data)
+        except (OSError, ValueError) as error:
+            self._lose_client(str(error))
+            return
+        if not data:
+            self._lose_client("it closed the connection without `end`")
+        for line in lines:
+            with self._lock:
+                self._outbox += self._application.receive(line, time.monotonic())
+                self._send()
+                if self._application.ended:
+                    self._end()
+            if self._client is None:
+                return
+
+    def _send(self) -> None:
+        text, self._outbox = self._outbox, ""
+        if not text or self._client is None:
+            return
+        try:
+            self._client.sendall(text.encode("ascii"))
+        except OSError as error:
+            self._lose_client(str(error))
+
+    def _close_client(self) -> None:
+        self._selector.unregister(self._client)
+        self._client.close()
+        self._client = None
+
+    def _lose_client(self, reason: str) -> None:
+        if self._client is None:
+            return
+        self._close_client()
+        if self._settings.deaf_after_lost_client:
+            self._deaf = True
+            self._log(f"lost the client: {reason}; the port is deaf from now on")
+            return
+        with self._lock:
+            self._application.abandon()
+        self._log(f"lost the client: {reason}; the arm stops")
+
+    def _end(self) -> None:
+        self._log("the client ended the application")
+        self._reset_waiting_clients()
+        self._close_client()
+
+    def _reset_waiting_clients(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                waiting, _ = self._listener.accept()
+                waiting.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
+                waiting.close()
+
+    def _take_turns(self) -> None:
+        if self._client is not None or self._deaf:
+            return
+        if self._listener in self._selector.get_map():
+            if time.monotonic() - self._waiting_since > self._settings.wait_for_client:
+                self._log(f"no client came within {self._settings.wait_for_client:g} s")
+                self._stop.set()
+        elif self._application.ended and self._settings.end_exits:
+            if not self._arm.in_motion:
+                self._stop.set()
+        elif not self._arm.in_motion and not self._arm.v.any():
+            self._start_application()
+
+    def _state(self) -> dict:
+        with self._lock:
+            self._advance()
+            arm = self._arm
+            return {
+                "time": arm.time,
+                "joints": arm.q.tolist(),
+                "velocities": arm.v.tolist(),
+                "flange": arm.robot.flange(arm.q).tolist(),
+                "tcp_speed": arm.tool_speed,
+                "max_tcp_speed": arm.max_tool_speed,
+                "mode": self._application.mode,
+                "safety_stop": arm.safety_stop,
+                "stops": arm.stops,
+                "goals": self._panel.goals,
+                "connected": self._client is not None,
+                "outputs": dict(self._panel.outputs),
+            }
+
+    def _release(self) -> None:
+        with self._lock:
+            self._advance()
+            self._arm.release()
+            self._log("released")
+
+    def _set_external_torque(self, value: list[float]) -> None:
+        with self._lock:
+            self._advance()
+            self._arm.set_external_torque(_numbers(value, 7))
+
+    def _set_tcp_force(self, value: list[float]) -> None:
+        with self._lock:
+            self._advance()
+            self._arm.set_tool_force(_numbers(value, 3))
+
+    def _advance(self) -> None:
+        self._outbox += self._application.advance(time.monotonic())
+
+
+def _numbers(value, count: int) -> np.ndarray:
+    """Returns a list of finite numbers from a request as an array.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if (
+        not isinstance(value, list)
+        or len(value) != count
+        or not all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value)
+    ):
+        raise ValueError(f"The value must be {count} finite numbers, not {value!r}.")
+    return np.array(value, dtype=float)
