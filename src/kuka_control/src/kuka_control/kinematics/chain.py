@@ -1,0 +1,91 @@
+"""Forward kinematics of the seven joints, and their geometric Jacobian.
+
+At zero the arm stands upright; joints 1, 3, 5, 7 turn about the arm's length (z), joint 2 and 6 about y, joint 4 about
+-y:  R_base_flange = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7). This is the chain of the KUKA Sunrise Toolbox.
+The arithmetic is written out in plain floats: for single poses that is several times faster than 4 x 4 products.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import Tuple
+
+import numpy as np
+
+from kuka_control.robot_model import RobotModel
+
+Vector = Tuple[float, float, float]
+
+
+def zyz_axes(a: float, b: float, c: float) -> tuple[Vector, Vector, Vector]:
+    """Returns the x, y and z axis, the columns, of Rz(a) Ry(b) Rz(c)."""
+    ca, sa, cb, sb, cc, sc = cos(a), sin(a), cos(b), sin(b), cos(c), sin(c)
+    return (
+        (ca * cb * cc - sa * sc, sa * cb * cc + ca * sc, -sb * cc),
+        (-ca * cb * sc - sa * cc, -sa * cb * sc + ca * cc, sb * sc),
+        (ca * sb, sa * sb, cb),
+    )
+
+
+def combination(a: float, x: Vector, b: float, y: Vector, c: float = 0.0, z: Vector = (0.0, 0.0, 0.0)) -> Vector:
+    """Returns a x + b y + c z."""
+    return (
+        a * x[0] + b * y[0] + c * z[0],
+        a * x[1] + b * y[1] + c * z[1],
+        a * x[2] + b * y[2] + c * z[2],
+    )
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """Returns the vector product a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def forward(model: RobotModel, q: np.ndarray) -> np.ndarray:
+    """Returns the pose of the flange in the base, shape (4, 4) [m], at joints q, shape (7,) [rad]."""
+    _, _, _, _, p, (x, y, z) = _frames(model, q)
+    return np.array([
+        [x[0], y[0], z[0], p[0]],
+        [x[1], y[1], z[1], p[1]],
+        [x[2], y[2], z[2], p[2]],
+        [0.0, 0.0, 0.0, 1.0],
+    ])  # fmt: skip
+
+
+def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None = None) -> np.ndarray:
+    """Returns the geometric Jacobian of the tool point in the base frame, shape (6, 7).
+
+    Rows 0 to 2: velocity of the tool point [m/s], rows 3 to 5: angular velocity [rad/s], per joint speed [rad/s].
+
+    Args:
+        model: the arm.
+        q: joint angles, shape (7,) [rad].
+        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m]; the flange itself where left out.
+    """
+    axes, shoulder, elbow, wrist, p, (x, y, z) = _frames(model, q)
+    if T_flange_tool is not None:
+        tx, ty, tz = T_flange_tool[:3, 3].tolist()
+        tool = combination(tx, x, ty, y, tz, z)
+        p = (p[0] + tool[0], p[1] + tool[1], p[2] + tool[2])
+    J = np.empty((6, 7))
+    for i, point in enumerate((shoulder, shoulder, shoulder, elbow, wrist, wrist, wrist)):
+        J[:3, i] = cross(axes[i], (p[0] - point[0], p[1] - point[1], p[2] - point[2]))
+        J[3:, i] = axes[i]
+    return J
+
+
+def _frames(model: RobotModel, q: np.ndarray):
+    """Returns the joint axes, the points shoulder, elbow, wrist and flange [m], and the axes of the flange."""
+    q1, q2, q3, q4, q5, q6, q7 = np.asarray(q, dtype=float).tolist()
+    x3, y3, z3 = zyz_axes(q1, q2, q3)
+    c4, s4 = cos(q4), sin(q4)
+    x4, z4 = combination(c4, x3, s4, z3), combination(-s4, x3, c4, z3)
+    shoulder = (0.0, 0.0, model.base_shoulder)
+    elbow = combination(1.0, shoulder, model.shoulder_elbow, z3)
+    wrist = combination(1.0, elbow, model.elbow_wrist, z4)
+    x, y, z = (combination(v[0], x4, v[1], y3, v[2], z4) for v in zyz_axes(q5, q6, q7))
+    flange = combination(1.0, wrist, model.wrist_flange, z)
+    y1 = (-sin(q1), cos(q1), 0.0)
+    y5 = combination(-sin(q5), x4, cos(q5), y3)
+    axes = ((0.0, 0.0, 1.0), y1, z3, (-y3[0], -y3[1], -y3[2]), z4, y5, z)
+    return axes, shoulder, elbow, wrist, flange, (x, y, z)

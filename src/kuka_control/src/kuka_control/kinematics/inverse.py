@@ -1,0 +1,321 @@
+"""Inverse kinematics in closed form: joints for a tool pose, chosen to go on from the joints that the arm has.
+
+The target leaves one angle free (the arm angle: the elbow's place on its circle) and up to eight branches. What is
+wanted, in this order: within all joint ranges; close to the present joints; then, slowly, back to the preferred arm
+angle and away from the ends of joint ranges and from the singular poses in which joint 2 or joint 6 is at zero.
+
+The arm angle is kept while that is cheap in joint motion, and given way where keeping it would make joints race: it
+minimises the weighted joint step plus `ARM_ANGLE_WEIGHT` times the arm angle's own step. The slow return is bound to
+the tool's motion, so an arm whose tool stands still does not move, and a slow tool never makes fast joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from math import atan2, cos, hypot, isfinite, pi, radians, sin, sqrt
+from typing import Sequence
+
+import numpy as np
+
+from common.poses import inverse as inverse_pose
+from common.poses import read_only
+from kuka_control.kinematics.arcs import TURN, Interval, nearest
+from kuka_control.kinematics.chain import Vector, combination, cross, forward, zyz_axes
+from kuka_control.kinematics.elbow_circle import BRANCHES, Branch, ElbowCircle, Limits, wrapped
+from kuka_control.robot_model import RobotModel
+
+REACH_TOLERANCE_M = 1e-10
+"""A target beyond the outstretched arm by no more than this is rounding."""
+
+JOINT_TOLERANCE_RAD = 1e-10
+"""A joint out of range by no more than this is rounding."""
+
+RIGID_TOLERANCE = 1e-6
+"""How far the columns of a target's rotation may be from orthonormal."""
+
+ARM_ANGLE_WEIGHT = 10.0
+"""What a step of the arm angle costs in comparison with a step of a joint of mean speed, both squared."""
+
+RETURN_SHARE = 0.25
+"""How much of the joint step that the tool asks for may be added to lead the arm angle back."""
+
+MARGIN_RAD = radians(5.0)
+"""The arm angle is led away where a joint is nearer to its limit than this, or joint 2 or 6 nearer to zero."""
+
+NEARBY_RAD = radians(20.0)
+"""A solution in the present branch with no greater joint step is taken without a look at the other branches."""
+
+UPRIGHT = 1e-6
+"""Below this sine of the angle between the line shoulder - wrist and the vertical, the arm angle counts from base x."""
+
+
+class IkFailure(str, Enum):
+    """Why there are no joints for a tool pose."""
+
+    TOO_FAR = "The tool pose is out of reach: too far from the shoulder for the outstretched arm."
+    TOO_NEAR = "The tool pose is out of reach: so near to the shoulder that joint 4 would bend beyond its limit."
+    NO_ARM_ANGLE = "The tool pose is out of reach: at every arm angle some joint would be beyond its limit."
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True, eq=False)
+class IkResult:
+    """Joints for a tool pose, or why there are none.
+
+    Attributes:
+        q: joints, shape (7,) [rad]; None if there are none.
+        failure: None if there are joints.
+        arm_angle: about the line from shoulder to wrist, from the vertical plane above it to the elbow [rad].
+        branch: signs of joints 2, 4 and 6.
+    """
+
+    q: np.ndarray | None
+    failure: IkFailure | None = None
+    arm_angle: float | None = None
+    branch: Branch | None = None
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    cost: float
+    angle: float
+    q: list[float]
+    branch: Branch
+    interval: Interval
+
+
+class Kinematics:
+    """An arm with its tool.
+
+    Args:
+        model: the arm.
+        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m]; the flange itself where left out.
+        elbow_preference: arm angle that the elbow slowly goes to [rad]; 0 is up.
+    """
+
+    def __init__(
+        self, model: RobotModel, T_flange_tool: np.ndarray | None = None, elbow_preference: float = 0.0
+    ) -> None:
+        self.model = model
+        self.T_flange_tool = read_only(np.eye(4) if T_flange_tool is None else T_flange_tool)
+        self._T_tool_flange = inverse_pose(self.T_flange_tool)
+        self._elbow_preference = elbow_preference
+        self._lengths = (model.shoulder_elbow, model.elbow_wrist)
+        self._limits = Limits(model.lower, model.upper)
+        self._margins = Limits(model.lower + MARGIN_RAD, model.upper - MARGIN_RAD, MARGIN_RAD)
+        speeds = model.max_speed.tolist()
+        mean = sum(speeds) / len(speeds)
+        self._weights = [(mean / speed) ** 2 for speed in speeds]
+
+    def forward(self, q: np.ndarray) -> np.ndarray:
+        """Returns the pose of the tool in the base, shape (4, 4) [m], at joints q, shape (7,) [rad]."""
+        return forward(self.model, q) @ self.T_flange_tool
+
+    def inverse(self, T_base_tool: np.ndarray, near: np.ndarray) -> IkResult:
+        """Returns joints that bring the tool to a pose, as close to `near` as the ranges and the tool's step let them.
+
+        Args:
+            T_base_tool: pose of the tool in the base, shape (4, 4) [m].
+            near: joints that the arm has, shape (7,) [rad].
+
+        Raises:
+            ValueError: the pose is not finite or not rigid, or `near` is not seven finite numbers.
+        """
+        seed = np.asarray(near, dtype=float).tolist()
+        if len(seed) != 7 or not all(map(isfinite, seed)):
+            raise ValueError(f"the present joints must be seven finite numbers, not {seed}")
+        flange, position = _axes_and_position(np.asarray(T_base_tool, dtype=float) @ self._T_tool_flange)
+        w = combination(1.0, position, -self.model.wrist_flange, flange[2])
+        w = (w[0], w[1], w[2] - self.model.base_shoulder)
+        reach = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+        upper_arm, forearm = self._lengths
+        if reach > upper_arm + forearm + REACH_TOLERANCE_M:
+            return IkResult(None, IkFailure.TOO_FAR)
+        bend = 2.0 * atan2(
+            sqrt(max((upper_arm + forearm) ** 2 - reach * reach, 0.0)),
+            sqrt(max(reach * reach - (upper_arm - forearm) ** 2, 0.0)),
+        )
+        if not self._bends(bend):
+            return IkResult(None, IkFailure.TOO_NEAR)
+
+        u = (w[0] / reach, w[1] / reach, w[2] / reach)
+        present = _Present(self._lengths, seed)
+        reference = present.elbow_across(u)
+        circle = ElbowCircle(bend, self._lengths, u, reference, flange)
+        best = self._choose(circle, present, _arm_angle(u, reference), _steadiness(u))
+        if best is None:
+            return IkResult(None, IkFailure.NO_ARM_ANGLE)
+        return IkResult(read_only(best.q), arm_angle=wrapped(best.angle + _arm_angle(u, reference)), branch=best.branch)
+
+    def _choose(self, circle: ElbowCircle, present: _Present, zero: float, steadiness: float) -> _Candidate | None:
+        """Returns the joints to take; `zero` is the arm angle at angle zero of the circle [rad]."""
+        weight = ARM_ANGLE_WEIGHT * min(steadiness, present.steadiness)
+        kept = wrapped(present.arm_angle - zero)
+        if self._bends(circle.bend * present.branch.elbow):
+            here = self._best_in_branch(circle, present.branch, present.q, 0.0, kept, weight)
+            if here is not None and _step(here.q, present.q) <= NEARBY_RAD:
+                return self._led_back(circle, here, present.q, zero, steadiness)
+        candidates = []
+        for branch in BRANCHES:
+            if self._bends(circle.bend * branch.elbow):
+                start = 0.0 if branch.elbow == present.branch.elbow else pi
+                found = self._best_in_branch(circle, branch, present.q, start, kept, 0.0)
+                if found is not None:
+                    candidates.append(found)
+        if not candidates:
+            return None
+        best = min(candidates, key=lambda candidate: candidate.cost)
+        return self._led_back(circle, best, present.q, zero, steadiness)
+
+    def _best_in_branch(
+        self, circle: ElbowCircle, branch: Branch, seed: list[float], start: float, kept: float, weight: float
+    ) -> _Candidate | None:
+        """Returns the joints of a branch that are cheapest to reach from `seed`, or None if it has none in range.
+
+        Args:
+            circle: the ways to reach the target.
+            branch: signs of joints 2, 4 and 6.
+            seed: present joints [rad].
+            start: angle on the circle where the elbow is nearest to its present place [rad].
+            kept: angle on the circle with the present arm angle [rad].
+            weight: what departing from `kept` costs.
+        """
+        best = None
+        for interval in circle.free(branch, self._limits):
+            angle = nearest(interval, start)
+            middle = (interval[0] + interval[1]) / 2.0
+            for guess in (angle, middle) if best is None or abs(angle - start) > NEARBY_RAD else (angle,):
+                best = self._descend(circle, branch, interval, guess, seed, kept, weight, best)
+        return best
+
+    def _descend(
+        self,
+        circle: ElbowCircle,
+        branch: Branch,
+        interval: Interval,
+        angle: float,
+        seed: list[float],
+        kept: float,
+        weight: float,
+        best: _Candidate | None,
+    ) -> _Candidate | None:
+        """Returns the better of `best` and what Gauss-Newton steps from `angle` find within the interval."""
+        for _ in range(3):
+            q = self._in_range(circle.joints(angle, branch, seed, self._limits))
+            if q is None:
+                return best
+            away = wrapped(angle - kept)
+            differences = [a - b for a, b in zip(q, seed)]
+            cost = sum(w * d * d for w, d in zip(self._weights, differences)) + weight * away * away
+            if best is not None and cost >= best.cost:
+                return best
+            best = _Candidate(cost, angle, q, branch, interval)
+            motion = circle.self_motion(q)
+            slope = sum(w * m * d for w, m, d in zip(self._weights, motion, differences)) + weight * away
+            step = slope / (sum(w * m * m for w, m in zip(self._weights, motion)) + weight)
+            angle = min(max(angle - step, interval[0]), interval[1])
+        return best
+
+    def _led_back(
+        self, circle: ElbowCircle, found: _Candidate, seed: list[float], zero: float, steadiness: float
+    ) -> _Candidate:
+        """Returns `found`, led back by a small part of its joint step to where the elbow should be."""
+        goal = self._goal(circle, found, zero)
+        fastest = max(1.0, max(map(abs, circle.self_motion(found.q))))
+        most = RETURN_SHARE * _step(found.q, seed) / fastest
+        step = min(max(goal - found.angle, -most), most)
+        if step == 0.0:
+            return found
+        angle = min(max(found.angle + step, found.interval[0]), found.interval[1])
+        q = self._in_range(circle.joints(angle, found.branch, seed, self._limits))
+        return found if q is None else _Candidate(found.cost, angle, q, found.branch, found.interval)
+
+    def _goal(self, circle: ElbowCircle, found: _Candidate, zero: float) -> float:
+        """Returns where on the circle the elbow should be: near to the preference, with margins, not across a limit."""
+        low, high = found.interval
+        preferred = found.angle + wrapped(self._elbow_preference - zero - found.angle)
+        inside = []
+        for with_margins in circle.free(found.branch, self._margins):
+            for shift in (-TURN, 0.0, TURN):
+                a, b = max(with_margins[0] + shift, low), min(with_margins[1] + shift, high)
+                if a < b:
+                    inside.append((max(a - found.angle, found.angle - b, 0.0), a, b))
+        if not inside:
+            return (low + high) / 2.0
+        _, a, b = min(inside)
+        return min(max(preferred, a), b)
+
+    def _bends(self, angle: float) -> bool:
+        limits = self._limits
+        return limits.lower[3] - JOINT_TOLERANCE_RAD <= angle <= limits.upper[3] + JOINT_TOLERANCE_RAD
+
+    def _in_range(self, q: list[float]) -> list[float] | None:
+        """Returns the joints without what rounding put them out of range, None if they are further out."""
+        inside = [min(max(a, low), high) for a, low, high in zip(q, self._limits.lower, self._limits.upper)]
+        return inside if _step(inside, q) <= JOINT_TOLERANCE_RAD else None
+
+
+class _Present:
+    """What the present joints say about the elbow."""
+
+    def __init__(self, lengths: tuple[float, float], q: list[float]) -> None:
+        self.q = q
+        self.branch = Branch.of(q)
+        axes = zyz_axes(q[0], q[1], q[2])
+        across, along = -lengths[1] * sin(q[3]), lengths[0] + lengths[1] * cos(q[3])
+        reach = hypot(across, along)
+        u = combination(across / reach, axes[0], along / reach, axes[2])
+        sign = self.branch.elbow
+        self._h = (sign * axes[1][0], sign * axes[1][1], sign * axes[1][2])
+        self.arm_angle = _arm_angle(u, cross(self._h, u))
+        self.steadiness = _steadiness(u)
+
+    def elbow_across(self, u: Vector) -> Vector:
+        """Returns the unit vector across u with the elbow as it is now: h = u x e stays as it is, as far as it can."""
+        for h in (self._h, (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)):
+            e = cross(h, u)
+            length = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+            if length > 0.1:
+                break
+        return e[0] / length, e[1] / length, e[2] / length
+
+
+def _axes_and_position(T: np.ndarray) -> tuple[tuple[Vector, Vector, Vector], Vector]:
+    """Returns the columns of a rigid pose.
+
+    Raises:
+        ValueError: the pose is not finite or not rigid.
+    """
+    if T.shape != (4, 4):
+        raise ValueError(f"a pose needs 4 x 4 numbers, not {T.shape}")
+    x, y, z, p = map(tuple, T.T[:, :3].tolist())
+    xy = cross(x, y)
+    faults = (
+        abs(x[0] * x[0] + x[1] * x[1] + x[2] * x[2] - 1.0),
+        abs(y[0] * y[0] + y[1] * y[1] + y[2] * y[2] - 1.0),
+        abs(xy[0] - z[0]),
+        abs(xy[1] - z[1]),
+        abs(xy[2] - z[2]),
+    )
+    if not (all(fault <= RIGID_TOLERANCE for fault in faults) and isfinite(p[0] + p[1] + p[2])):
+        raise ValueError(f"the pose {T.tolist()} is not finite or not rigid")
+    return (x, y, z), p
+
+
+def _arm_angle(u: Vector, e: Vector) -> float:
+    """Returns the angle about u [rad] from the vertical plane above u (from base x where u is vertical) to e."""
+    if hypot(u[0], u[1]) < UPRIGHT:
+        return atan2(e[1] * u[2], e[0])
+    return atan2(e[0] * u[1] - e[1] * u[0], e[2])
+
+
+def _steadiness(u: Vector) -> float:
+    """Returns how well the vertical plane through u is defined: 1 where u is horizontal, 0 where it is vertical."""
+    return 1.0 - u[2] * u[2]
+
+
+def _step(q: Sequence[float], seed: Sequence[float]) -> float:
+    return max(abs(a - b) for a, b in zip(q, seed))

@@ -1,0 +1,243 @@
+"""The workspace of the tool: a segment of a hollow sphere around the origin of joint 2, cut by planes.
+
+A desired position is constrained in a fixed order: side planes, heights, spheres; the result says which bounds acted.
+Behind the base, and below its foot, there is no constraining: such a position is infeasible. Positions are written in
+the base frame [m]; rotations are not looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Union
+
+import numpy as np
+
+from common.poses import read_only
+
+ON_BOUND = 1e-12
+"""A position that lies beyond a bound by no more than this counts as on it [m]; so constraining twice changes nothing."""
+
+
+class Bound(str, Enum):
+    """What cuts the workspace off."""
+
+    OPENING_ANGLE = "opening angle"
+    Z_LOWER = "lower z limit"
+    Z_UPPER = "upper z limit"
+    INNER_SPHERE = "inner sphere"
+    OUTER_SPHERE = "outer sphere"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+class Infeasibility(str, Enum):
+    """Why a position cannot be constrained to the workspace, as a part of a sentence."""
+
+    BEHIND_BASE = "it lies behind the base, as seen along center_line"
+    BELOW_BASE = "it lies below the foot of the base"
+
+
+@dataclass(frozen=True)
+class Constrained:
+    """A position within the workspace.
+
+    Attributes:
+        position: shape (3,) [m]; the desired one itself if no bound acted.
+        bounds: the bounds that acted, in the order in which they did.
+    """
+
+    position: np.ndarray
+    bounds: tuple[Bound, ...]
+
+
+@dataclass(frozen=True)
+class Infeasible:
+    """A position that the arm must not be sent towards."""
+
+    position: np.ndarray
+    reason: Infeasibility
+
+    def __str__(self) -> str:
+        x, y, z = self.position
+        return f"the position ({x:.3f}, {y:.3f}, {z:.3f}) m is infeasible: {self.reason.value}"
+
+
+def workspace_faults(
+    center_line: np.ndarray,
+    opening_angle: float,
+    z_lower: float,
+    z_upper: float,
+    inner_sphere: float,
+    outer_sphere: float,
+    joint_2_height: float,
+) -> list[str]:
+    """Returns why no workspace can be made of these settings, one sentence each; arguments as in `Workspace`."""
+    line = np.asarray(center_line, dtype=float)
+    if line.shape != (3,) or not np.all(np.isfinite([*line, z_lower, z_upper, inner_sphere, outer_sphere])):
+        return ["The workspace needs three finite numbers for center_line, and finite limits."]
+    faults = []
+    if line[2] != 0.0:
+        faults.append(f"center_line is {line.tolist()}, but its z must be zero: it is horizontal.")
+    elif not np.any(line):
+        faults.append("center_line is the zero vector, which has no direction.")
+    if not 0.0 < opening_angle < math.pi:
+        faults.append(f"opening_angle is {math.degrees(opening_angle):g} deg, but must lie between 0 and 180 deg.")
+    if not 0.0 <= z_lower < z_upper:
+        faults.append(f"z_lower_limit ({z_lower:g} m) must lie between 0 and z_upper_limit ({z_upper:g} m).")
+    if not 0.0 <= inner_sphere < outer_sphere:
+        faults.append(
+            f"inner_sphere_limit ({inner_sphere:g} m) must lie between 0 and outer_sphere_limit ({outer_sphere:g} m)."
+        )
+    if faults:
+        return faults
+    top, foot = joint_2_height + outer_sphere, joint_2_height - outer_sphere
+    if z_upper > top:
+        faults.append(
+            f"z_upper_limit ({z_upper:g} m) is above the top of the outer sphere, which is {top:g} m "
+            f"(joint 2 at {joint_2_height:g} m, outer_sphere_limit {outer_sphere:g} m)."
+        )
+    if z_lower < foot:
+        faults.append(f"z_lower_limit ({z_lower:g} m) is below the foot of the outer sphere, which is {foot:g} m.")
+    mean_radius, mean_height = (inner_sphere + outer_sphere) / 2.0, (z_lower + z_upper) / 2.0
+    if not abs(mean_height - joint_2_height) < mean_radius:
+        faults.append(
+            f"The workspace has no centre: half way between the z limits ({mean_height:g} m) there is no point at "
+            f"{mean_radius:g} m, half way between the spheres, from joint 2 at {joint_2_height:g} m."
+        )
+    return faults
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """The settings of a workspace, and what they do to a position.
+
+    Args:
+        center_line: horizontal direction from the base axis to the middle, shape (3,); its length does not matter.
+        opening_angle: between the two side planes, which are vertical and contain the base axis [rad].
+        z_lower: lowest height [m].
+        z_upper: greatest height [m].
+        inner_sphere: least distance from the origin of joint 2 [m].
+        outer_sphere: greatest distance from the origin of joint 2 [m].
+        joint_2_height: height of the origin of joint 2 (RobotModel.base_shoulder) [m].
+
+    Raises:
+        ValueError: no workspace has these settings; every fault is named.
+    """
+
+    center_line: np.ndarray
+    opening_angle: float
+    z_lower: float
+    z_upper: float
+    inner_sphere: float
+    outer_sphere: float
+    joint_2_height: float
+
+    def __post_init__(self) -> None:
+        faults = workspace_faults(
+            self.center_line,
+            self.opening_angle,
+            self.z_lower,
+            self.z_upper,
+            self.inner_sphere,
+            self.outer_sphere,
+            self.joint_2_height,
+        )
+        if faults:
+            raise ValueError(" ".join(faults))
+        object.__setattr__(self, "center_line", read_only(self.center_line))
+
+    @cached_property
+    def heading(self) -> float:
+        """Angle about the base z axis from the x axis to center_line [rad], -pi to pi."""
+        return math.atan2(self.center_line[1], self.center_line[0])
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Half way between the z limits, above center_line, half way between the spheres; shape (3,) [m]."""
+        z = (self.z_lower + self.z_upper) / 2.0
+        r = _radius_at(z - self.joint_2_height, (self.inner_sphere + self.outer_sphere) / 2.0)
+        return read_only([r * math.cos(self.heading), r * math.sin(self.heading), z])
+
+    def radii(self, z: float) -> tuple[float, float]:
+        """Returns the least and the greatest distance from the base axis at height z [m]."""
+        dz = z - self.joint_2_height
+        return _radius_at(dz, self.inner_sphere), _radius_at(dz, self.outer_sphere)
+
+    def contains(self, position: np.ndarray) -> bool:
+        """Returns whether the position, shape (3,) [m], lies in the workspace or on its border."""
+        result = self.constrain(position)
+        return isinstance(result, Constrained) and not result.bounds
+
+    def constrain(self, position: np.ndarray) -> Union[Constrained, Infeasible]:
+        """Returns the position itself, the one that the bounds leave of it, or that it is infeasible.
+
+        Args:
+            position: shape (3,) [m].
+
+        Raises:
+            ValueError: the position is not three finite numbers.
+        """
+        position = read_only(position)
+        if position.shape != (3,) or not np.all(np.isfinite(position)):
+            raise ValueError(f"a position needs three finite numbers, not {position.tolist()}")
+        x, y, z = position.tolist()
+        # Along center_line and, horizontally, to its left.
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        along, left = c * x + s * y, c * y - s * x
+        r = math.hypot(along, left)
+        if along <= 0.0 or r < ON_BOUND:
+            return Infeasible(position, Infeasibility.BEHIND_BASE)
+        if z < 0.0:
+            return Infeasible(position, Infeasibility.BELOW_BASE)
+
+        bounds = []
+        side = math.copysign(self.opening_angle / 2.0, left)
+        c_side, s_side = math.cos(side), math.sin(side)
+        if abs(left) * c_side - along * abs(s_side) > ON_BOUND:
+            bounds.append(Bound.OPENING_ANGLE)
+            r = along * c_side + left * s_side
+            along, left = r * c_side, r * s_side
+        if not self.z_lower <= z <= self.z_upper:
+            bounds.append(Bound.Z_LOWER if z < self.z_lower else Bound.Z_UPPER)
+            z = min(max(z, self.z_lower), self.z_upper)
+        r_inner, r_outer = self.radii(z)
+        if not r_inner - ON_BOUND <= r <= r_outer + ON_BOUND:
+            bounds.append(Bound.INNER_SPHERE if r < r_inner else Bound.OUTER_SPHERE)
+            moved = min(max(r, r_inner), r_outer)
+            along, left = along / r * moved, left / r * moved
+        if not bounds:
+            return Constrained(position, ())
+        return Constrained(read_only([c * along - s * left, s * along + c * left, z]), tuple(bounds))
+
+
+def boundary_lines(workspace: Workspace, heights: int = 5, headings: int = 5, points: int = 33) -> list[np.ndarray]:
+    """Returns polylines on the border of the workspace, each of shape (n, 3) [m], to be drawn.
+
+    Args:
+        workspace: the workspace.
+        heights: number of heights at which the inner and the outer arc are drawn.
+        headings: number of vertical sections that are outlined.
+        points: number of points on an arc.
+    """
+    half = workspace.opening_angle / 2.0
+    turns = workspace.heading + np.linspace(-half, half, points)
+    lines = []
+    for z in np.linspace(workspace.z_lower, workspace.z_upper, heights):
+        for r in workspace.radii(z):
+            lines.append(np.column_stack([r * np.cos(turns), r * np.sin(turns), np.full(points, z)]))
+    z = np.linspace(workspace.z_lower, workspace.z_upper, points)
+    radii = np.array([workspace.radii(height) for height in z])
+    r = np.concatenate([radii[:, 0], radii[::-1, 1], radii[:1, 0]])
+    z = np.concatenate([z, z[::-1], z[:1]])
+    for turn in workspace.heading + np.linspace(-half, half, headings):
+        lines.append(np.column_stack([r * np.cos(turn), r * np.sin(turn), z]))
+    return lines
+
+
+def _radius_at(dz: float, sphere: float) -> float:
+    """Returns the distance from the base axis of a sphere's points `dz` above its centre; 0 beyond the sphere."""
+    return math.sqrt(max(sphere * sphere - dz * dz, 0.0))
