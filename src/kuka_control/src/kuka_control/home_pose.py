@@ -96,8 +96,8 @@ def custom_home(model: RobotModel, workspace: Workspace, tool_length: float, q: 
         raise HomeError(f"home_pos brings the tool point out of the workspace: {result}.")
     if result.bounds:
         raise HomeError(
-            f"home_pos brings the tool point to ({', '.join(f'{c:.3f}' for c in home.centre)}) m, outside the workspace "
-            f"({', '.join(map(str, result.bounds))}); change home_pos, tool_length ({tool_length:g} m) or the limits."
+            f"home_pos brings the tool point to ({', '.join(f'{c:.3f}' for c in home.centre)}) m, which is outside the "
+            f"workspace ({', '.join(map(str, result.bounds))}); change home_pos, tool_length ({tool_length:g} m) or the limits."
         )
     return home
 
@@ -123,7 +123,7 @@ def _out_of_range(model: RobotModel, q: np.ndarray) -> str:
 
 
 def _cause(up: float, tool_length: float) -> str:
-    """Returns what is probably wrong, as a part of a sentence; `up` is the height of the wrist over the shoulder [m]."""
+    """Returns what is probably wrong, as a part of a sentence; `up` is the height of wrist over shoulder [m]."""
     if tool_length > 0.0 and up > 0.0:
         return "probably the tool is too long, or the workspace is too high or too wide"
     return "probably the workspace is too wide or too low"

@@ -11,14 +11,13 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import Union
 
 import numpy as np
 
 from common.poses import read_only
 
 ON_BOUND = 1e-12
-"""A position that lies beyond a bound by no more than this counts as on it [m]; so constraining twice changes nothing."""
+"""What lies beyond a bound by no more than this counts as on it [m]; so constraining twice changes nothing."""
 
 
 class Bound(str, Enum):
@@ -172,7 +171,7 @@ class Workspace:
         result = self.constrain(position)
         return isinstance(result, Constrained) and not result.bounds
 
-    def constrain(self, position: np.ndarray) -> Union[Constrained, Infeasible]:
+    def constrain(self, position: np.ndarray) -> Constrained | Infeasible:
         """Returns the position itself, the one that the bounds leave of it, or that it is infeasible.
 
         Args:

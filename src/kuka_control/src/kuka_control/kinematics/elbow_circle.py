@@ -7,16 +7,16 @@ sinusoids of this angle; the joints follow from them, and so do the angles that 
     u: from shoulder to wrist;  e: from the middle of the circle to the elbow;  h = u x e
     beta, alpha: angle between u and upper arm, and between u and forearm
 
-The method is that of Shimizu, Kakuya, Yoon, Kitagaki, Kosuge (IEEE T-RO 24, 2008), with the configuration signs of
-Kuhlemann, Schweikard, Jauer, Ernst (2016) and Faria, Ferreira, Erlhagen, Monteiro, Bicho (2018). What is different
-here: the circle is measured from any reference direction, so no reference plane can degenerate, and the signs only
-turn joints by half a turn, so all eight branches share one circle.
+The method is that of Shimizu et al. (IEEE Transactions on Robotics 24, 2008), with the configuration signs of Kuhlemann
+et al. (ICCAR 2016) and Faria et al. (Mechanism and Machine Theory 121, 2018). What is different here: the circle is
+measured from any reference direction, so no reference plane can degenerate, and the signs only turn joints by half a
+turn, so all eight branches share one circle.
 """
 
 from __future__ import annotations
 
 from math import atan2, cos, hypot, pi, sin
-from typing import List, NamedTuple, Sequence, Tuple
+from typing import NamedTuple, Sequence
 
 from kuka_control.kinematics.arcs import TURN, Arc, Interval, intersection, positive, remaining
 from kuka_control.kinematics.chain import Vector, combination, cross
@@ -158,43 +158,43 @@ class ElbowCircle:
             + self._part(limits, 6, wrist, self._joint_7)
         )
 
-    def _part(self, limits: Limits, joint: int, sign: int, function) -> List[Arc]:
+    def _part(self, limits: Limits, joint: int, sign: int, function) -> list[Arc]:
         key = (limits, joint, sign)
         arcs = self._forbidden.get(key)
         if arcs is None:
             arcs = self._forbidden[key] = function(limits, sign)
         return arcs
 
-    def _joint_1(self, limits: Limits, sign: int) -> List[Arc]:
+    def _joint_1(self, limits: Limits, sign: int) -> list[Arc]:
         k, u, v, n = sign * self._sb, self._u, self._v, self._n
         c = sign * self._cb
         return _outside_turn((k * v[0], k * n[0], c * u[0]), (k * v[1], k * n[1], c * u[1]), limits.directions[0])
 
-    def _joint_2(self, limits: Limits, sign: int) -> List[Arc]:
+    def _joint_2(self, limits: Limits, sign: int) -> list[Arc]:
         cosine = (self._sb * self._v[2], self._sb * self._n[2], self._cb * self._u[2])
         return _outside_bend(cosine, limits, 1, sign)
 
-    def _joint_3(self, limits: Limits, sign: int) -> List[Arc]:
+    def _joint_3(self, limits: Limits, sign: int) -> list[Arc]:
         k, u, v, n = -sign * self._cb, self._u, self._v, self._n
         return _outside_turn(
             (k * v[2], k * n[2], sign * self._sb * u[2]), (sign * n[2], -sign * v[2], 0.0), limits.directions[2]
         )
 
-    def _joint_5(self, limits: Limits, sign: int) -> List[Arc]:
+    def _joint_5(self, limits: Limits, sign: int) -> list[Arc]:
         k, (v, n, u) = sign * self._ca, self._flange[2]
         return _outside_turn((k * v, k * n, sign * self._sa * u), (sign * n, -sign * v, 0.0), limits.directions[4])
 
-    def _joint_6(self, limits: Limits, sign: int) -> List[Arc]:
+    def _joint_6(self, limits: Limits, sign: int) -> list[Arc]:
         v, n, u = self._flange[2]
         return _outside_bend((-self._sa * v, -self._sa * n, self._ca * u), limits, 5, sign)
 
-    def _joint_7(self, limits: Limits, sign: int) -> List[Arc]:
+    def _joint_7(self, limits: Limits, sign: int) -> list[Arc]:
         k, c = sign * self._sa, sign * self._ca
         (xv, xn, xu), (yv, yn, yu), _ = self._flange
         return _outside_turn((k * xv, k * xn, -c * xu), (-k * yv, -k * yn, c * yu), limits.directions[6])
 
 
-def _outside_turn(cosine: Vector, sine: Vector, directions: Tuple[float, float, float, float]) -> List[Arc]:
+def _outside_turn(cosine: Vector, sine: Vector, directions: tuple[float, float, float, float]) -> list[Arc]:
     """Returns the arcs on which the joint of this (scaled) cosine and sine is outside its range.
 
     The forbidden wedge, from the upper limit on to the lower one, is less than half a turn wide; so it is where two
@@ -211,7 +211,7 @@ def _outside_turn(cosine: Vector, sine: Vector, directions: Tuple[float, float, 
     return intersection(beyond_high, below_low)
 
 
-def _outside_bend(cosine: Vector, limits: Limits, joint: int, sign: int) -> List[Arc]:
+def _outside_bend(cosine: Vector, limits: Limits, joint: int, sign: int) -> list[Arc]:
     """Returns the arcs on which the joint with this cosine and this sign is beyond its range, or too near to zero."""
     a, b, c = cosine
     limit = limits.directions[joint][2 if sign > 0 else 0]

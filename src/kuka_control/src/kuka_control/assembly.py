@@ -1,0 +1,96 @@
+"""What a controller is made of, put together from its configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.poses import inverse, translation
+from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig
+from kuka_control.home_pose import Home, custom_home, home_pose
+from kuka_control.kinematics import Kinematics
+from kuka_control.motion_limits import MotionLimits, SpeedLimits
+from kuka_control.ptp_loop import PtpLoop, PtpSettings
+from kuka_control.real_time_loop import RealTimeLoop, RealTimeSettings
+from kuka_control.robot_model import RobotModel, robot_model
+from kuka_control.target import TargetChain
+from kuka_control.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The arm with its tool, where it may go and where its home is; built before anything moves.
+
+    Attributes:
+        model: the arm.
+        T_flange_tool: the tool point, shape (4, 4) [m].
+        kinematics: of the arm with its tool.
+        workspace: of the tool point.
+        home: the home position.
+        chain: from the desired tool frame to joints.
+    """
+
+    model: RobotModel
+    T_flange_tool: np.ndarray
+    kinematics: Kinematics
+    workspace: Workspace
+    home: Home
+    chain: TargetChain
+
+    @classmethod
+    def of(cls, config: ArmConfig) -> Rig:
+        """Returns the rig that a configuration describes.
+
+        Raises:
+            HomeError: the home position cannot be reached or lies outside the workspace.
+        """
+        model = robot_model(config.robot, config.flange)
+        T_flange_tool = translation(0.0, 0.0, config.tool_length)
+        kinematics = Kinematics(model, T_flange_tool)
+        workspace = Workspace(
+            center_line=config.center_line,
+            opening_angle=config.opening_angle_rad,
+            z_lower=config.z_lower_limit,
+            z_upper=config.z_upper_limit,
+            inner_sphere=config.inner_sphere_limit,
+            outer_sphere=config.outer_sphere_limit,
+            joint_2_height=model.base_shoulder,
+        )
+        if config.use_home_pos:
+            home = custom_home(model, workspace, config.tool_length, np.radians(config.home_pos))
+        else:
+            home = home_pose(model, workspace, config.tool_length)
+        chain = TargetChain(home.centre, workspace, kinematics)
+        return cls(model, T_flange_tool, kinematics, workspace, home, chain)
+
+    def T_base_flange(self, T_base_tool: np.ndarray) -> np.ndarray:
+        """Returns the flange, shape (4, 4) [m], of a tool frame."""
+        return T_base_tool @ inverse(self.T_flange_tool)
+
+
+def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
+    """Returns the real-time control loop."""
+    limits = SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed)
+    settings = RealTimeSettings(
+        q_home=rig.home.q,
+        time_out=config.time_out,
+        joint_speeds=rig.model.max_speed,
+        velocity_home=config.velocity_ptp_slow,
+        velocity_return=config.velocity_ptp_fast,
+        servo_joint_speeds=limits.joints,
+    )
+    return RealTimeLoop(settings, rig.chain, MotionLimits(limits, lambda q: rig.kinematics.forward(q)[:3, 3]))
+
+
+def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
+    """Returns the PTP control loop."""
+    settings = PtpSettings(
+        q_home=rig.home.q,
+        time_out=config.time_out,
+        joint_speeds=rig.model.max_speed,
+        velocity_home=config.velocity_ptp,
+        velocity_return=config.velocity_ptp,
+        joints_thresh=config.joints_thresh_rad,
+    )
+    return PtpLoop(settings, rig.chain)

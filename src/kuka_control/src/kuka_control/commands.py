@@ -1,0 +1,106 @@
+"""What goes into a step of a control loop and what comes out of it. Joints q: shape (7,) [rad]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Union
+
+import numpy as np
+
+from kuka_control.stream import Desired
+from kuka_control.target import Target
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What is known at the beginning of a step.
+
+    Attributes:
+        joints: measured joints, shape (7,) [rad].
+        desired: the newest desired tool frame, or None.
+        clock: ROS time [s], the clock of the stamps.
+        control_on: whether the arm is to follow the desired tool frame.
+        scale: scaling factor.
+        exit_requested: whether the controller is to go to zero and end.
+        arrived: whether no PTP motion runs.
+        refused: why the robot's controller gave the last PTP motion up, or None.
+    """
+
+    joints: np.ndarray
+    desired: Desired | None = None
+    clock: float = 0.0
+    control_on: bool = False
+    scale: float = 1.0
+    exit_requested: bool = False
+    arrived: bool = True
+    refused: str | None = None
+
+
+@dataclass(frozen=True)
+class Wait:
+    """Nothing to do."""
+
+
+@dataclass(frozen=True)
+class StartPtp:
+    """Move to `q` at the share `velocity` of the full joint speed."""
+
+    q: np.ndarray
+    velocity: float
+
+
+@dataclass(frozen=True)
+class StartServo:
+    """Begin to follow servo goals."""
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Send the servo goal `q`; `stamp` is that of the desired tool frame that came in with it, or None."""
+
+    q: np.ndarray
+    stamp: float | None = None
+
+
+@dataclass(frozen=True)
+class StopServo:
+    """Leave servo mode."""
+
+
+@dataclass(frozen=True)
+class End:
+    """The controller ends; `fault` says why, None if it was asked to."""
+
+    fault: str | None = None
+
+
+Command = Union[Wait, StartPtp, StartServo, Servo, StopServo, End]
+
+
+@dataclass(frozen=True)
+class Event:
+    """One sentence for the log; `level` is "info", "warn" or "error"."""
+
+    level: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """The result of a step.
+
+    Attributes:
+        command: for the arm.
+        mode: starting, homing, home, pick_up, servo, returning, zero or stopped.
+        reason: why this mode, one sentence.
+        events: what is to be said.
+        aim: what the loop aims at now, or None.
+        limited_by: what limited the last command: names of workspace bounds and of motion limits.
+    """
+
+    command: Command
+    mode: str
+    reason: str
+    events: tuple[Event, ...]
+    aim: Target | None = None
+    limited_by: tuple[str, ...] = ()

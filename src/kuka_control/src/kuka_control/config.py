@@ -1,0 +1,90 @@
+"""What the two controllers are configured by: the parameters under `kuka/`, each with its unit and range.
+
+The yaml files speak of degrees where a person sets an angle; here they become radians, once (properties). Whether the
+home position can be reached is checked where it is calculated: home_pose.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from common.config import choice, flag, integer, number, text, vector
+from kuka_control.robot_model import FLANGE_HEIGHTS, robot_model
+from kuka_control.workspace import workspace_faults
+
+ROBOTS = ("LBR7R800", "LBR14R820")
+UPLOADED = ("ws_center", "joints_home")
+"""Keys under `kuka/` that the controller itself writes."""
+
+
+@dataclass(frozen=True)
+class ArmConfig:
+    """What both controllers need."""
+
+    robot: str = choice(*ROBOTS, doc="the arm")
+    flange: str = choice(*FLANGE_HEIGHTS, doc="the media flange on the arm")
+    ip: str = text(doc="address of the robot's controller")
+    port: int = integer(low=1, high=65535, doc="TCP port of the toolbox server on the robot's controller")
+    center_line: np.ndarray = vector(3, doc="horizontal direction from the base to the middle of the workspace")
+    opening_angle: float = number("deg", above=0.0, below=180.0, doc="angle between the workspace's side planes")
+    z_lower_limit: float = number("m", above=0.1, doc="lowest height of the tool")
+    z_upper_limit: float = number("m", below=1.14, doc="greatest height of the tool")
+    inner_sphere_limit: float = number("m", above=0.4, doc="smallest distance of the tool from joint 2")
+    outer_sphere_limit: float = number("m", below=0.8, doc="greatest distance of the tool from joint 2")
+    tool_length: float = number("m", low=0.0, doc="from the flange to the tool point, along the flange's z axis")
+    time_out: float = number("s", above=0.0, doc="go home after so long without a new desired tool frame")
+    home_pos: np.ndarray = vector(7, "deg", low=-180.0, high=180.0, doc="joints of a home position of one's own")
+    use_home_pos: bool = flag("whether home_pos is used instead of the calculated home position")
+    rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joints are published")
+    rate_state: float = number("Hz", low=1.0, high=100.0, doc="how often torques, force, pose and flags are published")
+
+    def faults(self) -> list[str]:
+        """Returns what no single parameter can be blamed for, one sentence each."""
+        return workspace_faults(
+            self.center_line,
+            self.opening_angle_rad,
+            self.z_lower_limit,
+            self.z_upper_limit,
+            self.inner_sphere_limit,
+            self.outer_sphere_limit,
+            robot_model(self.robot, self.flange).base_shoulder,
+        )
+
+    @property
+    def opening_angle_rad(self) -> float:
+        """The opening angle [rad]."""
+        return float(np.radians(self.opening_angle))
+
+
+@dataclass(frozen=True)
+class RealTimeConfig(ArmConfig):
+    """The parameters of the real-time controller."""
+
+    velocity_ptp_slow: float = number(above=0.0, below=1.0, doc="share of the full joint speed to home and to zero")
+    velocity_ptp_fast: float = number(above=0.0, below=1.0, doc="share of the full joint speed at pick-up, time-out")
+    rate_servo: float = number("Hz", low=50.0, high=1000.0, doc="servo goals per second between desired tool frames")
+    joint_speed: float = number(above=0.0, high=1.0, doc="limit of the stream, share of the data sheet's joint speeds")
+    tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of the stream; at 0.8 the robot stops the arm")
+
+
+@dataclass(frozen=True)
+class PtpConfig(ArmConfig):
+    """The parameters of the PTP controller."""
+
+    velocity_ptp: float = number(above=0.0, below=1.0, doc="share of the full joint speed of every motion")
+    joints_thresh: float = number("deg", low=0.0, doc="smaller joint steps are not executed")
+
+    @property
+    def joints_thresh_rad(self) -> float:
+        """The smallest joint step that is executed [rad]."""
+        return float(np.radians(self.joints_thresh))
+
+
+def neighbours(schema: type[ArmConfig]) -> tuple[str, ...]:
+    """Returns the keys that may stand beside `schema`'s own: the controller's uploads, and the other controller's keys
+    when both parameter files were loaded one after the other on the same master."""
+    own = {f.name for f in fields(schema)}
+    both = (f.name for other in (RealTimeConfig, PtpConfig) for f in fields(other))
+    return UPLOADED + tuple(name for name in both if name not in own)

@@ -1,0 +1,1 @@
+"""The ROS edge of the controllers and of the control panel."""

@@ -1,0 +1,147 @@
+"""The two controllers as ROS nodes: parameters -> rig -> robot -> control loop -> topics, tf and services."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from common.errors import DeviceError, RigError
+from common.ros import node
+from common.ros.diagnostics import Diagnostics
+from common.ros.params import wait_for_config
+from common.ros.stage_times import StageTimes
+from kst.client import KstClient
+from kuka_control import assembly
+from kuka_control.arm import KstArm
+from kuka_control.assembly import Rig
+from kuka_control.commands import End, Event, Servo
+from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
+from kuka_control.control_loop import ControlLoop
+from kuka_control.controller import Controller, Inputs
+from kuka_control.ros.desired_tool import DesiredTool
+from kuka_control.ros.services import Services
+from kuka_control.ros.state_publisher import Snapshot, StatePublisher
+from kuka_control.ros.workspace_markers import publish_workspace
+from kuka_control.switches import Switches
+
+SWITCH_INTERVAL_S = 5e-4
+"""How long the control loop waits at most for another thread of this process [s]."""
+
+
+def real_time_main() -> None:
+    """The node kuka_real_time_node."""
+    node.run("kuka_real_time_node", lambda: _run(RealTimeConfig, assembly.real_time_loop))
+
+
+def ptp_main() -> None:
+    """The node kuka_ptp_node."""
+    node.run("kuka_ptp_node", lambda: _run(PtpConfig, assembly.ptp_loop))
+
+
+def _run(schema: type[ArmConfig], make_loop: Callable[[ArmConfig, Rig], ControlLoop]) -> None:
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    config = wait_for_config(schema, "kuka", others=neighbours(schema))
+    rig = Rig.of(config)
+    arm = _connect(config, rig)
+    try:
+        rospy.set_param("kuka/ws_center", rig.home.centre.tolist())
+        rospy.set_param("kuka/joints_home", rig.home.q.tolist())
+        _Node(config, rig, arm, make_loop(config, rig)).spin()
+    finally:
+        arm.close()
+        rospy.loginfo("The connection to the robot is closed.")
+
+
+def _connect(config: ArmConfig, rig: Rig) -> KstArm:
+    rospy.loginfo("Connecting to the robot at %s:%d.", config.ip, config.port)
+    try:
+        return KstArm(KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool))
+    except DeviceError as error:
+        raise DeviceError(f"There is no connection to the robot at {config.ip}:{config.port}: {error}.") from error
+
+
+class _Node:
+    """Everything that lives while the arm is connected."""
+
+    def __init__(self, config: ArmConfig, rig: Rig, arm: KstArm, loop: ControlLoop) -> None:
+        self._arm = arm
+        self._loop = loop
+        self._controller = Controller(arm, loop)
+        self._switches = Switches()
+        self._rest_period = 1.0 / config.rate_joints
+        self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
+        self._state = StatePublisher(rig, config.rate_joints, config.rate_state)
+        self._markers = publish_workspace(rig.workspace, rig.home.centre)
+        self._stages = StageTimes("kuka_control")
+        self._desired = DesiredTool()
+        self._step = None
+        self._services = Services(self._switches)
+
+    def spin(self) -> None:
+        """Runs the control loop until it ends, or ROS does.
+
+        Raises:
+            RigError: the controller ended because of a fault.
+        """
+        self._state.start()
+        Diagnostics("kuka_control", self._diagnosis)
+        deadline = 0.0
+        try:
+            while not rospy.is_shutdown():
+                desired = self._desired.wait(deadline)
+                self._cycle(desired)
+                deadline = time.monotonic() + (self._servo_period if self._controller.in_servo else self._rest_period)
+                if isinstance(self._step.command, End):
+                    return self._end(self._step.command)
+        except DeviceError as error:
+            raise DeviceError(
+                f"The robot is out of reach: {error}. Start MatlabToolboxServer on the smartPad again, "
+                "then this controller."
+            ) from error
+        finally:
+            self._state.stop()
+
+    def _end(self, command: End) -> None:
+        if command.fault is not None:
+            raise RigError(command.fault)
+
+    def _cycle(self, desired) -> None:
+        switched = self._switches.read()
+        inputs = Inputs(
+            desired=desired,
+            clock=rospy.get_time(),
+            control_on=switched.control_on,
+            scale=switched.scale,
+            exit_requested=switched.exit_requested,
+        )
+        step = self._step = self._controller.cycle(inputs, time.monotonic())
+        if isinstance(step.command, Servo) and step.command.stamp is not None:
+            self._stages.done(self._desired.stamp)
+        self._switches.report(step.mode, self._loop.stopped_because)
+        self._state.show(
+            Snapshot(
+                self._arm.state,
+                step,
+                switched,
+                self._controller.moving,
+                self._controller.in_servo,
+                self._arm.round_trip,
+            )
+        )
+        for event in step.events:
+            _log(event)
+
+    def _diagnosis(self):
+        step = self._step
+        if step is None:
+            return DiagnosticStatus.OK, "starting", {}
+        level = DiagnosticStatus.ERROR if self._loop.stopped_because else DiagnosticStatus.OK
+        return level, step.reason, {"mode": step.mode, **self._loop.counts, "missed_answers": self._controller.missed}
+
+
+def _log(event: Event) -> None:
+    {"info": rospy.loginfo, "warn": rospy.logwarn, "error": rospy.logerr}[event.level](event.sentence)

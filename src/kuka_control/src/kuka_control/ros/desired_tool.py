@@ -1,0 +1,74 @@
+"""The one input of a controller: the tf transform to the desired tool frame, from anybody and through any chain."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+import rospy
+import tf2_ros
+
+from common.ros.conversions import pose_from_transform
+from kuka_control.stream import Desired
+
+BASE = "kuka/base_frame"
+DESIRED = "kuka/tool_frame/desired"
+REMIND_S = 5.0
+
+
+class DesiredTool(tf2_ros.TransformListener):
+    """Listens to tf and wakes the control loop when something came.
+
+    Attributes:
+        stamp: that of the newest desired tool frame, as it came; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self._arrived = threading.Event()
+        self._newest: Desired | None = None
+        self.stamp: rospy.Time | None = None
+        super().__init__(tf2_ros.Buffer(debug=False), tcp_nodelay=True)
+
+    def callback(self, data) -> None:
+        """Takes tf messages in; numbers that are none are refused here."""
+        good = [t for t in data.transforms if _finite(t.transform)]
+        if len(good) < len(data.transforms):
+            bad = next(t for t in data.transforms if not _finite(t.transform))
+            rospy.logwarn_throttle(
+                REMIND_S, f"The transform {bad.header.frame_id} -> {bad.child_frame_id} is refused: it is not finite."
+            )
+            data.transforms = good
+        super().callback(data)
+        self._arrived.set()
+
+    def wait(self, deadline: float) -> Desired | None:
+        """Returns the newest desired tool frame as soon as a new one is there, at the latest at `deadline`.
+
+        Args:
+            deadline: monotonic time [s].
+        """
+        while not self._look() and time.monotonic() < deadline:
+            self._arrived.wait(max(deadline - time.monotonic(), 0.0))
+            self._arrived.clear()
+        return self._newest
+
+    def _look(self) -> bool:
+        """Looks the frame up; returns whether it is another one than before."""
+        try:
+            message = self.buffer.lookup_transform(BASE, DESIRED, rospy.Time(0))
+            if message.header.stamp == self.stamp:
+                return False
+            self.stamp = message.header.stamp
+            self._newest = Desired(pose_from_transform(message.transform), self.stamp.to_sec())
+        except tf2_ros.TransformException:
+            return False
+        except ValueError as error:
+            rospy.logwarn_throttle(REMIND_S, f"The desired tool frame is refused: {error}.")
+            return False
+        return True
+
+
+def _finite(transform) -> bool:
+    t, q = transform.translation, transform.rotation
+    return all(map(math.isfinite, (t.x, t.y, t.z, q.x, q.y, q.z, q.w)))

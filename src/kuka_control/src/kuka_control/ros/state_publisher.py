@@ -1,0 +1,167 @@
+"""Publishes the state of the arm and of its controller from a thread of its own, so that a slow subscriber never holds
+the stream of servo goals up."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import rospy
+import tf2_ros
+from geometry_msgs.msg import Vector3, Vector3Stamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
+
+from common.ros.conversions import stamped_transform
+from kuka_control.arm import ArmState
+from kuka_control.assembly import Rig
+from kuka_control.commands import Step
+from kuka_control.ros.desired_tool import BASE
+from kuka_control.switches import Switched
+from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
+from rig_msgs.msg import KukaStatus
+
+FLANGE_MEASURED = "kuka/flange_frame/measured"
+TOOL_COMMANDED = "kuka/tool_frame/commanded"
+JOINT_NAMES = [f"kuka/joint_{i}" for i in range(1, 8)]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What there is to publish after a cycle of the control loop."""
+
+    arm: ArmState
+    step: Step
+    switched: Switched
+    moving_ptp: bool
+    moving_rt: bool
+    round_trip: float | None
+
+
+class StatePublisher:
+    """Publishes the newest snapshot at the configured rates; `show` hands a snapshot over and returns at once."""
+
+    def __init__(self, rig: Rig, rate_joints: float, rate_state: float) -> None:
+        self._rig = rig
+        self._period = 1.0 / rate_joints
+        self._state_period = 1.0 / rate_state
+        self._newest: Snapshot | None = None
+        self._published = ArmState()
+        self._aim = None
+        self._mode = None
+        self._broadcaster = tf2_ros.TransformBroadcaster()
+        self._static = tf2_ros.StaticTransformBroadcaster()
+        self._joint_states = rospy.Publisher("joint_states", JointState, queue_size=10)
+        self._joints = rospy.Publisher("kuka/joint_positions", jointPositions, queue_size=10)
+        self._torques_external = rospy.Publisher("kuka/joint_torques_external", jointTorquesExternal, queue_size=10)
+        self._torques_measured = rospy.Publisher("kuka/joint_torques_measured", jointTorquesMeasured, queue_size=10)
+        self._force = rospy.Publisher("kuka/flange_force", Vector3Stamped, queue_size=10)
+        self._torque = rospy.Publisher("kuka/flange_torque", Vector3Stamped, queue_size=10)
+        self._gripper = rospy.Publisher("kuka/gripper_control", Bool, queue_size=10, latch=True)
+        self._moving_rt = rospy.Publisher("kuka/moving_rt", Bool, queue_size=10, latch=True)
+        self._moving_ptp = rospy.Publisher("kuka/moving_ptp", Bool, queue_size=10, latch=True)
+        self._modes = rospy.Publisher("kuka/mode", String, queue_size=50, latch=True)
+        self._status = rospy.Publisher("kuka/status", KukaStatus, queue_size=10, latch=True)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="state", daemon=True)
+
+    def start(self) -> None:
+        """Publishes the home frames once and begins to publish snapshots."""
+        home, now = self._rig.home, rospy.Time.now()
+        self._static.sendTransform(
+            [
+                stamped_transform(home.T_base_flange, BASE, "kuka/flange_frame/home", now),
+                stamped_transform(home.T_base_tool, BASE, "kuka/tool_frame/home", now),
+            ]
+        )
+        self._thread.start()
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Hands the newest snapshot over; a new mode is published at once."""
+        self._newest = snapshot
+        if snapshot.step.mode != self._mode:
+            self._mode = snapshot.step.mode
+            self._modes.publish(self._mode)
+
+    def stop(self) -> None:
+        """Publishes the last state and ends."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(1.0)
+
+    def _loop(self) -> None:
+        next_state = 0.0
+        while not self._stop.wait(self._period):
+            if self._newest is not None:
+                self._publish_joints(self._newest)
+                if time.monotonic() >= next_state:
+                    next_state = time.monotonic() + self._state_period - self._period / 2.0
+                    self._publish_state(self._newest)
+        if self._newest is not None:
+            self._publish_state(self._newest)
+
+    def _publish_joints(self, snapshot: Snapshot) -> None:
+        """Joints and frames, each only if it was read anew."""
+        arm, now, transforms = snapshot.arm, rospy.Time.now(), []
+        if arm.joints is not self._published.joints:
+            self._joints.publish(_joints_message(jointPositions, arm.joints, now))
+            message = JointState(name=JOINT_NAMES, position=arm.joints.tolist())
+            message.header.stamp = now
+            self._joint_states.publish(message)
+            if snapshot.moving_ptp:  # no pose can be asked for while a PTP motion runs
+                T_base_tool = self._rig.kinematics.forward(arm.joints)
+                transforms.append(stamped_transform(self._rig.T_base_flange(T_base_tool), BASE, FLANGE_MEASURED, now))
+        if arm.T_base_tool is not self._published.T_base_tool and not transforms:
+            T_base_flange = self._rig.T_base_flange(arm.T_base_tool)
+            transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
+        aim = snapshot.step.aim
+        if aim is not None and aim is not self._aim:
+            self._aim = aim
+            transforms.append(stamped_transform(aim.T_base_tool, BASE, TOOL_COMMANDED, now))
+        if transforms:
+            self._broadcaster.sendTransform(transforms)
+        for publisher, kind, new, old in (
+            (self._torques_external, jointTorquesExternal, arm.torques_external, self._published.torques_external),
+            (self._torques_measured, jointTorquesMeasured, arm.torques_measured, self._published.torques_measured),
+        ):
+            if new is not old:
+                publisher.publish(_joints_message(kind, new, now))
+        for publisher, new, old in (
+            (self._force, arm.force, self._published.force),
+            (self._torque, arm.moment, self._published.moment),
+        ):
+            if new is not old:
+                message = Vector3Stamped(vector=Vector3(*new))
+                message.header.stamp = now
+                message.header.frame_id = FLANGE_MEASURED
+                publisher.publish(message)
+        self._published = arm
+
+    def _publish_state(self, snapshot: Snapshot) -> None:
+        switched, step = snapshot.switched, snapshot.step
+        self._gripper.publish(switched.gripper_on)
+        self._moving_rt.publish(snapshot.moving_rt)
+        self._moving_ptp.publish(snapshot.moving_ptp)
+        status = KukaStatus(
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            control_on=switched.control_on,
+            gripper_on=switched.gripper_on,
+            scaling_factor=switched.scale,
+            mode=step.mode,
+            reason=step.reason,
+            limited_by=list(step.limited_by),
+            round_trip=snapshot.round_trip or 0.0,
+        )
+        status.header.stamp = rospy.Time.now()
+        self._status.publish(status)
+
+
+def _joints_message(kind, values: np.ndarray, stamp: rospy.Time):
+    message = kind(None, *values.tolist())
+    message.header = type(kind().header)(stamp=stamp, frame_id=BASE)
+    return message

@@ -1,0 +1,95 @@
+"""The stream of desired tool frames: which one is new, which is refused, and how long none has come.
+
+Times are of two clocks: stamps and `clock` are ROS time; `now` is monotonic, so that a wall clock that is set does not
+look like a time-out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.poses import check_pose
+
+MAX_SKEW_S = 0.5
+"""How far a stamp may be from the clock [s]."""
+
+MAX_DISTANCE_M = 5.0
+"""A desired tool further from the base than this was not meant in metres [m]."""
+
+
+@dataclass(frozen=True)
+class Desired:
+    """A desired tool frame.
+
+    Attributes:
+        T_base_tool: shape (4, 4) [m].
+        stamp: its time stamp, ROS time [s].
+    """
+
+    T_base_tool: np.ndarray
+    stamp: float
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What the stream made of the newest desired tool frame.
+
+    Attributes:
+        fresh: the frame, if it is new and good.
+        refused: a sentence, the first time that a frame is refused in a row; else None.
+    """
+
+    fresh: Desired | None = None
+    refused: str | None = None
+
+
+class DesiredStream:
+    """Watches the newest desired tool frame."""
+
+    def __init__(self) -> None:
+        self._seen = None
+        self._last_good = None
+        self._refusing = False
+
+    def take(self, newest: Desired | None, clock: float, now: float) -> Taken:
+        """Looks at the newest frame: only one whose stamp differs from the one before is new.
+
+        Args:
+            newest: the newest frame there is, or None.
+            clock: ROS time [s].
+            now: monotonic time [s].
+        """
+        if newest is None or newest.stamp == self._seen:
+            return Taken()
+        self._seen = newest.stamp
+        fault = _fault(newest, clock)
+        if fault is None:
+            self._refusing = False
+            self._last_good = now
+            return Taken(newest)
+        said, self._refusing = self._refusing, True
+        return Taken(refused=None if said else fault)
+
+    def silent_for(self, now: float) -> float:
+        """Returns how long no new good frame has come [s]; infinite when none ever came."""
+        return float("inf") if self._last_good is None else now - self._last_good
+
+
+def _fault(desired: Desired, clock: float) -> str | None:
+    skew = desired.stamp - clock
+    if abs(skew) > MAX_SKEW_S:
+        side = "ahead of" if skew > 0.0 else "behind"
+        return (
+            f"The desired tool frame is refused: its stamp is {abs(skew):.3f} s {side} this machine's clock, more than "
+            f"{MAX_SKEW_S:g} s; it is old, or the clocks of the machines differ."
+        )
+    try:
+        check_pose(desired.T_base_tool)
+    except ValueError as error:
+        return f"The desired tool frame is refused: {error}."
+    distance = np.linalg.norm(desired.T_base_tool[:3, 3])
+    if distance > MAX_DISTANCE_M:
+        return f"The desired tool frame is refused: it is {distance:.4g} m from the base; is it in metres?"
+    return None

@@ -1,0 +1,87 @@
+"""What a person switches by the services, and the sentences of the answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from kuka_control.scaling import SCALING_DEFAULT, check_scaling_factor
+
+
+@dataclass(frozen=True)
+class Switched:
+    """The position of all switches."""
+
+    control_on: bool = False
+    gripper_on: bool = False
+    scale: float = SCALING_DEFAULT
+    exit_requested: bool = False
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Whether a request was carried out, and one sentence about it."""
+
+    success: bool
+    message: str
+
+
+class Switches:
+    """The switches of a controller."""
+
+    def __init__(self) -> None:
+        self._now = Switched()
+        self._mode = "starting"
+        self._stopped_because: str | None = None
+
+    def read(self) -> Switched:
+        """Returns the position of all switches."""
+        return self._now
+
+    def report(self, mode: str, stopped_because: str | None) -> None:
+        """Tells what the controller does, so that the answers can say it."""
+        self._mode, self._stopped_because = mode, stopped_because
+
+    def set_control(self, on: bool) -> Answer:
+        """Switches control of the arm on or off."""
+        if on and self._now.exit_requested:
+            return Answer(False, "Control stays off: the controller is shutting down.")
+        before, self._now = self._now.control_on, replace(self._now, control_on=on)
+        if not on:
+            return Answer(True, "Control is off, the arm goes home." if before else "Control is off already.")
+        if self._stopped_because is not None and before:
+            return Answer(
+                False, f"The arm is stopped until control is switched off and on again: {self._stopped_because}"
+            )
+        if before:
+            return Answer(True, "Control is on already.")
+        if self._mode in ("home", "stopped"):
+            return Answer(True, "Control is on, the arm follows the desired tool frame.")
+        return Answer(True, "Control is on, the arm follows the desired tool frame once it has reached home.")
+
+    def set_gripper(self, on: bool) -> Answer:
+        """Switches the flag on the topic kuka/gripper_control."""
+        if on and self._now.exit_requested:
+            return Answer(False, "Gripper control stays off: the controller is shutting down.")
+        self._now = replace(self._now, gripper_on=on)
+        return Answer(True, f"Gripper control is {'on' if on else 'off'}.")
+
+    def set_scale(self, factor: float) -> Answer:
+        """Changes the scaling factor, while control is off."""
+        if self._now.control_on:
+            return Answer(
+                False,
+                f"The scaling factor stays {self._now.scale:g}: it cannot change while control is on.",
+            )
+        try:
+            scale = round(check_scaling_factor(factor), 6)
+        except ValueError as error:
+            return Answer(False, f"The scaling factor stays {self._now.scale:g}: {error}.")
+        self._now = replace(self._now, scale=scale)
+        return Answer(True, f"The scaling factor is {scale:g}.")
+
+    def request_exit(self) -> Answer:
+        """Asks the controller to go to the zero position and to end."""
+        if self._now.exit_requested:
+            return Answer(True, "The controller is shutting down already.")
+        self._now = replace(self._now, control_on=False, gripper_on=False, exit_requested=True)
+        return Answer(True, "The arm goes to the zero position, then the controller ends.")

@@ -1,0 +1,64 @@
+"""From the desired tool frame to a joint target: scaling, workspace, inverse kinematics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.poses import pose, read_only
+from kuka_control.kinematics import Kinematics
+from kuka_control.scaling import scaled
+from kuka_control.workspace import Infeasible, Workspace
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where the arm is to go.
+
+    Attributes:
+        q: joints, shape (7,) [rad]; None when no valid solution reaches the tool frame.
+        T_base_tool: the tool frame after scaling and workspace, shape (4, 4) [m].
+        bounds: names of the workspace's bounds that acted.
+        failure: why there are no joints, a sentence; None when there are.
+    """
+
+    q: np.ndarray | None
+    T_base_tool: np.ndarray
+    bounds: tuple[str, ...] = ()
+    failure: str | None = None
+
+
+class TargetChain:
+    """Composes the steps from the desired tool frame to joints.
+
+    Args:
+        centre: of the workspace, shape (3,) [m].
+        workspace: where the tool point may be.
+        kinematics: of the arm with its tool.
+    """
+
+    def __init__(self, centre: np.ndarray, workspace: Workspace, kinematics: Kinematics) -> None:
+        self._centre = read_only(centre)
+        self._workspace = workspace
+        self._kinematics = kinematics
+
+    def resolve(self, T_base_desired: np.ndarray, scale: float, near: np.ndarray) -> Target | Infeasible:
+        """Returns the target of a desired tool frame.
+
+        Args:
+            T_base_desired: shape (4, 4) [m].
+            scale: scaling factor.
+            near: joints that the solution is to be close to, shape (7,) [rad].
+        """
+        constrained = self._workspace.constrain(scaled(T_base_desired[:3, 3], self._centre, scale))
+        if isinstance(constrained, Infeasible):
+            return constrained
+        T_base_tool = read_only(pose(T_base_desired[:3, :3], constrained.position))
+        result = self._kinematics.inverse(T_base_tool, near=near)
+        return Target(
+            result.q,
+            T_base_tool,
+            tuple(bound.value for bound in constrained.bounds),
+            None if result.failure is None else str(result.failure),
+        )
