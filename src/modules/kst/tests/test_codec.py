@@ -178,6 +178,7 @@ def test_two_replies_in_one_packet_and_the_empty_line_after_a_pin():
 def test_a_line_without_end_takes_no_memory_and_no_neighbour():
     splitter = LineSplitter()
     assert all(splitter.feed(b"1" * 1000) == [] for _ in range(1000))
+    assert len(splitter._rest) < 1000
     overlong, good = splitter.feed(b"\ndone\n")
     assert parse_reply(overlong).kind is Kind.FOREIGN and len(overlong) < 1000
     assert good == b"done"

@@ -105,3 +105,15 @@ def test_use_after_close(link):
 def test_nobody_there(host, free_port):
     with pytest.raises(NoServer, match="start MatlabToolboxServer on the pad"):
         Transport.connect(host, free_port(), 5.0)
+
+
+def test_a_connection_that_met_only_itself_is_no_server(monkeypatch):
+    def create_connection(*_):
+        itself = socket.socket()
+        itself.bind(("127.0.0.1", 0))
+        itself.connect(itself.getsockname())
+        return itself
+
+    monkeypatch.setattr(socket, "create_connection", create_connection)
+    with pytest.raises(NoServer, match="only itself"):
+        Transport.connect("127.0.0.1", 30001, 5.0)

@@ -1,0 +1,199 @@
+"""The whole client against the simulated controller, a program of its own that shares none of the client's code."""
+
+import os
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from common.poses import translation
+from kst.client import KstClient, Mode, Timing
+from kst.errors import ConnectionLost, MotionRefused, NoServer, ServerBusy, WrongMode
+from kst.limits import JointLimits
+from rig_simulation.control_port import ControlClient
+
+PROGRAM = Path(__file__).parents[2] / "rig_simulation" / "scripts" / "sunrise_controller.py"
+TOOL = translation(0.0, 0.0, 0.106)
+ABOVE_ZERO = np.array([0.1, -0.1, 0.05, -0.2, 0.1, 0.2, -0.1])
+WAITS = {"connect_settle": 0.0, "tool_settle": 0.0, "servo_reply": 2.0, "reply": 2.0}
+READY = re.compile(
+    r"^sunrise_controller: listening on 127\.0\.0\.1:(\d+), control port 127\.0\.0\.1:(\d+)$", re.MULTILINE
+)
+
+
+class Rig:
+    """A simulated controller, its truth, and clients of it."""
+
+    def __init__(self, port, truth):
+        self.port, self._truth, self.clients = port, truth, []
+
+    def connect(self, limits=None, **waits):
+        timing = Timing(**{**WAITS, **waits})
+        self.clients.append(KstClient.connect("127.0.0.1", self.port, TOOL, limits, timeout=10.0, timing=timing))
+        return self.clients[-1]
+
+    def ask(self, do, **fields):
+        return self._truth.ask(do, **fields)
+
+    def state(self, name):
+        return self.ask("state")[name]
+
+
+@pytest.fixture
+def start(processes, wait_until):
+    """Starts a simulated controller with more options, for one test."""
+    rigs = []
+
+    def start(*options):
+        command = [sys.executable, str(PROGRAM), "--port", "0", "--control-port", "0", *options]
+        process = processes.start(*command, env={"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)})
+        ready = wait_until(lambda: READY.search(process.log_path.read_text()), 30.0, "the simulated controller")
+        rigs.append((Rig(int(ready[1]), ControlClient("127.0.0.1", int(ready[2]), 10.0)), process))
+        return rigs[-1][0]
+
+    yield start
+    for rig, process in rigs:
+        for client in rig.clients:
+            client.close()
+        rig._truth.close()
+        processes.end(process)
+
+
+@pytest.fixture
+def rig(start):
+    """A simulated controller."""
+    return start()
+
+
+def stream(call, q_from, q_to, count=25):
+    """Calls `call` with goals in small steps and returns the last result."""
+    for share in np.linspace(0.0, 1.0, count):
+        result = call(q_from + share * (q_to - q_from))
+    return result
+
+
+def test_getters_motion_and_close(rig, wait_until):
+    client = rig.connect()
+    np.testing.assert_allclose(client.joints(), np.zeros(7), atol=1e-9)
+    np.testing.assert_allclose(client.pose(), translation(0.0, 0.0, 1.301 + 0.106), atol=1e-6)
+    for getter, size in [("external_torques", 7), ("measured_torques", 7), ("force", 3), ("moment", 3)]:
+        assert getattr(client, getter)().shape == (size,)
+    client.set_blue(True)
+    client.set_pin(1, True)
+    assert client.pin(3) is True
+    client.ptp_joints(ABOVE_ZERO, 0.5, timeout=30.0)
+    np.testing.assert_allclose(client.joints(), ABOVE_ZERO, atol=1e-6)
+    np.testing.assert_allclose(rig.state("joints"), ABOVE_ZERO, atol=1e-6)
+    flange = np.array(rig.state("flange"))
+    np.testing.assert_allclose(client.pose(), flange @ TOOL, atol=1e-6)
+    client.close()
+    wait_until(lambda: not rig.state("connected"), 10.0, "the end of the connection")
+
+
+def test_a_motion_without_waiting_for_it(rig, wait_until):
+    client = rig.connect()
+    client.start_ptp_joints(ABOVE_ZERO, 0.2)
+    with pytest.raises(WrongMode):
+        client.pose()
+    seen = []
+
+    def arrived():
+        seen.append(client.joints()[3])
+        return client.ptp_arrived()
+
+    wait_until(arrived, 30.0, "the arrival")
+    assert len(seen) > 3 and np.all(np.diff(seen) <= 1e-9)
+    np.testing.assert_allclose(client.joints(), ABOVE_ZERO, atol=1e-6)
+    assert client.counts.stray == client.counts.missed == 0
+
+
+def test_every_servo_goal_and_a_still_arm_after_the_stop(rig):
+    client = rig.connect()
+    client.ptp_joints(ABOVE_ZERO, 1.0, timeout=30.0)
+    client.start_joint_servo()
+    assert rig.state("mode") == "servo"
+    q = ABOVE_ZERO
+    for call, shape in [
+        (client.servo, None),
+        (client.servo_joints, (7,)),
+        (client.servo_external_torques, (7,)),
+        (client.servo_measured_torques, (7,)),
+        (client.servo_pose, (4, 4)),
+        (client.servo_force, (3,)),
+        (client.servo_unacknowledged, None),
+    ]:
+        result = stream(call, q, q + 0.002)
+        q = q + 0.002
+        assert (None if result is None else result.shape) == shape
+    np.testing.assert_allclose(client.joints(), q, atol=0.02)
+    client.stop_joint_servo()
+    assert client.mode is Mode.IDLE
+    np.testing.assert_allclose(client.pose(), np.array(rig.state("flange")) @ TOOL, atol=1e-3)
+    assert rig.state("goals") == 25 * 7
+    client.start_joint_servo()
+    client.stop_joint_servo()
+
+
+@pytest.mark.parametrize("window", ["0.003", "0.03"])
+def test_a_server_that_wipes_commands(start, window):
+    client = start("--wiped-window", window).connect(reply=0.4)
+    client.ptp_joints(ABOVE_ZERO, 1.0, timeout=30.0)
+    for _ in range(3):
+        assert client.external_torques().shape == (7,)
+    client.start_joint_servo()
+    client.servo(client.joints())
+    client.stop_joint_servo()
+    np.testing.assert_allclose(client.joints(), ABOVE_ZERO, atol=1e-3)
+    if window == "0.03":
+        assert client.counts.resent > 0
+    assert client.counts.stray == 0
+
+
+def test_a_safety_stop_only_delays_the_arrival(rig, wait_until):
+    client = rig.connect()
+    client.start_ptp_joints(ABOVE_ZERO, 0.1)
+    wait_until(lambda: max(map(abs, rig.state("velocities"))) > 0.01, 10.0, "the motion")
+    rig.ask("set_external_torque", value=[0.0, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    wait_until(lambda: rig.state("safety_stop") and not any(rig.state("velocities")), 10.0, "the safety stop")
+    assert not client.ptp_arrived()
+    assert client.joints()[3] > ABOVE_ZERO[3]
+    rig.ask("set_external_torque", value=[0.0] * 7)
+    rig.ask("release")
+    wait_until(client.ptp_arrived, 30.0, "the arrival")
+    np.testing.assert_allclose(client.joints(), ABOVE_ZERO, atol=1e-6)
+
+
+def test_after_a_refused_goal_the_poses_are_again_those_of_the_tool(rig):
+    client = rig.connect(limits=JointLimits(np.full(7, -4.0), np.full(7, 4.0)))
+    with pytest.raises(MotionRefused, match="tool is attached again"):
+        client.ptp_joints([3.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5, timeout=30.0)
+    np.testing.assert_allclose(client.pose(), np.array(rig.state("flange")) @ TOOL, atol=1e-6)
+    client.ptp_joints(ABOVE_ZERO, 1.0, timeout=30.0)
+
+
+def test_closing_in_the_servo_mode_leaves_it(rig, wait_until):
+    client = rig.connect()
+    client.start_joint_servo()
+    client.close()
+    wait_until(lambda: rig.state("mode") == "idle", 10.0, "the end of the servo mode")
+    wait_until(lambda: not rig.state("connected"), 10.0, "the end of the connection")
+
+
+def test_a_second_client_is_told_that_the_server_is_busy(rig):
+    rig.connect()
+    with pytest.raises(ServerBusy):
+        KstClient.connect("127.0.0.1", rig.port, timing=Timing(connect_settle=0.0, reply=0.3), timeout=0.6)
+
+
+def test_the_program_dies(start, processes):
+    rig = start()
+    client = rig.connect()
+    client.start_joint_servo()
+    processes.end_all()
+    with pytest.raises(ConnectionLost, match="on the pad"):
+        for _ in range(1000):
+            client.servo_joints(np.zeros(7))
+    with pytest.raises(NoServer):
+        KstClient.connect("127.0.0.1", rig.port)
