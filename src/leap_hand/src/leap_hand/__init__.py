@@ -1,0 +1,1 @@
+"""From the fingers over the Leap Motion to commands of the ReFlex hand."""

@@ -1,0 +1,106 @@
+"""The node leap_hand_node: Human messages in, commands of the ReFlex hand out."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import Bool
+
+from common.config import flag, number, parse
+from common.ros.diagnostics import Diagnostics
+from common.ros.node import run
+from common.ros.params import wait_for_config
+from common.ros.stage_times import StageTimes
+from leap_hand.config import HandConfig
+from leap_hand.ros.calibration import calibrate
+from leap_hand.ros.tracking import frame_from_human
+from leap_hand.teleop import FOLLOWING, WAITING, HandResult, Teleop
+from leap_motion.msg import Human
+from reflex_msgs.msg import RadianServoCommands
+
+WATCH_PERIOD_S = 0.1
+HUMAN_BUFFER_BYTES = 2**20
+"""Room for many messages: rospy drops all but the newest only among those that it has read."""
+PRIVATE_DEFAULTS = {"hand_only": True, "service_timeout": 60.0}
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """The node's private parameters."""
+
+    hand_only: bool = flag(doc="run without waiting for kuka/gripper_control")
+    service_timeout: float = number("s", above=0.0, doc="how long to wait for the services of the hand's driver")
+
+
+class TeleopNode:
+    """Runs the chain on each message, and watches for the stream falling silent."""
+
+    def __init__(self, teleop: Teleop) -> None:
+        self._teleop = teleop
+        self._lock = threading.Lock()
+        self._result = HandResult(WAITING, "no tracking frames came yet", None)
+        self._commands_sent = 0
+        self._commands = rospy.Publisher(
+            "reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1, tcp_nodelay=True
+        )
+        self._stage_times = StageTimes("leap_hand")
+        Diagnostics("leap_hand", self._diagnostics)
+        rospy.Subscriber("kuka/gripper_control", Bool, self._on_gripper, queue_size=1)
+        rospy.Subscriber(
+            "leap_motion/leap_device",
+            Human,
+            self._on_human,
+            queue_size=1,
+            buff_size=HUMAN_BUFFER_BYTES,
+            tcp_nodelay=True,
+        )
+
+    def watch(self) -> None:
+        """Watches the stream until ROS shuts down."""
+        while not rospy.is_shutdown():
+            with self._lock:
+                self._carry_out(self._teleop.silence(time.monotonic()))
+            time.sleep(WATCH_PERIOD_S)
+
+    def _on_gripper(self, message: Bool) -> None:
+        with self._lock:
+            self._carry_out(self._teleop.switch(message.data))
+
+    def _on_human(self, human: Human) -> None:
+        with self._lock:
+            result = self._teleop.step(frame_from_human(human, rospy.Time.now()), time.monotonic())
+            self._carry_out(result)
+            if result is not None and result.command is not None:
+                self._stage_times.done(human.header.stamp)
+
+    def _carry_out(self, result: HandResult | None) -> None:
+        """Sends the command of a result, and says what changed."""
+        if result is None:
+            return
+        if result.command is not None:
+            self._commands.publish(RadianServoCommands(result.command.tolist()))
+            self._commands_sent += 1
+        if (result.state, result.reason) != (self._result.state, self._result.reason):
+            rospy.loginfo("Hand %s: %s.", result.state, result.reason)
+        self._result = result
+
+    def _diagnostics(self):
+        level = DiagnosticStatus.OK if self._result.state == FOLLOWING else DiagnosticStatus.WARN
+        values = {"state": self._result.state, "commands_sent": self._commands_sent}
+        return level, self._result.reason, values
+
+
+def _run() -> None:
+    node = parse(NodeConfig, {**PRIVATE_DEFAULTS, **rospy.get_param("~", {})}, prefix="~")
+    config = wait_for_config(HandConfig, "leap_hand")
+    calibrate(node.service_timeout)
+    TeleopNode(Teleop(config, node.hand_only)).watch()
+
+
+def main() -> None:
+    """Runs the node until ROS shuts down."""
+    run("leap_hand_node", _run)

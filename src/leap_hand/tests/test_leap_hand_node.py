@@ -1,0 +1,243 @@
+"""The node leap_hand_node on a master of its own, with hands made by hand and a driver that only listens."""
+
+import math
+import threading
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+pytestmark = pytest.mark.ros
+
+PACKAGE = Path(__file__).parents[1]
+LAUNCH = sorted((PACKAGE / "launch").glob("*.launch"))
+LIMITS = yaml.safe_load((PACKAGE / "config" / "leap_hand.yaml").read_text())
+FIST = np.radians([115.0, 115.0, 100.0, 0.0])
+
+
+class Driver:
+    """The calibration services of the hand's driver, and the order in which they were called."""
+
+    def __init__(self):
+        import rospy
+        from std_srvs.srv import Empty
+
+        self.calls = []
+        self.commands_at_calls = []
+        self.commands = []
+        self._services = [
+            rospy.Service(f"reflex_takktile/{name}", Empty, self._answer(name))
+            for name in ("calibrate_fingers", "calibrate_tactile")
+        ]
+
+    def _answer(self, name):
+        from std_srvs.srv import EmptyResponse
+
+        def answer(_):
+            self.calls.append(name)
+            self.commands_at_calls.append(len(self.commands))
+            return EmptyResponse()
+
+        return answer
+
+    def end(self):
+        for service in self._services:
+            service.shutdown()
+
+
+class Tracker:
+    """Publishes Human messages at 50 Hz with the hand that was shown last."""
+
+    def __init__(self):
+        import rospy
+
+        from leap_motion.msg import Human
+
+        self._publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=10)
+        self._hand = None
+        self._number = 0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def show(self, hand):
+        self._hand = hand
+
+    def stop(self):
+        self._stop.set()
+        self._thread.join()
+
+    def end(self):
+        self.stop()
+        self._publisher.unregister()
+
+    def _loop(self):
+        import rospy
+
+        from leap_motion.msg import Human
+
+        while not self._stop.wait(0.02):
+            self._number += 1
+            human = Human(lmc_frame_id=self._number)
+            human.header.stamp = rospy.Time.now()
+            if self._hand is not None:
+                human.right_hand = self._hand
+            self._publisher.publish(human)
+
+
+def make_hand(angle, fingers=5):
+    """A right hand 7 whose fingers stand at `angle` [deg] from the palm normal, with index and middle side by side."""
+    from geometry_msgs.msg import Point, Vector3
+
+    from leap_motion.msg import Bone, Finger, Hand
+
+    a = math.radians(angle)
+    hand = Hand(lmc_hand_id=7, is_present=True, confidence=1.0, normal=Vector3(0, -1, 0), direction=Vector3(0, 0, -1))
+    hand.palm_center = Point(0.0, 0.35, 0.0)
+    for kind in range(fingers):
+        bones = [Bone(type=i) for i in range(4)]
+        bones[2].center = [0.001 * kind, 0.35, -0.07]
+        bones[3].bone_end.position = Point(0.0, 0.35 - 0.09 * math.cos(a), -0.09 * math.sin(a))
+        hand.finger_list.append(Finger(type=kind, bone_list=bones))
+    return hand
+
+
+@pytest.fixture
+def driver(ros):
+    from reflex_msgs.msg import RadianServoCommands
+
+    driver = Driver()
+    driver.commands = ros.record("reflex_takktile/radian_hand_command", RadianServoCommands)
+    yield driver
+    driver.end()
+
+
+@pytest.fixture
+def tracker(ros):
+    tracker = Tracker()
+    yield tracker
+    tracker.end()
+
+
+def newest(driver):
+    return np.array(driver.commands[-1].radian_commands) if driver.commands else np.full(4, np.nan)
+
+
+def is_near(driver, command):
+    return np.allclose(newest(driver), command, atol=1e-5)
+
+
+def test_the_hand_calibrates_then_follows_and_opens(ros, driver, tracker, wait_until):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import TimeReference
+
+    times = ros.record("rig/stage_times", TimeReference)
+    diagnostics = ros.record("/diagnostics", DiagnosticArray)
+    tracker.show(make_hand(20.0))
+    ros.launch("leap_hand", "leap_hand_solo.launch")
+    wait_until(lambda: is_near(driver, FIST), 40.0, "the fist")
+    assert driver.calls == ["calibrate_fingers", "calibrate_tactile"]
+    assert driver.commands_at_calls == [0, 0]
+    wait_until(lambda: times, 5.0, "a stage time")
+    assert times[-1].source == "leap_hand"
+
+    tracker.show(make_hand(62.5))
+    wait_until(lambda: is_near(driver, FIST / 2.0), 10.0, "half of the fist")
+    tracker.show(make_hand(20.0, fingers=4))
+    wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose for four fingers")
+    tracker.show(make_hand(20.0))
+    wait_until(lambda: is_near(driver, FIST), 10.0, "the fist")
+    tracker.show(None)
+    wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose without a hand")
+    wait_until(lambda: diagnostics and "no hand" in diagnostics[-1].status[0].message, 10.0, "diagnostics")
+    status = diagnostics[-1].status[0]
+    assert status.name == "leap_hand" and int({v.key: v.value for v in status.values}["commands_sent"]) > 0
+
+
+def test_in_the_rig_the_gripper_flag_decides(ros, driver, tracker, wait_until):
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from std_msgs.msg import Bool
+
+    flag = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
+    diagnostics = ros.record("/diagnostics", DiagnosticArray)
+    tracker.show(make_hand(20.0))
+    ros.launch("leap_hand", "leap_hand.launch", hand_only="false")
+    waits = "waiting for kuka/gripper_control"
+    wait_until(lambda: diagnostics and diagnostics[-1].status[0].message == waits, 40.0, "the node to wait")
+    assert not driver.commands
+    flag.publish(True)
+    wait_until(lambda: is_near(driver, FIST), 10.0, "the fist")
+    flag.publish(False)
+    wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose")
+    flag.unregister()
+
+
+def test_a_silent_tracker_opens_the_hand(ros, driver, tracker, wait_until):
+    import rospy
+
+    rospy.set_param("leap_hand", LIMITS)
+    tracker.show(make_hand(20.0))
+    process = ros.run("leap_hand", "leap_hand_node.py")
+    wait_until(lambda: is_near(driver, FIST), 40.0, "the fist")
+    tracker.stop()
+    wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose")
+    assert b"no tracking frames come in" in process.log_path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "limits, private, words",
+    [
+        ({"index_human": [85.0, 85.0]}, {}, "leap_hand/index_human is"),
+        ({"index_humen": [85.0, 40.0]}, {}, "leap_hand/index_humen is not a known key"),
+        ({}, {"hand_only": "maybe"}, "~hand_only is 'maybe'"),
+        ({}, {"hand": True}, "~hand is not a known key"),
+    ],
+)
+def test_bad_parameters_end_the_node_with_a_sentence(ros, driver, limits, private, words, wait_until):
+    import rospy
+
+    rospy.set_param("leap_hand", {**LIMITS, **limits})
+    for name, value in private.items():
+        rospy.set_param(f"leap_hand_node/{name}", value)
+    process = ros.run("leap_hand", "leap_hand_node.py")
+    wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    log = process.log_path.read_text()
+    assert process.returncode == 1 and words in log and "Traceback" not in log
+    assert not driver.calls and not driver.commands
+
+
+def test_a_missing_limit_ends_the_node(ros, driver, wait_until):
+    import rospy
+
+    rospy.set_param("leap_hand", {k: v for k, v in LIMITS.items() if k != "thumb_robot"})
+    process = ros.run("leap_hand", "leap_hand_node.py")
+    wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    assert process.returncode == 1 and "leap_hand/thumb_robot is missing" in process.log_path.read_text()
+
+
+def test_without_the_hands_driver_the_node_ends_with_a_sentence(ros, wait_until):
+    import rospy
+
+    rospy.set_param("leap_hand", LIMITS)
+    process = ros.run("leap_hand", "leap_hand_node.py", "_service_timeout:=0.5")
+    wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    log = process.log_path.read_text()
+    assert process.returncode == 1 and "Traceback" not in log
+    assert "reflex_takktile/calibrate_fingers is not there after 0.5 s" in log
+
+
+@pytest.mark.parametrize("path", LAUNCH, ids=lambda path: path.name)
+def test_every_launch_argument_is_explained(path):
+    assert all(argument.get("doc") for argument in ElementTree.parse(path).getroot().findall("arg"))
+
+
+def test_an_interrupted_node_ends_by_itself(ros, driver, processes, wait_until):
+    import rospy
+
+    rospy.set_param("leap_hand", LIMITS)
+    process = ros.run("leap_hand", "leap_hand_node.py")
+    wait_until(lambda: len(driver.calls) == 2, 20.0, "the calibrations")
+    assert processes.end(process) == 0
