@@ -23,6 +23,8 @@ RATIOS = (1.42, 1.42, 1.42, 1.5)
 TURN_TICKS = 1024
 MAX_TARGET_TICKS = 16383
 MAX_SPEED_UNITS = 1023
+LEAST_PLAUSIBLE_TICKS = 1100
+MOST_PLAUSIBLE_TICKS = 64000
 
 _DIRECTION_BIT = 1024
 _MAX_FORWARD_LOAD = 1023
@@ -44,12 +46,26 @@ def raw_target(motor: int, angle: float, zero: float) -> int:
     Raises:
         ValueError: the angle is not finite, or the position is outside of what the hand may be sent.
     """
-    ticks = (SIGNS[motor] * angle + zero) * RATIOS[motor] / TICK_RAD
-    if not math.isfinite(ticks) or not 0 <= ticks <= MAX_TARGET_TICKS:
+    raw = (SIGNS[motor] * angle + zero) * RATIOS[motor] / TICK_RAD
+    if not math.isfinite(raw) or not 0 <= raw <= MAX_TARGET_TICKS:
         raise ValueError(
-            f"{angle} rad of motor {MOTORS[motor]} is position {ticks:g}; positions lie in 0..{MAX_TARGET_TICKS}"
+            f"{angle} rad of motor {MOTORS[motor]} is position {raw:g}; positions lie in 0..{MAX_TARGET_TICKS}"
         )
-    return int(ticks)
+    return int(raw)
+
+
+def ticks(motor: int, turn: float) -> float:
+    """Returns how many servo ticks turn the joint by `turn` [rad]."""
+    return SIGNS[motor] * turn * RATIOS[motor] / TICK_RAD
+
+
+def implausible_servos(positions: Sequence[int]) -> tuple[str, ...]:
+    """Returns the motors whose servo does not answer (0), or reports a position [ticks] near which none can be sent."""
+    return tuple(
+        f"{name} ({raw})"
+        for name, raw in zip(MOTORS, positions)
+        if not LEAST_PLAUSIBLE_TICKS < raw < MOST_PLAUSIBLE_TICKS
+    )
 
 
 def speed_units(motor: int, speed: float) -> int:

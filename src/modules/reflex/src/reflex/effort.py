@@ -14,6 +14,9 @@ from reflex.conversions import MOTORS
 from reflex.reading import Reading
 from reflex.settings import Settings
 
+RELIEVED_SHARE = 0.8
+COOLING_DEGC = 3
+
 
 class EffortGuard:
     """Bounds of the goals, and why they are there."""
@@ -46,10 +49,15 @@ class EffortGuard:
         return tuple(name for name, free in zip(MOTORS, inside) if not free)
 
     def clip(self, goals: Sequence[float]) -> tuple[float, ...]:
-        """Returns the goals [rad] within travel and bounds; a goal that turns back from a bound removes it."""
-        goals = np.clip(goals, 0.0, self._settings.travel)
-        self._high = np.where(goals < self._high, self._settings.travel, self._high)
-        self._low = np.where(goals > self._low, 0.0, self._low)
+        """Returns the goals [rad] within travel and bounds; a goal that turns back from a bound removes it.
+
+        The bound of a hot motor follows instead, so that it only opens.
+        """
+        travel = np.array(self._settings.travel)
+        goals = np.clip(goals, 0.0, travel)
+        back = (goals < self._high) | (goals <= 0)
+        self._high = np.where(back, np.where(self._hot, goals, travel), self._high)
+        self._low = np.where((goals > self._low) | (goals >= travel), 0.0, self._low)
         return tuple(np.clip(goals, self._low, self._high).tolist())
 
     def check(self, reading: Reading, goals: Sequence[float]) -> tuple[tuple[float, ...], list[str]]:
@@ -60,20 +68,22 @@ class EffortGuard:
             load, angle, most = reading.loads[i], reading.joint_angles[i], float(settings.travel[i])
             temperature = reading.packet.temperatures[i]
             overloaded = abs(load) > settings.overload[i]
-            hot = temperature >= settings.hot
+            hot = temperature >= settings.hot - COOLING_DEGC * self._hot[i]
             if overloaded and not self._overloaded[i]:
                 notes.append(f"Motor {name} is overloaded (load {load:.0f} of {settings.overload[i]:.0f}): loosened.")
             if hot and not self._hot[i]:
                 notes.append(f"Motor {name} has {temperature} degrees Celsius: it is not closed further.")
-            self._overloaded[i], self._hot[i] = overloaded, hot
+            self._overloaded[i] = overloaded or (
+                self._overloaded[i] and abs(load) > RELIEVED_SHARE * settings.overload[i]
+            )
+            self._hot[i] = hot
             if overloaded and load > 0:
-                self._high[i] = min(self._high[i], max(0.0, angle - settings.loosen_angle))
+                # Outside of its travel the motor is not driven back in, only stopped: its calibration is wrong.
+                new_goals[i] = min(goals[i], max(angle - settings.loosen_angle, min(angle, 0.0)))
+                self._low[i], self._high[i] = 0.0, min(self._high[i], max(0.0, new_goals[i]))
             elif overloaded:
-                self._low[i] = max(self._low[i], min(most, angle + settings.loosen_angle))
+                new_goals[i] = max(goals[i], min(angle + settings.loosen_angle, max(angle, most)))
+                self._low[i], self._high[i] = max(self._low[i], min(most, new_goals[i])), most
             if hot:
-                self._high[i] = min(self._high[i], max(0.0, new_goals[i]))
-            if self._low[i] > self._high[i]:
-                self._low[i] = 0.0
-            if overloaded:
-                new_goals[i] = float(np.clip(new_goals[i], self._low[i], self._high[i]))
+                self._high[i] = max(self._low[i], min(self._high[i], new_goals[i]))
         return tuple(new_goals), notes

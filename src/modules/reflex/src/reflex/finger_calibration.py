@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from reflex.calibration import FingerZeros, open_positions, zeros_here
 from reflex.codec import StatePacket
-from reflex.conversions import ENCODER_RAD, FINGERS, MOTORS, PI, SIGNS, TURN_TICKS
+from reflex.conversions import ENCODER_RAD, FINGERS, PI, SIGNS, TURN_TICKS, implausible_servos
 from reflex.settings import Settings
 
 _JUMP_TICKS = 200
@@ -49,9 +49,9 @@ class FingerCalibration:
 
     def step(self, packet: StatePacket, loads: Sequence[float], now: float) -> Step:
         """Takes in the next packet, received at `now` [s], and the filtered loads [0.1 %] of the motors."""
-        silent = [name for name, raw in zip(MOTORS, packet.positions) if raw == 0]
+        silent = implausible_servos(packet.positions)
         if silent:
-            return Step(failure=f"Servo {', '.join(silent)} reports position 0: is its cable loose?")
+            return Step(failure=f"The position of servo {', '.join(silent)} cannot be right: is its cable loose?")
         if self._first is None:
             self._first, self._start_time, self._round_time = packet, now, now
             self._origin = list(packet.positions)

@@ -13,16 +13,14 @@ from dataclasses import dataclass
 from enum import Enum
 
 from reflex.calibration import FingerZeros, TactileOffsets, mean_offsets, open_positions, zeros_here
-from reflex.codec import IDLE, POSITION, StatePacket, encode_mode, encode_target
-from reflex.conversions import MOTORS, TURN_TICKS, all_joint_angles, raw_target
-from reflex.effort import EffortGuard
+from reflex.codec import IDLE, POSITION, StatePacket, encode_mode
+from reflex.conversions import implausible_servos
 from reflex.finger_calibration import FingerCalibration
 from reflex.link import Arrival, Link
+from reflex.motion import Motion, Note
 from reflex.reading import Reader, Reading
 from reflex.settings import Settings
-from reflex.speed_change import SpeedChange
 
-_JUMP_TICKS = TURN_TICKS - 124
 _COMPLAINT_PERIOD_S = 10.0
 
 
@@ -35,14 +33,6 @@ class State(Enum):
     CALIBRATING = "calibrating"
     CHANGING_SPEED = "changing speed"
     READY = "ready"
-
-
-@dataclass(frozen=True)
-class Note:
-    """Something that a person should read; level is "info", "warning" or "error"."""
-
-    level: str
-    text: str
 
 
 @dataclass(frozen=True)
@@ -81,17 +71,14 @@ class Hand:
         self._offsets = offsets
         self._thresholds = ((settings.default_contact_threshold,) * 9,) * 3
         self.link = Link(settings.silence_time)
-        self.guard = EffortGuard(settings)
+        self.motion = Motion(settings)
         self._reader = Reader()
         self._torque = True
         self._speeds = tuple(settings.default_speed.tolist())
-        self._change: SpeedChange | None = None
         self._calibration: FingerCalibration | None = None
         self._requests: dict[str, float] = {}
         self._tactile: list[StatePacket] | None = None
-        self._goals: tuple[int, ...] | None = None
         self._waiting_command: tuple[float, ...] | None = None
-        self._waiting_target: tuple[int, ...] | None = None
         self._reading: Reading | None = None
         self._said_silent = False
         self._complaint_time = -math.inf
@@ -108,7 +95,7 @@ class Hand:
             return State.TORQUE_OFF
         if self._calibration:
             return State.CALIBRATING
-        return State.CHANGING_SPEED if self._change else State.READY
+        return State.CHANGING_SPEED if self.motion.changing_speed else State.READY
 
     @property
     def reading(self) -> Reading | None:
@@ -141,19 +128,16 @@ class Hand:
         self._serve_requests(packet, now)
         if self._calibration:
             self._calibrate(reading, now)
-        elif self._torque and not self._change:
-            self._hold_after_jumps(packet, previous)
-            self._relieve(reading)
+        elif self._torque:
+            packets, notes = self.motion.protect(reading, previous, self._zeros.motor_zero_reference)
+            self._send.extend(packets)
+            self._notes.extend(notes)
         return self._result(reading)
 
     def tick(self, now: float) -> Result:
         """Lets time pass: packets of a speed change, silence, requests that waited too long."""
         self._begin()
-        if self._change:
-            self._send.extend(self._change.step(now))
-            if self._change.done:
-                self._change = None
-                self._send_waiting()
+        self._send.extend(self.motion.step(now))
         if self.link.heard() and not self.link.alive(now) and not self._said_silent:
             self._said_silent = True
             self._note("error", f"The hand is silent: no packet for {self._settings.silence_time:g} s.")
@@ -188,7 +172,7 @@ class Hand:
         if refusal:
             return self._refuse(refusal)
         self.commands += 1
-        self._target(tuple(int(p) for p in positions))
+        self._aim(tuple(int(p) for p in positions))
         return self._result()
 
     def set_speed(self, speeds: Sequence[float], now: float) -> Result:
@@ -199,24 +183,22 @@ class Hand:
         if self._calibration:
             return self._refuse("The fingers are being calibrated; set the speed afterwards.")
         try:
-            change = SpeedChange(speeds, now)
+            self._send.extend(self.motion.change_speed(speeds, now))
         except ValueError as error:
             return self._refuse(f"The speeds {list(speeds)} were refused: {error}.")
         self._speeds = tuple(speeds)
         self._torque = True
-        self._change = change
-        self._send.extend(change.step(now))
         return self._result()
 
     def disable_torque(self) -> Result:
         """Lets all motors go, whatever they do; torque returns with `set_speed`."""
         self._begin()
         self._torque = False
-        self._change = self._waiting_target = self._waiting_command = None
+        self._waiting_command = None
         self._requests.pop("calibrate_fingers", None)
         if self._calibration:
             self._fail("Torque was switched off.")
-        self._goals = None
+        self.motion.reset()
         self._send.append(encode_mode(IDLE))
         return self._result()
 
@@ -281,18 +263,16 @@ class Hand:
         self._reader.reset()
         if arrival is Arrival.RESUMED:
             self._note("info", "The hand is heard again.")
-            if self._torque and not self._change:
-                self._send.append(encode_mode(POSITION))
+            if not self.motion.changing_speed:
+                self._send.append(encode_mode(POSITION if self._torque else IDLE))
             return
-        self._goals = self._waiting_target = None
-        self.guard.reset()
+        self.motion.reset()
         if arrival is Arrival.FIRST:
             self._note("info", "The hand is there.")
         else:
             self._note("warning", "The hand was switched off and on: calibrate its fingers before they are used.")
         if self._torque:
-            self._change = SpeedChange(self._speeds, now)
-            self._send.extend(self._change.step(now))
+            self._send.extend(self.motion.change_speed(self._speeds, now))
 
     def _serve_requests(self, packet: StatePacket, now: float) -> None:
         if self._requests.pop("calibrate_tactile", None) is not None:
@@ -303,7 +283,7 @@ class Hand:
                 self._offsets = self._new_offsets = mean_offsets(self._tactile)
                 self._tactile = None
                 self._note("info", "The tactile sensors are zeroed.")
-        if self._change:
+        if self.motion.changing_speed:
             return
         if self._requests.pop("zero_pose", None) is not None:
             self._take_zero_pose(packet)
@@ -313,19 +293,20 @@ class Hand:
             self._calibration = FingerCalibration(self._settings)
 
     def _take_zero_pose(self, packet: StatePacket) -> None:
-        if 0 in packet.positions:
-            self._note("error", f"zero_pose was refused: servo positions {list(packet.positions)} hold a 0.")
+        silent = implausible_servos(packet.positions)
+        if silent:
+            self._note("error", f"zero_pose was refused: the position of servo {', '.join(silent)} cannot be right.")
             return
         slack = self._settings.calibration_slack
         self._adopt(zeros_here(packet.encoders, packet.positions, slack))
         self._note("info", "This pose is zero now, with the fingers' tendons let out.")
         if self._torque:
-            self._target(open_positions(packet.positions, slack))
+            self._aim(open_positions(packet.positions, slack))
 
     def _calibrate(self, reading: Reading, now: float) -> None:
         step = self._calibration.step(reading.packet, reading.loads, now)
         if step.target is not None:
-            self._target(step.target)
+            self._aim(step.target)
         if step.failure:
             self._fail(step.failure)
         if step.zeros is not None:
@@ -346,68 +327,15 @@ class Hand:
 
     def _adopt(self, zeros: FingerZeros) -> None:
         self._zeros = self._new_zeros = zeros
-        self.guard.reset()
+        self.motion.guard.reset()
+
+    def _aim(self, positions: tuple[int, ...]) -> None:
+        self._send.extend(self.motion.aim(positions))
 
     def _command(self, angles: tuple[float, ...]) -> str:
         """Sends the motors to `angles`; returns why not, or an empty text."""
-        packet, zeros = self._reading.packet, self._zeros.motor_zero_reference
-        margin, travel = self._settings.travel_margin, self._settings.travel
-        for i, (name, angle) in enumerate(zip(MOTORS, all_joint_angles(packet.positions, zeros))):
-            if packet.positions[i] == 0:
-                return f"Servo {name} reports position 0: is its cable loose?"
-            if not -margin <= angle <= travel[i] + margin:
-                return (
-                    f"Motor {name} stands at {angle:.2f} rad by its calibration, outside of its travel "
-                    f"0..{travel[i]:g} rad: calibrate the fingers."
-                )
-        try:
-            target = tuple(raw_target(i, angle, zeros[i]) for i, angle in enumerate(self.guard.clip(angles)))
-        except ValueError as error:
-            return f"The command was refused: {error}."
-        self.commands += 1
-        self._target(target)
-        return ""
-
-    def _target(self, positions: tuple[int, ...]) -> None:
-        """Makes the positions [ticks] the goals; during a change of speed the hand would read them as speeds."""
-        self._goals = positions
-        if self._change:
-            self._waiting_target = positions
-        else:
-            self._send.append(encode_target(positions))
-
-    def _send_waiting(self) -> None:
-        waiting, self._waiting_target = self._waiting_target, None
-        if waiting is not None:
-            self._target(waiting)
-
-    def _hold_after_jumps(self, packet: StatePacket, previous: StatePacket | None) -> None:
-        """Stops a motor whose servo suddenly counts from another turn; it would wind on to its old goal."""
-        if previous is None or 0 in packet.positions or 0 in previous.positions:
-            return
-        jumped = [i for i in range(4) if abs(packet.positions[i] - previous.positions[i]) > _JUMP_TICKS]
-        if not jumped:
-            return
-        goals = list(self._goals or packet.positions)
-        for i in jumped:
-            goals[i] = packet.positions[i]
-        names = ", ".join(MOTORS[i] for i in jumped)
-        self._note("error", f"The position of motor {names} jumped by a turn: held there, calibrate the fingers.")
-        self._target(tuple(goals))
-
-    def _relieve(self, reading: Reading) -> None:
-        """Loosens what is overloaded; all other motors keep the goals that they were last sent to."""
-        if 0 in reading.packet.positions:
-            return
         zeros = self._zeros.motor_zero_reference
-        goals = self._goals or reading.packet.positions
-        angles = all_joint_angles(goals, zeros)
-        relieved, notes = self.guard.check(reading, angles)
-        for text in notes:
-            self._note("warning", text)
-        target = list(goals)
-        for i, (old, new) in enumerate(zip(angles, relieved)):
-            if new != old:
-                target[i] = raw_target(i, new, zeros[i])
-        if target != list(goals):
-            self._target(tuple(target))
+        packets, refusal = self.motion.command(angles, self._reading.packet.positions, zeros)
+        self._send.extend(packets)
+        self.commands += not refusal
+        return refusal

@@ -28,9 +28,9 @@ def status(hand: Hand, settings: Settings, wire_fault: str, now: float) -> tuple
         "state": state.value,
         "calibration": hand.calibration_outcome,
         "interface": settings.network_interface,
-        "overloaded": ", ".join(hand.guard.overloaded),
-        "hot": ", ".join(hand.guard.hot),
-        "bounded": ", ".join(hand.guard.bounded),
+        "overloaded": ", ".join(hand.motion.guard.overloaded),
+        "hot": ", ".join(hand.motion.guard.hot),
+        "bounded": ", ".join(hand.motion.guard.bounded),
     }
     reading = hand.reading
     errors = []
@@ -51,7 +51,7 @@ def status(hand: Hand, settings: Settings, wire_fault: str, now: float) -> tuple
         return "error", f"{sentence} {wire_fault}".strip(), values
     if wire_fault or errors:
         return "error", " ".join([wire_fault, *errors]).strip(), values
-    for what, motors in (("overloaded", hand.guard.overloaded), ("hot", hand.guard.hot)):
+    for what, motors in (("overloaded", hand.motion.guard.overloaded), ("hot", hand.motion.guard.hot)):
         if motors:
             return "warning", f"Motor {', '.join(motors)} is {what}.", values
     if hand.calibration_outcome.startswith("failed"):

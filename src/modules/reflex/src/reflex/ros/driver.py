@@ -40,7 +40,9 @@ class Driver:
         zeros, offsets, source = self._files.load()
         rospy.loginfo(source)
         self._hand = Hand(settings, zeros, offsets)
-        self._lock = threading.Lock()
+        # Reentrant: ROS ends the node from a signal handler, in whatever the main thread is doing.
+        self._lock = threading.RLock()
+        self._stopped = False
         self._wire_fault = ""
         self._reopen_time = time.monotonic() + REOPEN_S
         self._hand_state = rospy.Publisher("/reflex_takktile/hand_state", HandMessage, queue_size=10)
@@ -50,6 +52,7 @@ class Driver:
     def run(self) -> None:
         """Runs until ROS shuts down; leaves the hand idle."""
         rospy.loginfo("Listening for the hand on %s, port %d.", self._settings.network_interface, self._settings.port)
+        rospy.on_shutdown(self._stop)
         try:
             self._act(lambda now: self._hand.start())
             self._offer()
@@ -58,8 +61,15 @@ class Driver:
                 self._act(self._hand.tick)
                 self._watch_silence()
         finally:
-            self._act(lambda now: self._hand.stop())
+            self._stop()
             self._transport.close()
+
+    def _stop(self) -> None:
+        """Leaves the hand idle; nothing is sent after that."""
+        with self._lock:
+            if not self._stopped:
+                self._act(lambda now: self._hand.stop())
+                self._stopped = True
 
     def _offer(self) -> None:
         rospy.Subscriber("/reflex_takktile/radian_hand_command", RadianServoCommands, self._radians, queue_size=10)
@@ -92,13 +102,13 @@ class Driver:
         """Lets the hand do a step and sends what comes of it, in order, whichever thread asks."""
         with self._lock:
             result = step(time.monotonic())
-            for packet in result.send:
+            for packet in () if self._stopped else result.send:
                 try:
                     self._transport.send(packet)
                     self._wire_fault = ""
                 except DeviceError as error:
                     self._wire_failed(error)
-        for note in result.notes:
+        for note in () if self._stopped else result.notes:
             {"info": rospy.loginfo, "warning": rospy.logwarn, "error": rospy.logerr}[note.level](note.text)
         return result
 
@@ -158,6 +168,9 @@ class Driver:
             if time.monotonic() > deadline:
                 raise rospy.ServiceException(f"The speed was not set within {SPEED_TIMEOUT_S:g} s.")
             time.sleep(RECEIVE_TIMEOUT_S)
+        state = self._hand.state(time.monotonic())
+        if state not in (State.READY, State.CALIBRATING):
+            raise rospy.ServiceException(f"The speed was not set: the hand is {state.value}.")
         return SetSpeedResponse()
 
     def _set_threshold(self, request: SetTactileThreshold) -> SetTactileThresholdResponse:
