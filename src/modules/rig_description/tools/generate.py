@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the URDF files and meshes of this package anew from its tables. A test compares both with what is checked in."""
+"""Writes the URDF files and meshes of this package from its tables. A test compares them with what is checked in."""
 
 from __future__ import annotations
 

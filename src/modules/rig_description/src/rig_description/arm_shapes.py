@@ -7,8 +7,8 @@ belongs to the next link.
 
 from __future__ import annotations
 
-from rig_description.arms import Arm
 from rig_description.appearance import DARK, GREY, ORANGE, PAD, WHITE, Disc
+from rig_description.arms import Arm
 from rig_description.solids import (
     Mesh,
     Solid,

@@ -1,4 +1,4 @@
-"""What the hand's links look like: dark links and blue rubber pads after the vendor's dimensions. Own shapes, no CAD data.
+"""What the hand's links look like: dark links and blue rubber pads with the vendor's dimensions, no CAD data.
 
 Millimetres, in the link's own frame.
 """
@@ -31,7 +31,7 @@ def _swivel() -> Mesh:
     table = drum(2, 0.0, 10.0, 20.0, edge=2.0)
     cheeks = common_part(3.0, rod((8, -18, 16), (8, 18, 16), 13, 13), block((-20, -17.5, 2), (22, 17.5, 29), 3.0))
     body = blend(4.0, table, cheeks)
-    return surface(cut(2.0, body, block((-2, -9, 7), (40, 9, 50), 1.0)), (-28, -26, -8), (30, 26, 38), 3.2)
+    return surface(cut(4.0, body, block((-40, -9, 8), (40, 9, 60), 3.0)), (-28, -26, -8), (30, 26, 38), 3.2)
 
 
 def _proximal() -> Mesh:

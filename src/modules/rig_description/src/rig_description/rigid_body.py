@@ -1,4 +1,4 @@
-"""Mass, centre of mass and inertia of rigid bodies: uniform solids, changes of frame, sums, and whether they can exist."""
+"""Mass, centre of mass, inertia of rigid bodies: uniform solids, changes of frame, sums, and whether they can exist."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def box(mass: float, low, high) -> Body:
 
 
 def turned(body: Body, R) -> Body:
-    """Returns the body seen from a frame with the same origin; R, shape (3, 3): attitude of the old frame in the new."""
+    """Returns the body in a frame with the same origin; R: attitude of the old frame in the new, shape (3, 3)."""
     R = np.asarray(R, dtype=float)
     return Body(body.mass, R @ body.com, R @ body.inertia @ R.T)
 

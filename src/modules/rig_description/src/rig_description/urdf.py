@@ -10,21 +10,22 @@ import numpy as np
 
 from rig_description import arm_shapes, hand, hand_shapes
 from rig_description.appearance import COLOUR_NAMES, TABLE, Disc
+from rig_description.arm_links import body as link_body
+from rig_description.arm_links import origin_in_parent, tube, upright
 from rig_description.arms import (
     ALPHA_DEG,
-    ALUMINIUM,
     ARMS,
+    MEDIA_FLANGE_DENSITY,
+    MEDIA_FLANGE_RADIUS,
     MEDIA_FLANGES,
     RANGE_DEG,
     WRIST_TO_FLANGE,
     Arm,
-    link_tube,
-    rotation_x,
-    upright,
 )
 from rig_description.rigid_body import Body, cylinder
 
-FLANGE_RADIUS = 0.050
+TABLE_HALF = 0.45
+TABLE_THICKNESS = 0.04
 
 
 def file_name(robot: str, flange: str) -> str:
@@ -41,51 +42,36 @@ def urdf(robot: str, flange: str) -> str:
     arm, height = ARMS[robot], MEDIA_FLANGES[flange]
     root = ET.Element("robot", name=f"{robot}_{flange}")
     table = ET.SubElement(root, "link", name="kuka/base_frame")
-    _shown(table, *_box((-0.45, -0.45, -0.04), (0.45, 0.45, 0.0)), TABLE)
+    _shown(table, *_box((-TABLE_HALF, -TABLE_HALF, -TABLE_THICKNESS), (TABLE_HALF, TABLE_HALF, 0.0)), TABLE)
     _arm(root, arm)
     _flange(root, flange, height)
     _hand(root)
-    note = f"{robot} with {flange} and ReFlex TakkTile hand. Written by tools/generate.py of rig_description: change it there."
+    note = f"{robot} with {flange} and ReFlex TakkTile hand. Written by tools/generate.py of rig_description."
     root.insert(0, ET.Comment(f" {note} "))
     return minidom.parseString(ET.tostring(root)).toprettyxml(indent="  ", encoding="utf-8").decode()
 
 
 def _arm(root, arm: Arm) -> None:
-    base = cylinder(arm.mass - sum(body.mass for body in arm.links), 0.1, (0, 0, 0), (0, 0, arm.seams[0]))
-    _arm_link(root, arm, 0, base, _cylinder(0.1, np.zeros(3), np.array([0, 0, arm.seams[0]])))
+    for number in range(8):
+        link = _link(root, f"kuka/link_{number}", link_body(arm, number), _cylinder(*tube(arm, number)))
+        R = upright(number).T
+        if number < 7:
+            roll = np.arctan2(R[2, 1], R[1, 1])
+            origin = {"xyz": "0 0 0", "rpy": _numbers((roll, 0, 0), 15)}
+            _shown(link, origin, _mesh(f"{arm.name.lower()}/link_{number}"))
+        _discs(link, arm_shapes.trim(arm, number), R)
     _joint(root, "kuka/base", "kuka/base_frame", "kuka/link_0")
-    shifts = (arm.lengths[0], 0.0, arm.lengths[1], 0.0, arm.lengths[2], 0.0, 0.0)
-    for i, body in enumerate(arm.links, start=1):
-        radius, bottom, top = link_tube(arm.lengths, arm.seams, i)
-        R = upright(i).T
-        _arm_link(root, arm, i, body, _cylinder(radius, R @ bottom, R @ top))
-        alpha = ALPHA_DEG[i - 1]
-        joint = _joint(
-            root,
-            f"kuka/joint_{i}",
-            f"kuka/link_{i - 1}",
-            f"kuka/link_{i}",
-            xyz=rotation_x(alpha) @ [0.0, 0.0, shifts[i - 1]],
-            rpy=(radians(alpha), 0.0, 0.0),
-        )
-        limit = radians(RANGE_DEG[i - 1])
-        _movable(joint, (0, 0, 1), (-limit, limit), radians(arm.speeds_deg[i - 1]), arm.torques[i - 1])
-
-
-def _arm_link(root, arm: Arm, number: int, body: Body, collision) -> None:
-    link = _link(root, f"kuka/link_{number}", body, collision)
-    R = upright(number).T
-    roll = np.arctan2(R[2, 1], R[1, 1])
-    if number < 7:
-        _shown(link, {"xyz": "0 0 0", "rpy": _numbers((roll, 0, 0), 15)}, _mesh(f"{arm.name.lower()}/link_{number}"))
-    _discs(link, arm_shapes.trim(arm, number), R)
+    for number, alpha, reach, speed, torque in zip(range(1, 8), ALPHA_DEG, RANGE_DEG, arm.speeds_deg, arm.torques):
+        ends = f"kuka/link_{number - 1}", f"kuka/link_{number}"
+        rpy = (radians(alpha), 0.0, 0.0)
+        joint = _joint(root, f"kuka/joint_{number}", *ends, xyz=origin_in_parent(arm, number), rpy=rpy)
+        _movable(joint, (0, 0, 1), (radians(-reach), radians(reach)), radians(speed), torque)
 
 
 def _flange(root, name: str, height: float) -> None:
-    bottom, top = np.array([0.0, 0.0, -height]), np.zeros(3)
-    mass = ALUMINIUM / 2.0 * pi * FLANGE_RADIUS**2 * height
-    body = cylinder(round(mass, 3), FLANGE_RADIUS, bottom, top)
-    link = _link(root, "kuka/flange", body, _cylinder(FLANGE_RADIUS, bottom, top))
+    mass = round(MEDIA_FLANGE_DENSITY * pi * MEDIA_FLANGE_RADIUS**2 * height, 3)
+    shape = MEDIA_FLANGE_RADIUS, np.array([0.0, 0.0, -height]), np.zeros(3)
+    link = _link(root, "kuka/flange", cylinder(mass, *shape), _cylinder(*shape))
     _discs(link, arm_shapes.media_flange(name, 1e3 * height), np.eye(3))
     _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, WRIST_TO_FLANGE + height))
 
@@ -152,12 +138,10 @@ def _movable(joint, axis, limits, speed: float, torque: float) -> None:
 
 
 def _cylinder(radius: float, bottom: np.ndarray, top: np.ndarray):
-    """Returns origin and geometry of a cylinder between two points [m]."""
+    """Returns origin and geometry of a cylinder between two points [m] whose axis lies across x."""
     axis = top - bottom
+    origin = {"xyz": _numbers((bottom + top) / 2.0), "rpy": _numbers((np.arctan2(-axis[1], axis[2]), 0, 0))}
     length = np.sqrt((axis**2).sum())
-    roll, pitch = np.arctan2(-axis[1], np.hypot(axis[0], axis[2])), np.arctan2(axis[0], axis[2])
-    # Rx(roll) after Ry(pitch): in the order of URDF the pitch comes last, which is right where one of both is zero.
-    origin = {"xyz": _numbers((bottom + top) / 2.0), "rpy": _numbers((roll, pitch, 0))}
     return origin, ("cylinder", {"radius": _number(radius), "length": _number(length)})
 
 

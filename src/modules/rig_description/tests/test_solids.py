@@ -1,0 +1,90 @@
+"""Laws of the solids and of their surfaces, and of rigid bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rig_description.rigid_body import Body, box, cylinder, fault, joined, turned
+from rig_description.solids import blend, block, common_part, cut, drum, rod, surface
+
+points = st.lists(st.floats(-60, 60), min_size=3, max_size=3).map(np.array)
+BALL = rod((0, 0, 0), (0, 0, 1e-6), 20.0, 20.0)
+
+
+def volume(mesh) -> float:
+    a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
+    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
+
+
+def test_surface_of_a_ball():
+    mesh = surface(BALL, (-30, -30, -30), (30, 30, 30), 4.0)
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 20.0, atol=1e-3)
+    np.testing.assert_allclose(mesh.normals, mesh.vertices / 20.0, atol=1e-2)
+    assert volume(mesh) == pytest.approx(4.0 / 3.0 * np.pi * 20.0**3, rel=0.03)
+    assert len(mesh.vertices) - 1.5 * len(mesh.triangles) + len(mesh.triangles) == 2
+
+
+def test_volume_of_a_block_with_a_hole():
+    solid = cut(1.0, block((-30, -20, -10), (30, 20, 10), 1.0), drum(2, -20.0, 20.0, 10.0, edge=1.0))
+    mesh = surface(solid, (-36, -26, -16), (36, 26, 16), 2.0)
+    assert volume(mesh) == pytest.approx(60 * 40 * 20 - np.pi * 10**2 * 20, rel=0.02)
+    assert len(mesh.vertices) - 1.5 * len(mesh.triangles) + len(mesh.triangles) == 0
+
+
+@pytest.mark.parametrize("low", [(-15, -30, -30), (40, 40, 40)], ids=["cut off", "beside"])
+def test_solid_outside_its_box_is_refused(low):
+    with pytest.raises(ValueError, match="strictly inside"):
+        surface(BALL, low, (60, 60, 60), 5.0)
+
+
+@given(points)
+def test_union_holds_both_and_common_part_is_in_both(p):
+    other = block((-5, -40, -40), (40, 5, 40), 2.0)
+    both, one = blend(5.0, BALL, other)(p), common_part(5.0, BALL, other)(p)
+    assert both <= min(BALL(p), other(p)) + 1e-9
+    assert one >= max(BALL(p), other(p)) - 1e-9
+    assert cut(5.0, BALL, other)(p) >= max(BALL(p), -other(p)) - 1e-9
+
+
+masses = st.floats(0.01, 50.0)
+sizes = st.floats(0.005, 2.0)
+
+
+@given(masses, sizes, sizes, sizes)
+def test_plain_solids_can_exist(mass, a, b, c):
+    assert fault(box(mass, (-a, -b, -c), (a, b, c))) is None
+    assert fault(cylinder(mass, a, (0, 0, 0), (0, b, c))) is None
+
+
+@given(masses, sizes, st.floats(0.1, 0.9))
+def test_two_parts_of_a_cylinder_are_the_cylinder(mass, radius, share):
+    whole = cylinder(mass, radius, (0, 0, 0), (0, 0, 1))
+    parts = joined([
+        cylinder(share * mass, radius, (0, 0, 0), (0, 0, share)),
+        cylinder((1 - share) * mass, radius, (0, 0, share), (0, 0, 1)),
+    ])  # fmt: skip
+    np.testing.assert_allclose(parts.com, whole.com, atol=1e-9)
+    np.testing.assert_allclose(parts.inertia, whole.inertia, rtol=1e-9, atol=1e-9)
+
+
+def test_turned_body_lies_along_the_turned_axis():
+    R = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    along_x = turned(cylinder(2.0, 0.1, (0, 0, 0), (0, 0, 1)), R)
+    np.testing.assert_allclose(along_x.inertia, cylinder(2.0, 0.1, (0, 0, 0), (1, 0, 0)).inertia, atol=1e-12)
+    np.testing.assert_allclose(along_x.com, [0.5, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("mass", "moments", "what"),
+    [
+        (0.0, (1, 1, 1), "mass"),
+        (float("nan"), (1, 1, 1), "mass"),
+        (1.0, (-1, 1, 1), "positive"),
+        (1.0, (1, 1, 2), "triangle"),
+        (1.0, (1, 1, 3), "triangle"),
+    ],
+)
+def test_impossible_bodies_are_named(mass, moments, what):
+    assert what in fault(Body(mass, np.zeros(3), np.diag(np.array(moments, dtype=float))))
