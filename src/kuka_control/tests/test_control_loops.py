@@ -1,0 +1,560 @@
+"""The two control loops on an arm without a wire: each rule of the algorithms, in simulated time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.config import parse
+from common.poses import pose, read_only
+from kst.errors import ConnectionLost, MotionRefused, ReplyTimeout
+from kuka_control import assembly
+from kuka_control.arm import Arm, ArmState
+from kuka_control.commands import End, Servo
+from kuka_control.config import PtpConfig, RealTimeConfig
+from kuka_control.controller import MAX_MISSED, Controller, Inputs
+from kuka_control.stream import Desired
+
+CONFIG = Path(__file__).parents[1] / "config"
+CLOCK = 1.7e9
+DT = 0.004
+SLOW, FAST = 0.15, 0.25
+
+
+def config(schema, **changes):
+    name = "rt" if schema is RealTimeConfig else "ptp"
+    values = yaml.safe_load((CONFIG / f"kuka_params_{name}.yaml").read_text())
+    return parse(schema, {**values, **changes}, "kuka/")
+
+
+RIG = assembly.Rig.of(config(RealTimeConfig))
+HOME = RIG.home
+
+
+class FakeArm(Arm):
+    """Moves to its goals with 1 rad/s, writes down what it is told; `held` is a safety stop."""
+
+    def __init__(self):
+        self.q = np.full(7, 0.1)
+        self.goal = self.q
+        self.mode = "idle"
+        self.told = []
+        self.goals = []
+        self.held = False
+        self.refuse = None
+        self.fail = None
+        self.state = ArmState(read_only(self.q))
+
+    def tick(self, dt):
+        if not self.held:
+            self.q = self.q + np.clip(self.goal - self.q, -dt, dt)
+
+    def read(self):
+        self._fail()
+        self.state = ArmState(read_only(self.q))
+
+    def start_ptp(self, q, velocity):
+        assert self.mode == "idle"
+        self._fail()
+        self.told.append(("ptp", tuple(np.round(q, 9)), velocity))
+        if self.refuse == "start":
+            raise MotionRefused("nak")
+        self.goal, self.mode = q, "ptp"
+
+    def ptp_arrived(self):
+        assert self.mode == "ptp"
+        if self.refuse == "end":
+            self.mode = "idle"
+            raise MotionRefused("nak")
+        if np.array_equal(self.q, self.goal):
+            self.mode = "idle"
+            return True
+        return False
+
+    def start_servo(self):
+        assert self.mode == "idle"
+        self.told.append(("start_servo",))
+        self.mode, self.goal = "servo", self.q
+        self.read()
+
+    def servo(self, q):
+        assert self.mode == "servo"
+        self._fail()
+        if self.refuse == "servo":
+            self.mode = "idle"
+            raise MotionRefused("nak")
+        self.goals.append(q)
+        self.goal = q
+        self.state = ArmState(read_only(self.q))
+
+    def stop_servo(self):
+        assert self.mode == "servo"
+        self.told.append(("stop_servo",))
+        self.mode = "idle"
+
+    def close(self):
+        self.mode = "closed"
+
+    def abort(self):
+        self.mode = "closed"
+
+    def _fail(self):
+        if self.fail is not None:
+            raise self.fail
+
+
+class World:
+    """A controller, its fake arm, a person at the switches, and a hand that publishes at 100 Hz while it is shown."""
+
+    def __init__(self, schema=RealTimeConfig, **changes):
+        settings_ = config(schema, **changes)
+        make = assembly.real_time_loop if schema is RealTimeConfig else assembly.ptp_loop
+        self.rig = assembly.Rig.of(settings_)
+        self.arm = FakeArm()
+        self.loop = make(settings_, self.rig)
+        self.controller = Controller(self.arm, self.loop)
+        self.now = 100.0
+        self.control_on = False
+        self.exit_requested = False
+        self.scale = 1.0
+        self.tool = None
+        self.skew = 0.0
+        self.newest = None
+        self.events = []
+        self.modes = []
+        self.steps = []
+
+    def run(self, seconds, tool=None):
+        """`tool`: a tool frame that is published, or a function of time [s] that returns one."""
+        start = self.now
+        for i in range(max(1, round(seconds / DT))):
+            if tool is not None and i % 3 == 0:
+                T = tool(self.now - start) if callable(tool) else tool
+                self.newest = Desired(T, CLOCK + self.now + self.skew)
+            inputs = Inputs(self.newest, CLOCK + self.now, self.control_on, self.scale, self.exit_requested)
+            step = self.controller.cycle(inputs, self.now)
+            self.events += [e.sentence for e in step.events]
+            if not self.modes or self.modes[-1] != step.mode:
+                self.modes.append(step.mode)
+            self.steps.append(step)
+            self.arm.tick(DT)
+            self.now += DT
+            if isinstance(step.command, End):
+                break
+        return self
+
+    def at_home(self):
+        self.run(4.0)
+        assert self.mode == "home"
+        np.testing.assert_allclose(self.arm.q, self.rig.home.q)
+        self.arm.told.clear()
+        self.modes.clear()
+        return self
+
+    def following(self, tool=None):
+        self.at_home()
+        self.control_on = True
+        self.run(4.0, tool if tool is not None else shifted(0.0, 0.0, 0.0))
+        assert self.mode == "servo"
+        self.arm.told.clear()
+        self.modes.clear()
+        return self
+
+    @property
+    def mode(self):
+        return self.steps[-1].mode
+
+
+def shifted(x, y, z):
+    """The home tool frame, shifted [m]."""
+    T = HOME.T_base_tool.copy()
+    T[:3, 3] += (x, y, z)
+    return T
+
+
+def reached(world, tool):
+    return np.linalg.norm(world.rig.kinematics.forward(world.arm.q)[:3, 3] - tool[:3, 3]) < 1e-3
+
+
+def ptp(q, velocity):
+    return ("ptp", tuple(np.round(q, 9)), velocity)
+
+
+both = pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
+
+
+@both
+def test_the_arm_goes_home_slowly_at_the_start_and_waits_there(schema):
+    world = World(schema).run(4.0, shifted(0.05, 0.0, 0.0))
+    assert world.arm.told == [ptp(HOME.q, SLOW)]
+    assert world.modes == ["homing", "home"]
+
+
+@both
+def test_without_control_no_frame_moves_the_arm(schema):
+    world = World(schema).at_home().run(1.0, shifted(0.1, 0.0, 0.1))
+    assert world.arm.told == []
+
+
+@both
+def test_exit_goes_to_zero_and_ends(schema):
+    world = World(schema).at_home()
+    world.exit_requested = True
+    world.run(5.0)
+    assert world.arm.told == [ptp(np.zeros(7), SLOW)]
+    assert world.steps[-1].command == End(None)
+
+
+def test_exit_while_following_leaves_servo_mode_first():
+    world = World().following()
+    world.exit_requested = True
+    world.run(5.0, shifted(0.0, 0.0, 0.0))
+    assert world.arm.told == [("stop_servo",), ptp(np.zeros(7), SLOW)]
+    assert world.steps[-1].command == End(None)
+
+
+@both
+def test_exit_during_a_motion_waits_for_its_end(schema):
+    world = World(schema).run(0.1)
+    world.exit_requested = True
+    world.run(5.0)
+    assert world.arm.told == [ptp(HOME.q, SLOW), ptp(np.zeros(7), SLOW)]
+
+
+def test_near_home_servo_starts_at_once():
+    world = World().at_home()
+    world.control_on = True
+    world.run(0.5, shifted(0.005, 0.0, 0.0))
+    assert world.arm.told == [("start_servo",)]
+    assert reached(world, shifted(0.005, 0.0, 0.0))
+
+
+def test_far_from_home_the_frame_is_picked_up_by_a_fast_motion():
+    world = World().at_home()
+    world.control_on = True
+    tool = shifted(0.05, 0.0, 0.05)
+    world.run(2.0, tool)
+    kind, q, velocity = world.arm.told[0]
+    assert (kind, velocity) == ("ptp", FAST)
+    np.testing.assert_allclose(world.rig.kinematics.forward(np.array(q)), tool, atol=1e-6)
+    assert world.arm.told[1:] == [("start_servo",)]
+    assert world.modes == ["pick_up", "servo"]
+    assert reached(world, tool)
+
+
+def test_servo_follows_every_new_frame_without_lag_when_nothing_is_limited():
+    def slow_circle(t):
+        return shifted(0.03 * np.sin(t), 0.0, 0.03 * (1.0 - np.cos(t)))
+
+    world = World().following()
+    world.run(1.0, slow_circle)  # it has caught up with the start of the circle by then
+    sent = []
+    for _ in range(50):
+        world.run(DT, slow_circle(1.0))
+        command = world.steps[-1].command
+        if command.stamp is not None:
+            sent.append(
+                np.linalg.norm(world.rig.kinematics.forward(command.q)[:3, 3] - world.newest.T_base_tool[:3, 3])
+            )
+    assert len(sent) > 10 and max(sent) < 1e-6
+
+
+def test_the_stamp_of_a_frame_goes_out_once_with_its_goal():
+    world = World().following()
+    world.steps.clear()
+    world.run(0.3, shifted(0.001, 0.0, 0.0))
+    stamps = [s.command.stamp for s in world.steps if s.command.stamp is not None]
+    assert len(stamps) == len(set(stamps)) == 25
+
+
+def test_silence_for_the_time_out_sends_the_arm_home_fast():
+    world = World().following()
+    world.run(0.19)
+    assert world.arm.told == []
+    world.run(3.0)
+    assert world.arm.told == [("stop_servo",), ptp(HOME.q, FAST)]
+    assert world.modes == ["servo", "returning", "home"]
+    assert any("0.2 s" in event for event in world.events)
+
+
+def test_the_same_stamp_again_is_silence():
+    world = World().following()
+    frozen = world.newest
+    for _ in range(200):
+        world.newest = Desired(frozen.T_base_tool, frozen.stamp)
+        world.run(DT)
+    assert ("stop_servo",) in world.arm.told
+
+
+def test_control_off_sends_the_arm_home_slowly():
+    world = World().following(shifted(0.05, 0.0, 0.0))
+    world.control_on = False
+    world.run(3.0, shifted(0.05, 0.0, 0.0))
+    assert world.arm.told == [("stop_servo",), ptp(HOME.q, SLOW)]
+    assert world.modes == ["returning", "home"]
+
+
+def test_control_off_and_on_again_still_goes_home_first():
+    world = World().following(shifted(0.05, 0.0, 0.0))
+    world.control_on = False
+    world.run(DT, shifted(0.05, 0.0, 0.0))
+    world.control_on = True
+    world.run(3.0, shifted(0.05, 0.0, 0.0))
+    assert world.arm.told[:2] == [("stop_servo",), ptp(HOME.q, SLOW)]
+    assert world.mode == "servo"
+
+
+def test_frames_during_a_motion_are_disregarded_and_only_a_new_one_counts():
+    world = World().run(0.1)
+    world.control_on = True
+    world.run(1.0, shifted(0.1, 0.0, 0.0))
+    world.run(3.0)
+    assert world.mode == "home" and world.arm.told == [ptp(HOME.q, SLOW)]
+    world.run(3.0, shifted(0.05, 0.0, 0.0))
+    assert reached(world, shifted(0.05, 0.0, 0.0))
+
+
+def test_control_off_during_the_pick_up_goes_home_after_it():
+    world = World().at_home()
+    world.control_on = True
+    world.run(0.05, shifted(0.1, 0.0, 0.0))
+    assert world.mode == "pick_up"
+    world.control_on = False
+    world.run(4.0, shifted(0.1, 0.0, 0.0))
+    assert [t[0] for t in world.arm.told] == ["ptp", "ptp"] and world.arm.told[-1] == ptp(HOME.q, SLOW)
+
+
+def test_a_hand_lost_during_the_pick_up_sends_the_arm_home_fast():
+    world = World().at_home()
+    world.control_on = True
+    world.run(0.05, shifted(0.2, 0.0, 0.0))
+    world.run(4.0)
+    assert [t[0] for t in world.arm.told] == ["ptp", "ptp"] and world.arm.told[-1] == ptp(HOME.q, FAST)
+
+
+def test_a_jump_in_the_stream_is_picked_up_anew():
+    world = World().following()
+    world.run(3.0, shifted(0.08, 0.0, 0.0))
+    assert [t[0] for t in world.arm.told] == ["stop_servo", "ptp", "start_servo"]
+    assert world.arm.told[1][2] == FAST
+    assert world.loop.counts["limited_goals"] <= 1
+    assert reached(world, shifted(0.08, 0.0, 0.0))
+
+
+def test_a_signal_lost_and_found_elsewhere_is_picked_up_anew():
+    world = World(time_out=5.0).following()
+    world.run(2.0)
+    assert world.mode == "servo"
+    world.run(3.0, shifted(0.04, 0.0, 0.0))
+    assert [t[0] for t in world.arm.told] == ["stop_servo", "ptp", "start_servo"]
+
+
+def test_a_hand_that_moved_on_during_the_pick_up_is_caught_up_with_slowly():
+    world = World().at_home()
+    world.control_on = True
+    world.run(0.02, shifted(0.1, 0.0, 0.0))
+    while world.mode != "servo":
+        world.run(DT, shifted(0.0, 0.0, 0.15))
+    first = len(world.arm.goals)
+    world.run(2.0, shifted(0.0, 0.0, 0.15))
+    tool = np.array([world.rig.kinematics.forward(q)[:3, 3] for q in world.arm.goals[first:]])
+    assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() <= 1.1 * 0.25 * 0.02
+    assert reached(world, shifted(0.0, 0.0, 0.15))
+    assert [t[0] for t in world.arm.told] == ["ptp", "start_servo"]
+
+
+@pytest.mark.parametrize("position", [(-0.3, 0.3, 0.4), (0.4, -0.4, -0.01)])
+@both
+def test_an_infeasible_position_shuts_the_controller_down(schema, position):
+    world = World(schema).at_home()
+    world.control_on = True
+    world.run(5.0, pose(HOME.T_base_tool[:3, :3], position))
+    assert world.arm.told == [ptp(np.zeros(7), SLOW)]
+    assert isinstance(world.steps[-1].command, End) and "infeasible" in world.steps[-1].command.fault
+
+
+def test_an_infeasible_position_while_following_leaves_servo_mode_and_shuts_down():
+    world = World().following()
+    world.run(5.0, pose(HOME.T_base_tool[:3, :3], (-0.3, 0.3, 0.4)))
+    assert world.arm.told == [("stop_servo",), ptp(np.zeros(7), SLOW)]
+    assert world.steps[-1].command.fault is not None
+
+
+def test_an_unreachable_frame_keeps_the_joints_and_is_said_once():
+    world = World().following(shifted(0.0, 0.0, 0.15))
+    before = world.arm.q.copy()
+    world.run(0.5, shifted(0.0, 0.0, 0.25))
+    assert world.loop.counts["ik_failures"] > 10
+    assert sum("keeps its joints" in e for e in world.events) == 1
+    np.testing.assert_allclose(world.arm.q, before, atol=1e-9)
+
+
+def test_a_frame_outside_is_clipped_and_the_bound_is_named():
+    world = World().following(shifted(0.0, 0.0, -0.15))
+    world.run(2.0, shifted(0.0, 0.0, -0.25))
+    assert world.steps[-1].limited_by == ("lower z limit",)
+    assert reached(world, pose(HOME.T_base_tool[:3, :3], [*HOME.centre[:2], 0.2]))
+    assert world.loop.counts["workspace_clips"] == 1
+
+
+def test_scaling_is_about_the_centre():
+    world = World().at_home()
+    world.scale = 0.5
+    world.control_on = True
+    world.run(2.0, shifted(0.06, 0.0, 0.0))
+    assert reached(world, shifted(0.03, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("skew", [-0.7, 0.7])
+def test_stale_and_future_frames_do_not_move_the_arm(skew):
+    world = World().at_home()
+    world.control_on, world.skew = True, skew
+    world.run(1.0, shifted(0.1, 0.0, 0.0))
+    assert world.arm.told == [] and sum("0.7" in e and "refused" in e for e in world.events) == 1
+
+
+def test_a_safety_stop_is_found_held_and_latched():
+    world = World().following()
+    world.arm.held = True
+    world.run(2.0, lambda t: shifted(0.05 * t, 0.0, 0.0))
+    assert world.mode == "stopped" and world.arm.told == [("stop_servo",)]
+    np.testing.assert_allclose(world.arm.goals[-1], world.arm.q, atol=1e-9)
+    assert "safety stop" in world.loop.stopped_because
+    held_at = world.arm.q.copy()
+    world.arm.held = False
+    world.run(2.0, shifted(0.1, 0.0, 0.0))
+    np.testing.assert_allclose(world.arm.q, held_at)
+    world.control_on = False
+    world.run(1.0, shifted(0.1, 0.0, 0.0))
+    np.testing.assert_allclose(world.arm.q, held_at)
+    world.arm.told.clear()
+    world.control_on = True
+    world.run(5.0, shifted(0.05, 0.0, 0.0))
+    assert [t[0] for t in world.arm.told] == ["ptp", "ptp", "start_servo"]
+    assert world.arm.told[0] == ptp(HOME.q, SLOW)
+    assert world.loop.stopped_because is None
+
+
+@pytest.mark.parametrize("when", ["start", "end"])
+@both
+def test_a_refused_motion_latches(schema, when):
+    world = World(schema)
+    world.arm.refuse = when
+    world.run(1.0)
+    assert world.mode == "stopped" and len(world.arm.told) == 1
+    assert any("refused the motion to home" in e for e in world.events)
+    world.arm.refuse = None
+    world.control_on = True
+    world.run(4.0)
+    assert world.mode == "home"
+
+
+def test_servo_mode_that_the_controller_ended_latches():
+    world = World().following()
+    world.arm.refuse = "servo"
+    world.run(1.0, shifted(0.0, 0.0, 0.0))
+    assert world.mode == "stopped" and world.arm.told == []
+
+
+def test_a_refused_motion_to_zero_ends_the_controller_with_a_fault():
+    world = World().at_home()
+    world.arm.refuse = "start"
+    world.exit_requested = True
+    world.run(1.0)
+    assert "zero" in world.steps[-1].command.fault
+
+
+def test_a_motion_that_does_not_end_is_said_and_exit_still_ends_the_controller():
+    world = World()
+    world.arm.held = True
+    world.run(40.0)
+    assert world.mode == "homing" and sum("overdue" in e for e in world.events) == 1
+    world.exit_requested = True
+    world.run(1.0)
+    assert "does not end" in world.steps[-1].command.fault
+
+
+def test_a_pick_up_that_a_safety_stop_held_does_not_go_on_into_servo_mode():
+    world = World().at_home()
+    world.control_on = True
+    world.run(0.05, shifted(0.1, 0.0, 0.0))
+    world.arm.held = True
+    world.run(20.0, shifted(0.1, 0.0, 0.0))
+    world.arm.held = False
+    world.run(2.0, shifted(0.1, 0.0, 0.0))
+    assert world.mode == "stopped" and [t[0] for t in world.arm.told] == ["ptp"]
+
+
+def test_a_lost_connection_ends_the_cycle():
+    world = World().following()
+    world.arm.fail = ConnectionLost("the link is gone")
+    with pytest.raises(ConnectionLost):
+        world.run(DT, shifted(0.0, 0.0, 0.0))
+
+
+def test_single_answers_may_be_missed_but_not_many():
+    world = World().following()
+    world.arm.fail = ReplyTimeout("late")
+    world.run((MAX_MISSED - 1) * DT, shifted(0.0, 0.0, 0.0))
+    world.arm.fail = None
+    world.run(0.1, shifted(0.0, 0.0, 0.0))
+    assert world.mode == "servo" and world.controller.missed == MAX_MISSED - 1
+    world.arm.fail = ReplyTimeout("late")
+    with pytest.raises(ReplyTimeout):
+        world.run(1.0, shifted(0.0, 0.0, 0.0))
+
+
+def test_ptp_goes_to_frames_beyond_the_threshold_only():
+    world = World(PtpConfig).at_home()
+    world.control_on = True
+    world.run(0.5, shifted(0.001, 0.0, 0.0))
+    assert world.arm.told == []
+    world.run(2.0, shifted(0.05, 0.0, 0.0))
+    assert [t[0] for t in world.arm.told] == ["ptp"] and world.arm.told[0][2] == 0.15
+    assert reached(world, shifted(0.05, 0.0, 0.0))
+
+
+def test_ptp_goes_home_after_the_time_out():
+    world = World(PtpConfig).at_home()
+    world.control_on = True
+    world.run(2.0, shifted(0.05, 0.0, 0.0))
+    world.run(2.0)
+    assert world.arm.told[-1] == ptp(HOME.q, 0.15) and world.mode == "home"
+
+
+hands = st.lists(
+    st.tuples(
+        st.sampled_from(["hand", "lost", "frozen", "old"]),
+        st.booleans(),
+        st.tuples(*[st.floats(-0.3, 0.3)] * 3),
+        st.floats(0.01, 1.5),
+        st.booleans(),
+    ),
+    min_size=1,
+    max_size=8,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from([RealTimeConfig, PtpConfig]), hands)
+def test_whatever_the_hand_does_goals_keep_the_limits_and_modes_keep_their_order(schema, acts):
+    """The fake arm asserts that no command comes in the wrong mode."""
+    world = World(schema)
+    for what, control_on, shift, seconds, held in acts:
+        world.control_on = control_on
+        world.arm.held = held
+        world.skew = -1.0 if what == "old" else 0.0
+        world.run(seconds, shifted(*shift) if what in ("hand", "old") else None)
+    speeds = 0.9 * world.rig.model.max_speed
+    for before, after in zip(world.steps, world.steps[1:]):
+        if isinstance(before.command, Servo) and isinstance(after.command, Servo) and after.mode == before.mode:
+            step = np.abs(after.command.q - before.command.q)
+            assert np.all(step <= speeds * 0.02 + 1e-9) or np.array_equal(after.command.q, world.arm.q)
+    for step in world.steps:
+        if isinstance(step.command, Servo):
+            assert np.all(np.abs(step.command.q) <= world.rig.model.upper + 1e-9)
