@@ -97,7 +97,8 @@ def custom_home(model: RobotModel, workspace: Workspace, tool_length: float, q: 
     if result.bounds:
         raise HomeError(
             f"home_pos brings the tool point to ({', '.join(f'{c:.3f}' for c in home.centre)}) m, which is outside the "
-            f"workspace ({', '.join(map(str, result.bounds))}); change home_pos, tool_length ({tool_length:g} m) or the limits."
+            f"workspace ({', '.join(map(str, result.bounds))}); change home_pos, the limits, or tool_length "
+            f"({tool_length:g} m)."
         )
     return home
 

@@ -15,10 +15,10 @@ turn, so all eight branches share one circle.
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, pi, sin
+from math import acos, atan2, cos, hypot, pi, sin
 from typing import NamedTuple, Sequence
 
-from kuka_control.kinematics.arcs import TURN, Arc, Interval, intersection, positive, remaining
+from kuka_control.kinematics.arcs import FLAT, TURN, Arc, Interval, intersection, positive, remaining
 from kuka_control.kinematics.chain import Vector, combination, cross
 
 ALIGNED = 1e-10
@@ -146,6 +146,32 @@ class ElbowCircle:
             d7,
         ]
 
+    def keeping_joint_3(self, q3: float, branch: Branch) -> list[float]:
+        """Returns the angles [rad], two at most, at which joint 3 is at `q3` [rad] or, where it cannot be, nearly so.
+
+        With joint 3 held the arm is an ordinary one with six joints, to which joint 2 at zero is no singular pose.
+        """
+        (ca, cb, cc), (sa, sb, sc) = self._turn_of_joint_3(branch.shoulder * branch.elbow)
+        c, s = cos(q3), sin(q3)
+        a, b, offset = sa * c - ca * s, sb * c - cb * s, sc * c - cc * s
+        amplitude = hypot(a, b)
+        if amplitude < FLAT:
+            return []
+        middle, half = atan2(b, a), acos(min(max(-offset / amplitude, -1.0), 1.0))
+        angles = []
+        for angle in (middle - half, middle + half):
+            x, y = cos(angle), sin(angle)
+            if (ca * x + cb * y + cc) * c + (sa * x + sb * y + sc) * s > 0.0:
+                angles.append(wrapped(angle))
+        return angles
+
+    def cosine_of_joint_3(self, angle: float, branch: Branch) -> float:
+        """Returns the cosine of joint 3 at an angle on the circle [rad]; 0 where it is undefined."""
+        (ca, cb, cc), (sa, sb, sc) = self._turn_of_joint_3(branch.shoulder * branch.elbow)
+        c, s = cos(angle), sin(angle)
+        x, y = ca * c + cb * s + cc, sa * c + sb * s + sc
+        return x / hypot(x, y) if x else 0.0
+
     def free(self, branch: Branch, limits: Limits) -> list[Interval]:
         """Returns the intervals of the angle on which all joints but joint 4 are in their ranges."""
         shoulder, elbow, wrist = branch
@@ -175,10 +201,12 @@ class ElbowCircle:
         return _outside_bend(cosine, limits, 1, sign)
 
     def _joint_3(self, limits: Limits, sign: int) -> list[Arc]:
+        return _outside_turn(*self._turn_of_joint_3(sign), limits.directions[2])
+
+    def _turn_of_joint_3(self, sign: int) -> tuple[Vector, Vector]:
+        """Returns the cosine and the sine of joint 3, both scaled by the absolute sine of joint 2."""
         k, u, v, n = -sign * self._cb, self._u, self._v, self._n
-        return _outside_turn(
-            (k * v[2], k * n[2], sign * self._sb * u[2]), (sign * n[2], -sign * v[2], 0.0), limits.directions[2]
-        )
+        return (k * v[2], k * n[2], sign * self._sb * u[2]), (sign * n[2], -sign * v[2], 0.0)
 
     def _joint_5(self, limits: Limits, sign: int) -> list[Arc]:
         k, (v, n, u) = sign * self._ca, self._flange[2]

@@ -1,19 +1,20 @@
 """Inverse kinematics in closed form: joints for a tool pose, chosen to go on from the joints that the arm has.
 
-The target leaves one angle free (the arm angle: the elbow's place on its circle) and up to eight branches. What is
-wanted, in this order: within all joint ranges; close to the present joints; then, slowly, back to the preferred arm
-angle and away from the ends of joint ranges and from the singular poses in which joint 2 or joint 6 is at zero.
+The target leaves one angle free (the elbow's place on its circle) and up to eight branches. What is wanted, in this
+order: within all joint ranges; close to the present joints; then, slowly, back to the preferred arm angle and away from
+the ends of joint ranges and from the singular poses in which joint 2 or joint 6 is at zero.
 
-The arm angle is kept while that is cheap in joint motion, and given way where keeping it would make joints race: it
-minimises the weighted joint step plus `ARM_ANGLE_WEIGHT` times the arm angle's own step. The slow return is bound to
-the tool's motion, so an arm whose tool stands still does not move, and a slow tool never makes fast joints.
+Close means a small weighted joint step in which joint 3 counts most: with joint 3 nearly held the arm moves like one
+with six joints, its elbow stays in its plane, and the tool may pass over places where joint 2 goes through zero without
+any joint racing. The slow return is bound to the tool's motion, so an arm whose tool stands still does not move, and a
+slow tool never makes fast joints.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from math import atan2, cos, hypot, isfinite, pi, radians, sin, sqrt
+from math import atan2, hypot, isfinite, pi, radians, sqrt
 from typing import Sequence
 
 import numpy as np
@@ -34,8 +35,8 @@ JOINT_TOLERANCE_RAD = 1e-10
 RIGID_TOLERANCE = 1e-6
 """How far the columns of a target's rotation may be from orthonormal."""
 
-ARM_ANGLE_WEIGHT = 10.0
-"""What a step of the arm angle costs in comparison with a step of a joint of mean speed, both squared."""
+JOINT_3_WEIGHT = 10.0
+"""How much more a step of joint 3 costs than one of another joint."""
 
 RETURN_SHARE = 0.25
 """How much of the joint step that the tool asks for may be added to lead the arm angle back."""
@@ -43,8 +44,11 @@ RETURN_SHARE = 0.25
 MARGIN_RAD = radians(5.0)
 """The arm angle is led away where a joint is nearer to its limit than this, or joint 2 or 6 nearer to zero."""
 
-NEARBY_RAD = radians(20.0)
+NEARBY_RAD = radians(3.0)
 """A solution in the present branch with no greater joint step is taken without a look at the other branches."""
+
+WOUND = -0.5
+"""Below this cosine of joint 3 the elbow is where it should be with joints 1 and 3 turned over, which is not wanted."""
 
 UPRIGHT = 1e-6
 """Below this sine of the angle between the line shoulder - wrist and the vertical, the arm angle counts from base x."""
@@ -109,6 +113,7 @@ class Kinematics:
         speeds = model.max_speed.tolist()
         mean = sum(speeds) / len(speeds)
         self._weights = [(mean / speed) ** 2 for speed in speeds]
+        self._weights[2] *= JOINT_3_WEIGHT
 
     def forward(self, q: np.ndarray) -> np.ndarray:
         """Returns the pose of the tool in the base, shape (4, 4) [m], at joints q, shape (7,) [rad]."""
@@ -142,53 +147,33 @@ class Kinematics:
             return IkResult(None, IkFailure.TOO_NEAR)
 
         u = (w[0] / reach, w[1] / reach, w[2] / reach)
-        present = _Present(self._lengths, seed)
-        reference = present.elbow_across(u)
-        circle = ElbowCircle(bend, self._lengths, u, reference, flange)
-        best = self._choose(circle, present, _arm_angle(u, reference), _steadiness(u))
+        reference = _elbow_across(u, seed)
+        zero = _arm_angle(u, reference)
+        best = self._choose(ElbowCircle(bend, self._lengths, u, reference, flange), seed, zero)
         if best is None:
             return IkResult(None, IkFailure.NO_ARM_ANGLE)
-        return IkResult(read_only(best.q), arm_angle=wrapped(best.angle + _arm_angle(u, reference)), branch=best.branch)
+        return IkResult(read_only(best.q), arm_angle=wrapped(best.angle + zero), branch=best.branch)
 
-    def _choose(self, circle: ElbowCircle, present: _Present, zero: float, steadiness: float) -> _Candidate | None:
+    def _choose(self, circle: ElbowCircle, seed: list[float], zero: float) -> _Candidate | None:
         """Returns the joints to take; `zero` is the arm angle at angle zero of the circle [rad]."""
-        weight = ARM_ANGLE_WEIGHT * min(steadiness, present.steadiness)
-        kept = wrapped(present.arm_angle - zero)
-        if self._bends(circle.bend * present.branch.elbow):
-            here = self._best_in_branch(circle, present.branch, present.q, 0.0, kept, weight)
-            if here is not None and _step(here.q, present.q) <= NEARBY_RAD:
-                return self._led_back(circle, here, present.q, zero, steadiness)
-        candidates = []
-        for branch in BRANCHES:
-            if self._bends(circle.bend * branch.elbow):
-                start = 0.0 if branch.elbow == present.branch.elbow else pi
-                found = self._best_in_branch(circle, branch, present.q, start, kept, 0.0)
-                if found is not None:
-                    candidates.append(found)
-        if not candidates:
+        present = Branch.of(seed)
+        best = self._best_in_branch(circle, present, seed)
+        if best is None or _step(best.q, seed) > NEARBY_RAD:
+            found = [best, *(self._best_in_branch(circle, branch, seed) for branch in BRANCHES if branch != present)]
+            best = min((one for one in found if one is not None), key=lambda one: one.cost, default=None)
+        return best if best is None else self._led_back(circle, best, seed, zero)
+
+    def _best_in_branch(self, circle: ElbowCircle, branch: Branch, seed: list[float]) -> _Candidate | None:
+        """Returns the joints of a branch that are cheapest to reach from `seed`, or None if it has none in range."""
+        if not self._bends(circle.bend * branch.elbow):
             return None
-        best = min(candidates, key=lambda candidate: candidate.cost)
-        return self._led_back(circle, best, present.q, zero, steadiness)
-
-    def _best_in_branch(
-        self, circle: ElbowCircle, branch: Branch, seed: list[float], start: float, kept: float, weight: float
-    ) -> _Candidate | None:
-        """Returns the joints of a branch that are cheapest to reach from `seed`, or None if it has none in range.
-
-        Args:
-            circle: the ways to reach the target.
-            branch: signs of joints 2, 4 and 6.
-            seed: present joints [rad].
-            start: angle on the circle where the elbow is nearest to its present place [rad].
-            kept: angle on the circle with the present arm angle [rad].
-            weight: what departing from `kept` costs.
-        """
+        starts = circle.keeping_joint_3(seed[2], branch) or [0.0 if branch.elbow == Branch.of(seed).elbow else pi]
         best = None
         for interval in circle.free(branch, self._limits):
-            angle = nearest(interval, start)
-            middle = (interval[0] + interval[1]) / 2.0
-            for guess in (angle, middle) if best is None or abs(angle - start) > NEARBY_RAD else (angle,):
-                best = self._descend(circle, branch, interval, guess, seed, kept, weight, best)
+            for start in starts:
+                best = self._descend(circle, branch, interval, nearest(interval, start), seed, best)
+            if best is None or _step(best.q, seed) > NEARBY_RAD:
+                best = self._descend(circle, branch, interval, (interval[0] + interval[1]) / 2.0, seed, best)
         return best
 
     def _descend(
@@ -198,8 +183,6 @@ class Kinematics:
         interval: Interval,
         angle: float,
         seed: list[float],
-        kept: float,
-        weight: float,
         best: _Candidate | None,
     ) -> _Candidate | None:
         """Returns the better of `best` and what Gauss-Newton steps from `angle` find within the interval."""
@@ -207,21 +190,18 @@ class Kinematics:
             q = self._in_range(circle.joints(angle, branch, seed, self._limits))
             if q is None:
                 return best
-            away = wrapped(angle - kept)
             differences = [a - b for a, b in zip(q, seed)]
-            cost = sum(w * d * d for w, d in zip(self._weights, differences)) + weight * away * away
+            cost = sum(w * d * d for w, d in zip(self._weights, differences))
             if best is not None and cost >= best.cost:
                 return best
             best = _Candidate(cost, angle, q, branch, interval)
             motion = circle.self_motion(q)
-            slope = sum(w * m * d for w, m, d in zip(self._weights, motion, differences)) + weight * away
-            step = slope / (sum(w * m * m for w, m in zip(self._weights, motion)) + weight)
+            slope = sum(w * m * d for w, m, d in zip(self._weights, motion, differences))
+            step = slope / sum(w * m * m for w, m in zip(self._weights, motion))
             angle = min(max(angle - step, interval[0]), interval[1])
         return best
 
-    def _led_back(
-        self, circle: ElbowCircle, found: _Candidate, seed: list[float], zero: float, steadiness: float
-    ) -> _Candidate:
+    def _led_back(self, circle: ElbowCircle, found: _Candidate, seed: list[float], zero: float) -> _Candidate:
         """Returns `found`, led back by a small part of its joint step to where the elbow should be."""
         goal = self._goal(circle, found, zero)
         fastest = max(1.0, max(map(abs, circle.self_motion(found.q))))
@@ -237,6 +217,8 @@ class Kinematics:
         """Returns where on the circle the elbow should be: near to the preference, with margins, not across a limit."""
         low, high = found.interval
         preferred = found.angle + wrapped(self._elbow_preference - zero - found.angle)
+        if circle.cosine_of_joint_3(preferred, found.branch) < WOUND:
+            preferred = found.angle
         inside = []
         for with_margins in circle.free(found.branch, self._margins):
             for shift in (-TURN, 0.0, TURN):
@@ -258,29 +240,21 @@ class Kinematics:
         return inside if _step(inside, q) <= JOINT_TOLERANCE_RAD else None
 
 
-class _Present:
-    """What the present joints say about the elbow."""
+def _elbow_across(u: Vector, q: list[float]) -> Vector:
+    """Returns the unit vector across u to the elbow if the axis of joint 4 stays as it is, as far as it can.
 
-    def __init__(self, lengths: tuple[float, float], q: list[float]) -> None:
-        self.q = q
-        self.branch = Branch.of(q)
-        axes = zyz_axes(q[0], q[1], q[2])
-        across, along = -lengths[1] * sin(q[3]), lengths[0] + lengths[1] * cos(q[3])
-        reach = hypot(across, along)
-        u = combination(across / reach, axes[0], along / reach, axes[2])
-        sign = self.branch.elbow
-        self._h = (sign * axes[1][0], sign * axes[1][1], sign * axes[1][2])
-        self.arm_angle = _arm_angle(u, cross(self._h, u))
-        self.steadiness = _steadiness(u)
-
-    def elbow_across(self, u: Vector) -> Vector:
-        """Returns the unit vector across u with the elbow as it is now: h = u x e stays as it is, as far as it can."""
-        for h in (self._h, (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)):
-            e = cross(h, u)
-            length = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
-            if length > 0.1:
-                break
-        return e[0] / length, e[1] / length, e[2] / length
+    Args:
+        u: unit vector from shoulder to wrist.
+        q: present joints [rad].
+    """
+    axis = zyz_axes(q[0], q[1], q[2])[1]
+    sign = Branch.of(q).elbow
+    for h in ((sign * axis[0], sign * axis[1], sign * axis[2]), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)):
+        e = cross(h, u)
+        length = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+        if length > 0.1:
+            break
+    return e[0] / length, e[1] / length, e[2] / length
 
 
 def _axes_and_position(T: np.ndarray) -> tuple[tuple[Vector, Vector, Vector], Vector]:
@@ -310,11 +284,6 @@ def _arm_angle(u: Vector, e: Vector) -> float:
     if hypot(u[0], u[1]) < UPRIGHT:
         return atan2(e[1] * u[2], e[0])
     return atan2(e[0] * u[1] - e[1] * u[0], e[2])
-
-
-def _steadiness(u: Vector) -> float:
-    """Returns how well the vertical plane through u is defined: 1 where u is horizontal, 0 where it is vertical."""
-    return 1.0 - u[2] * u[2]
 
 
 def _step(q: Sequence[float], seed: Sequence[float]) -> float:
