@@ -1,0 +1,422 @@
+"""The two controllers as nodes, on the simulated robot: parameters, services, topics, tf, and how they end."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import socket
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from common.poses import pose
+
+pytestmark = pytest.mark.ros
+
+CONFIG = Path(__file__).parents[1] / "config"
+REAL_TIME, PTP = "real_time_controller.py", "ptp_controller.py"
+MOVE_S = 60.0
+"""Longest wait for a motion; the machine may be busy."""
+
+
+class Robot:
+    """The simulated robot, and the truth about it from its control port."""
+
+    def __init__(self, process, port, control_port):
+        self.process, self.port = process, port
+        self._socket = socket.create_connection(("127.0.0.1", control_port), 5.0)
+        self._lines = self._socket.makefile("r")
+
+    def ask(self, what="state", **fields):
+        self._socket.sendall((json.dumps({"do": what, **fields}) + "\n").encode())
+        answer = json.loads(self._lines.readline())
+        assert answer["ok"], answer
+        return answer
+
+    @property
+    def joints(self):
+        return np.array(self.ask()["joints"])
+
+
+@pytest.fixture
+def robot(ros, wait_until):
+    process = ros.run("rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "0")
+    ready = r"listening on 127\.0\.0\.1:(\d+), control port 127\.0\.0\.1:(\d+)"
+    found = wait_until(lambda: re.search(ready, process.log_path.read_text()), 20.0, "the simulated robot")
+    return Robot(process, int(found[1]), int(found[2]))
+
+
+class Node:
+    """A controller that runs, and what a person does with it."""
+
+    def __init__(self, process, wait_until):
+        self.process, self._wait_until = process, wait_until
+
+    def call(self, name, kind, *values):
+        import rospy
+
+        import kuka_msgs.srv
+
+        rospy.wait_for_service(f"kuka/{name}", 20.0)
+        return rospy.ServiceProxy(f"kuka/{name}", getattr(kuka_msgs.srv, kind))(*values)
+
+    def control(self, on):
+        return self.call("kuka_control", "setKukaControl", on)
+
+    def wait_for_mode(self, *modes, timeout=MOVE_S):
+        self._wait_until(lambda: self.modes and self.modes[-1].data in modes, timeout, f"mode {modes}")
+
+    def wait_for_end(self, timeout=MOVE_S):
+        self._wait_until(lambda: self.process.poll() is not None, timeout, "the end of the node")
+        return self.process.returncode
+
+    @property
+    def log(self):
+        return self.process.log_path.read_text()
+
+
+@pytest.fixture
+def start(ros, robot, wait_until):
+    """Starts a controller on the simulated robot with the parameters of its file and `changes`."""
+    from std_msgs.msg import String
+
+    def start_controller(executable=REAL_TIME, **changes):
+        set_params(executable, **{"ip": "127.0.0.1", "port": robot.port, **changes})
+        node = Node(None, wait_until)
+        node.modes = ros.record("kuka/mode", String)
+        node.process = ros.run("kuka_control", executable)
+        return node
+
+    return start_controller
+
+
+def set_params(executable, **changes):
+    import rospy
+
+    file = CONFIG / ("kuka_params_rt.yaml" if executable == REAL_TIME else "kuka_params_ptp.yaml")
+    rospy.set_param("kuka", {**yaml.safe_load(file.read_text()), **changes})
+
+
+class Hand:
+    """Publishes the desired tool frame at 100 Hz until it is hidden."""
+
+    def __init__(self, T, parent_chain=False):
+        import rospy
+        import tf2_ros
+
+        from common.ros.conversions import stamped_transform
+
+        self.T = T
+        self._stop = threading.Event()
+        broadcaster = tf2_ros.TransformBroadcaster()
+
+        def publish():
+            while not self._stop.wait(0.01):
+                now = rospy.Time.now()
+                if parent_chain:
+                    half = pose(p=self.T[:3, 3] / 2.0)
+                    rest = pose(self.T[:3, :3], self.T[:3, 3] / 2.0)
+                    broadcaster.sendTransform(
+                        [
+                            stamped_transform(half, "kuka/base_frame", "leap_motion/virtual_frame", now),
+                            stamped_transform(rest, "leap_motion/virtual_frame", "kuka/tool_frame/desired", now),
+                        ]
+                    )
+                else:
+                    broadcaster.sendTransform(
+                        stamped_transform(self.T, "kuka/base_frame", "kuka/tool_frame/desired", now)
+                    )
+
+        self._thread = threading.Thread(target=publish, daemon=True)
+        self._thread.start()
+
+    def hide(self):
+        self._stop.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def hand():
+    shown = []
+
+    def show(T, **kwargs):
+        shown.append(Hand(T, **kwargs))
+        return shown[-1]
+
+    yield show
+    for one in shown:
+        one.hide()
+
+
+def home_tool():
+    """Tool at the workspace centre of the default parameters, z down, x back to the base."""
+    import rospy
+
+    c = np.sqrt(0.5)
+    R = np.column_stack([[-c, c, 0.0], [c, c, 0.0], [0.0, 0.0, -1.0]])
+    return pose(R, rospy.get_param("kuka/ws_center"))
+
+
+def shifted(T, x, y, z):
+    T = T.copy()
+    T[:3, 3] += (x, y, z)
+    return T
+
+
+def tool_of(robot):
+    return np.array(robot.ask()["flange"]) @ pose(p=(0.0, 0.0, 0.106))
+
+
+def at(robot, T, tolerance=3e-3):
+    return np.linalg.norm(tool_of(robot)[:3, 3] - T[:3, 3]) < tolerance
+
+
+def test_the_life_of_the_real_time_controller(ros, robot, start, hand, wait_until):
+    import rospy
+    import tf2_ros
+    from geometry_msgs.msg import Vector3Stamped
+    from sensor_msgs.msg import JointState, TimeReference
+    from std_msgs.msg import Bool
+
+    from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
+    from rig_msgs.msg import KukaStatus
+    from visualization_msgs.msg import MarkerArray
+
+    topics = {
+        "joint_states": JointState,
+        "kuka/joint_positions": jointPositions,
+        "kuka/joint_torques_external": jointTorquesExternal,
+        "kuka/joint_torques_measured": jointTorquesMeasured,
+        "kuka/flange_force": Vector3Stamped,
+        "kuka/flange_torque": Vector3Stamped,
+        "kuka/moving_rt": Bool,
+        "kuka/moving_ptp": Bool,
+        "kuka/gripper_control": Bool,
+        "kuka/status": KukaStatus,
+        "kuka/workspace": MarkerArray,
+        "rig/stage_times": TimeReference,
+    }
+    heard = {name: ros.record(name, kind) for name, kind in topics.items()}
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+    node = start()
+
+    node.wait_for_mode("home")
+    np.testing.assert_allclose(robot.joints, rospy.get_param("kuka/joints_home"), atol=1e-3)
+    np.testing.assert_allclose(rospy.get_param("kuka/ws_center"), [0.42214, -0.42214, 0.4], atol=1e-4)
+    assert heard["kuka/workspace"].wait()[0].markers
+    heard["kuka/flange_torque"].wait()
+    for frame in ("kuka/flange_frame/home", "kuka/tool_frame/home", "kuka/flange_frame/measured"):
+        wait_until(lambda f=frame: buffer.can_transform("kuka/base_frame", f, rospy.Time(0)), 10.0, frame)
+    measured = buffer.lookup_transform("kuka/base_frame", "kuka/flange_frame/measured", rospy.Time(0)).transform
+    at_home = buffer.lookup_transform("kuka/base_frame", "kuka/flange_frame/home", rospy.Time(0)).transform
+    assert abs(measured.translation.z - at_home.translation.z) < 1e-3
+
+    assert node.call("gripper_control", "setGripperControl", True).success
+    wait_until(lambda: heard["kuka/gripper_control"] and heard["kuka/gripper_control"][-1].data, 5.0, "gripper flag")
+    assert not node.call("scaling_factor", "setScalingFactor", 1.6).success
+    assert not node.call("scaling_factor", "setScalingFactor", float("nan")).success
+    assert node.call("scaling_factor", "setScalingFactor", 0.5).message == "The scaling factor is 0.5."
+    assert node.control(True).success
+    assert not node.call("scaling_factor", "setScalingFactor", 0.7).success
+
+    T_home = home_tool()
+    shown = hand(shifted(T_home, 0.1, 0.0, 0.06), parent_chain=True)
+    node.wait_for_mode("servo")
+    wait_until(lambda: at(robot, shifted(T_home, 0.05, 0.0, 0.03)), 20.0, "the tool at half the way of the hand")
+    wait_until(lambda: heard["kuka/moving_rt"][-1].data, 5.0, "moving_rt")
+
+    for messages in heard.values():
+        messages.clear()
+    for z in np.linspace(0.06, 0.0, 100):
+        shown.T = shifted(T_home, 0.1, 0.0, z)
+        time.sleep(0.01)
+    wait_until(lambda: at(robot, shifted(T_home, 0.05, 0.0, 0.0)), 20.0, "the tool where the hand is")
+    assert [m.data for m in node.modes].count("servo") == 1
+    for name in ("joint_states", "kuka/joint_positions", "kuka/joint_torques_external", "kuka/joint_torques_measured"):
+        heard[name].wait(10)
+    heard["kuka/flange_force"].wait(10)
+    assert all(m.source == "kuka_control" for m in heard["rig/stage_times"].wait(10))
+    assert heard["joint_states"][-1].name == [f"kuka/joint_{i}" for i in range(1, 8)]
+    np.testing.assert_allclose(heard["joint_states"][-1].position, robot.joints, atol=0.01)
+    commanded = buffer.lookup_transform("kuka/base_frame", "kuka/tool_frame/commanded", rospy.Time(0)).transform
+    assert abs(commanded.translation.x - (T_home[0, 3] + 0.05)) < 1e-6
+    status = heard["kuka/status"].wait()[-1]
+    assert (status.control_on, status.mode, status.scaling_factor) == (True, "servo", pytest.approx(0.5))
+
+    shown.hide()
+    node.wait_for_mode("home")
+    np.testing.assert_allclose(robot.joints, rospy.get_param("kuka/joints_home"), atol=1e-3)
+
+    answer = node.call("exit_app", "exitApp")
+    assert answer.success and "zero" in answer.message
+    assert node.wait_for_end() == 0
+    np.testing.assert_allclose(robot.joints, np.zeros(7), atol=1e-3)
+    modes = "homing home pick_up servo returning home zero stopped".split()
+    assert [m.data for m in node.modes] == modes
+    del listener
+
+
+def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released(robot, start, hand, wait_until):
+    node = start()
+    node.wait_for_mode("home")
+    assert node.control(True).success
+    T_home = home_tool()
+    shown = hand(T_home)
+    node.wait_for_mode("servo")
+    robot.ask("set_external_torque", value=[0, 30, 0, 0, 0, 0, 0])
+    wait_until(lambda: robot.ask()["safety_stop"], 10.0, "the safety stop")
+    robot.ask("set_external_torque", value=[0] * 7)
+    for x in np.linspace(0.0, 0.06, 60):
+        shown.T = shifted(T_home, x, 0.0, 0.0)
+        time.sleep(0.01)
+    node.wait_for_mode("stopped")
+    stopped_at = robot.joints
+    robot.ask("release")
+    time.sleep(1.0)
+    np.testing.assert_allclose(robot.joints, stopped_at, atol=2e-3)
+    answer = node.control(True)
+    assert not answer.success and "off and on again" in answer.message
+    assert node.control(False).success
+    assert node.control(True).success
+    node.wait_for_mode("home")
+    node.wait_for_mode("servo")
+    wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
+    assert robot.ask()["stops"] == 1
+
+
+def test_a_jump_is_picked_up_anew(robot, start, hand, wait_until):
+    node = start()
+    node.wait_for_mode("home")
+    node.control(True)
+    T_home = home_tool()
+    shown = hand(T_home)
+    node.wait_for_mode("servo")
+    shown.T = shifted(T_home, 0.0, 0.1, 0.0)
+    node.wait_for_mode("pick_up")
+    node.wait_for_mode("servo")
+    wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
+    assert robot.ask()["stops"] == 0
+
+
+def test_an_infeasible_frame_shuts_the_controller_down(robot, start, hand):
+    node = start()
+    node.wait_for_mode("home")
+    node.control(True)
+    hand(shifted(home_tool(), -0.9, 0.9, 0.0))
+    assert node.wait_for_end() == 1
+    np.testing.assert_allclose(robot.joints, np.zeros(7), atol=1e-3)
+    assert "infeasible" in node.log
+
+
+def test_the_emergency_exit_ends_at_once_and_leaves_the_connection_alone(robot, start, hand, wait_until):
+    node = start()
+    node.wait_for_mode("home")
+    node.control(True)
+    hand(home_tool())
+    node.wait_for_mode("servo")
+    assert node.call("exit_app_emergency", "exitAppEmergency").success
+    assert node.wait_for_end(10.0) == 2
+    assert "connection to the robot is closed" not in node.log
+
+
+def test_the_emergency_exit_works_while_the_robot_hangs(robot, start):
+    node = start()
+    node.wait_for_mode("homing")
+    robot.process.send_signal(signal.SIGSTOP)
+    try:
+        assert node.call("exit_app_emergency", "exitAppEmergency").success
+        assert node.wait_for_end(10.0) == 2
+    finally:
+        robot.process.send_signal(signal.SIGCONT)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_it_leaves_servo_mode_and_says_goodbye(robot, start, hand, wait_until, number):
+    node = start()
+    node.wait_for_mode("home")
+    node.control(True)
+    hand(home_tool())
+    node.wait_for_mode("servo")
+    node.process.send_signal(number)
+    assert node.wait_for_end(15.0) == 0
+    wait_until(lambda: not robot.ask()["connected"], 5.0, "the end of the connection")
+    assert robot.ask()["mode"] != "servo"
+    assert "Traceback" not in node.log
+
+
+def test_a_lost_robot_ends_the_controller_with_one_sentence(robot, start, hand):
+    node = start()
+    node.wait_for_mode("home")
+    node.control(True)
+    hand(home_tool())
+    node.wait_for_mode("servo")
+    robot.process.kill()
+    assert node.wait_for_end() == 1
+    assert "The robot is out of reach" in node.log and "Traceback" not in node.log
+
+
+def test_the_ptp_controller(ros, robot, start, hand, wait_until):
+    node = start(PTP, time_out=1.0)
+    node.wait_for_mode("home")
+    assert node.control(True).success
+    T = shifted(home_tool(), 0.05, 0.0, 0.05)
+    shown = hand(T)
+    node.wait_for_mode("pick_up")
+    wait_until(lambda: at(robot, T), MOVE_S, "the tool where the hand is")
+    shown.hide()
+    node.wait_for_mode("home")
+    assert node.call("exit_app", "exitApp").success
+    assert node.wait_for_end() == 0
+    np.testing.assert_allclose(robot.joints, np.zeros(7), atol=1e-3)
+
+
+def test_the_launch_files_set_what_they_are_given(ros, robot, wait_until):
+    import rospy
+    from std_msgs.msg import String
+
+    modes = ros.record("kuka/mode", String)
+    process = ros.launch("kuka_control", "real_time_controller.launch", ip="127.0.0.1", port=robot.port)
+    wait_until(lambda: modes and modes[-1].data == "home", MOVE_S, "the arm at home")
+    assert rospy.get_param("kuka/tool_length") == 0.106
+    assert process.poll() is None
+
+
+@pytest.mark.parametrize(
+    "executable, changes, words",
+    [
+        (
+            REAL_TIME,
+            {"opening_angle": 190, "velocity_ptp_fast": "fast"},
+            ["kuka/opening_angle", "kuka/velocity_ptp_fast"],
+        ),
+        (REAL_TIME, {"unknown": 1}, ["kuka/unknown"]),
+        (REAL_TIME, {"center_line": [1, 0, 0.5]}, ["horizontal"]),
+        (REAL_TIME, {"tool_length": 0.7}, ["tool"]),
+        (PTP, {"joints_thresh": -1}, ["kuka/joints_thresh"]),
+    ],
+)
+def test_bad_parameters_are_refused_before_anything_is_connected(ros, robot, start, executable, changes, words):
+    node = start(executable, **changes)
+    assert node.wait_for_end(30.0) == 1
+    assert all(word in node.log for word in words), node.log
+    assert "Traceback" not in node.log
+    assert not robot.ask()["connected"] and not robot.joints.any()
+
+
+def test_without_a_robot_it_says_so_and_ends(ros, wait_until, free_port):
+    set_params(REAL_TIME, ip="127.0.0.1", port=free_port())
+    node = Node(ros.run("kuka_control", REAL_TIME), wait_until)
+    assert node.wait_for_end(30.0) == 1
+    assert "There is no connection to the robot" in node.log and "Traceback" not in node.log
+
+
+def test_it_waits_for_its_parameters_and_says_so(ros, wait_until):
+    node = Node(ros.run("kuka_control", PTP), wait_until)
+    wait_until(lambda: "Waiting for the parameter /kuka" in node.log, 30.0, "the sentence")
+    assert node.process.poll() is None
