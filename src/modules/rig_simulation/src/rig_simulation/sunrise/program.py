@@ -20,7 +20,7 @@ NAME = "sunrise_controller"
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulated controller; returns the exit code."""
     options = _parser().parse_args(arguments)
-    arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law)
+    arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
     server_settings = ServerSettings(
         options.wiped_window, options.wait_for_client, options.deaf_after_lost_client, options.end_exits
     )
@@ -61,17 +61,25 @@ def _parser() -> argparse.ArgumentParser:
         help="how joint servo approaches a goal: lts = law of the published server, none = straight to the goal",
     )
     parser.add_argument(
-        "--wiped-window", type=_positive, default=0.0, help="seconds after an answer in which a main command is lost"
+        "--trajectory-time", type=_above_zero, default=0.04, help="minimum trajectory time of DirectServo, s"
     )
     parser.add_argument(
-        "--wait-for-client", type=_positive, default=math.inf, help="seconds without a client after which it ends"
+        "--wiped-window",
+        type=_not_negative,
+        default=0.0,
+        help="seconds after an answer in which a main command is lost",
+    )
+    parser.add_argument(
+        "--wait-for-client", type=_above_zero, default=math.inf, help="seconds without a client after which it ends"
     )
     parser.add_argument(
         "--deaf-after-lost-client", action="store_true", help="a client lost without `end` leaves the port deaf"
     )
     parser.add_argument("--end-exits", action="store_true", help="the command `end` ends the program")
-    parser.add_argument("--safety-torque", type=_positive, default=25.0, help="external torque of the safety stop, Nm")
-    parser.add_argument("--safety-speed", type=_positive, default=0.8, help="tool speed of the safety stop, m/s")
+    parser.add_argument(
+        "--safety-torque", type=_above_zero, default=25.0, help="external torque of the safety stop, Nm"
+    )
+    parser.add_argument("--safety-speed", type=_above_zero, default=0.8, help="tool speed of the safety stop, m/s")
     # roslaunch adds a node's name and log file to every program it starts.
     parser.add_argument("ros_arguments", nargs="*", type=_ros_argument, help=argparse.SUPPRESS)
     return parser
@@ -84,13 +92,20 @@ def _port(text: str) -> int:
     return value
 
 
-def _positive(text: str) -> float:
+def _not_negative(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        value = -1.0
-    if not value >= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 up")
+        value = math.nan
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number from 0 up")
+    return value
+
+
+def _above_zero(text: str) -> float:
+    value = _not_negative(text)
+    if value == 0.0:
+        raise argparse.ArgumentTypeError("it must be above 0")
     return value
 
 

@@ -1,0 +1,88 @@
+"""Number texts of the server: golden vectors of Double.toString, and what Double.parseDouble takes and refuses."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig_simulation.sunrise import java_numbers
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0.0"),
+        (-0.0, "-0.0"),
+        (0.1, "0.1"),
+        (1.0, "1.0"),
+        (-123.0, "-123.0"),
+        (120.0, "120.0"),
+        (0.001, "0.001"),
+        (0.00123, "0.00123"),
+        (0.000999, "9.99E-4"),
+        (5e-5, "5.0E-5"),
+        (-1.3405321274206328e-5, "-1.3405321274206328E-5"),
+        (1e7, "1.0E7"),
+        (9999999.0, "9999999.0"),
+        (1234567.875, "1234567.875"),
+        (12345678.9, "1.23456789E7"),
+        (1e22, "1.0E22"),
+        (1.7976931348623157e308, "1.7976931348623157E308"),
+        (5e-324, "5.0E-324"),
+        (math.inf, "Infinity"),
+        (-math.inf, "-Infinity"),
+        (math.nan, "NaN"),
+        (-0.7843743209986667, "-0.7843743209986667"),
+    ],
+)
+def test_golden_texts(value, text):
+    assert java_numbers.text(value) == text
+
+
+def test_a_vector_ends_with_its_separator():
+    assert java_numbers.vector([0.0, -1.5]) == "0.0_-1.5_"
+
+
+@given(st.floats(allow_nan=False))
+def test_every_double_comes_back_from_its_text(value):
+    text = java_numbers.text(value)
+    back = java_numbers.number(text)
+    assert back == value
+    assert math.copysign(1.0, back) == math.copysign(1.0, value)
+    assert len(text) <= 24
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("-0.5", -0.5),
+        ("1e-3", 1e-3),
+        ("1E-3", 1e-3),
+        (" +2. ", 2.0),
+        (".5", 0.5),
+        ("1d", 1.0),
+        ("1.5F", 1.5),
+        ("Infinity", math.inf),
+        ("-Infinity", -math.inf),
+        ("0x1.8p1", 3.0),
+        ("1e999", math.inf),
+    ],
+)
+def test_what_java_reads(text, value):
+    assert java_numbers.number(text) == value
+
+
+def test_java_reads_its_own_nan():
+    assert math.isnan(java_numbers.number("NaN"))
+    assert math.isnan(java_numbers.number("-NaN"))
+
+
+@pytest.mark.parametrize(
+    "text", ["", " ", "nan", "inf", "-inf", "1,5", "1 5", "e5", ".", "abc", "1_0", "0x10", "--1", "١"]
+)
+def test_what_java_refuses(text):
+    with pytest.raises(ValueError, match="is not a number"):
+        java_numbers.number(text)

@@ -1,0 +1,212 @@
+"""Laws of the simulated arm's motions: profiles, paths, the servo's law and drives, kinematics from the URDF."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from common.poses import pose
+from common.rotations import rotation_from_zyx, zyx_from_rotation
+from rig_simulation.sunrise.arm import FULL_SPEED_TIME_S, MOTION_SHARE
+from rig_simulation.sunrise.description import read_urdf
+from rig_simulation.sunrise.paths import Circle, Line, Unreachable, plan
+from rig_simulation.sunrise.profiles import JointMove, SmoothStep
+from rig_simulation.sunrise.robot import Robot
+from rig_simulation.sunrise.servo import Drives, lts_law, plain_law
+
+ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
+FULL_ACCELERATION = ROBOT.max_speed / FULL_SPEED_TIME_S
+ACCELERATION = MOTION_SHARE * FULL_ACCELERATION
+HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
+TOOL = pose(p=(0.0, 0.0, 0.106))
+positive = st.floats(1e-3, 1e3)
+joints = st.builds(
+    lambda shares: ROBOT.lower + np.array(shares) * (ROBOT.upper - ROBOT.lower),
+    st.lists(st.floats(0.0, 1.0), min_size=7, max_size=7),
+)
+
+
+@given(positive, positive)
+def test_a_step_keeps_its_limits_and_is_symmetric(speed, acceleration):
+    step = SmoothStep(speed, acceleration)
+    t = np.linspace(0.0, step.duration, 2001)
+    s = np.array([step.at(x) for x in t])
+    v = np.diff(s) / t[1]
+    assert s[0] == 0.0
+    assert s[-1] == 1.0
+    assert step.at(-1.0) == 0.0
+    assert v.min() >= -1e-9
+    assert v.max() <= speed * (1.0 + 1e-6)
+    assert np.abs(np.diff(v) / t[1]).max() <= acceleration * (1.0 + 1e-3)
+    assert_allclose(s + s[::-1], 1.0, atol=1e-9)
+
+
+@settings(deadline=None, max_examples=25)
+@given(joints, joints, st.floats(0.01, 1.0))
+def test_a_joint_move_arrives_exactly_with_all_joints_in_step(start, end, share):
+    if np.array_equal(start, end):
+        return
+    move = JointMove(start, end, share * ROBOT.max_speed, ACCELERATION)
+    t = np.linspace(0.0, move.duration, 501)
+    q = np.array([move.at(x) for x in t])
+    assert np.array_equal(q[0], start)
+    assert np.array_equal(q[-1], end)
+    assert np.all(np.abs(np.diff(q, axis=0)) <= share * ROBOT.max_speed * t[1] * (1 + 1e-6) + 1e-12)
+    moved = np.abs(end - start) > 1e-3
+    if moved.any():
+        shares = (q[:, moved] - start[moved]) / (end - start)[moved]
+        assert_allclose(shares, shares[:, :1] @ np.ones((1, shares.shape[1])), atol=1e-9)
+
+
+def test_the_slowest_joint_uses_its_full_share():
+    move = JointMove(np.zeros(7), HOME, 0.25 * ROBOT.max_speed, ACCELERATION)
+    v = np.array([move.at(t + 1e-3) - move.at(t) for t in np.arange(0.0, move.duration, 1e-3)]) / 1e-3
+    assert_allclose(np.max(np.abs(v) / ROBOT.max_speed), 0.25, rtol=1e-6)
+
+
+@pytest.mark.parametrize("law", [lts_law, plain_law])
+@pytest.mark.parametrize("step", [1e-3, 0.05, 0.5, 2.0])
+def test_the_servo_reaches_a_step_without_overshoot_within_its_limits(law, step):
+    drives = Drives(ROBOT.max_speed, FULL_ACCELERATION, 0.04)
+    goal, q, v, dt = step * np.array([1, -1, 1, -1, 1, -1, 1.0]), np.zeros(7), np.zeros(7), 1e-3
+    for _ in range(6000):
+        v_next = drives.towards(law(goal - q), v, dt)
+        assert np.all(np.abs(v_next) <= ROBOT.max_speed)
+        assert np.all(np.abs(v_next - v) <= FULL_ACCELERATION * dt * (1 + 1e-9))
+        q, v = q + v_next * dt, v_next
+        assert np.all(np.abs(q) <= step + 1e-4)
+    assert_allclose(q, goal, atol=4e-4)
+
+
+@pytest.mark.parametrize(("speed", "lag"), [(0.1, 2.1e-3), (0.5, 4.6e-3)])
+def test_the_law_lags_behind_a_ramp_as_the_reference_says(speed, lag):
+    cycle, q = 1.07e-3, 0.0
+    for k in range(3000):
+        goal = speed * cycle * k
+        q += lts_law(np.array([goal - q]))[0]
+    assert_allclose(goal + speed * cycle - q, lag, atol=1.5e-4)
+
+
+@pytest.mark.parametrize(("time", "left"), [(0.05, 7.5e-4), (0.2, 2e-4), (1.0, 4e-5)])
+def test_the_law_ends_a_step_as_the_reference_says(time, left):
+    q = 0.0
+    for _ in range(round(time / 1.07e-3)):
+        q += lts_law(np.array([0.05 - q]))[0]
+    assert_allclose(0.05 - q, left, rtol=0.15)
+
+
+def test_the_law_looks_seven_hundredths_ahead_at_most():
+    assert_allclose(lts_law(np.array([10.0, -10.0, 0.0525, 0.0])), [0.07, -0.07, 0.07 * (1 - np.exp(-1)), 0.0])
+
+
+@pytest.mark.parametrize(
+    ("q", "robot", "flange", "shift_mm", "xyz", "abc"),
+    [
+        ([0] * 7, "LBR7R800", "MF_elektrisch", 0, [0, 0, 1301], [0, 0, 0]),
+        ([0] * 7, "LBR14R820", "MF_elektrisch", 0, [0, 0, 1341], [0, 0, 0]),
+        (np.radians([0, 30, 0, -60, 0, 90, 0]), "LBR7R800", "MF_elektrisch", 0, [600, 0, 525.4102], [np.pi, 0, np.pi]),
+        (
+            np.radians([10, 20, 30, -40, 50, 60, 70]),
+            "LBR7R800",
+            "MF_elektrisch",
+            0,
+            [443.5973, 363.8146, 914.0745],
+            [2.958711, -0.495729, 1.666864],
+        ),
+        (
+            np.radians([10, 20, 30, -40, 50, 60, 70]),
+            "LBR7R800",
+            "MF_touch_pneumatisch",
+            0,
+            [447.1375, 389.4789, 911.8808],
+            [2.958711, -0.495729, 1.666864],
+        ),
+        (
+            np.radians([10, 20, 30, -40, 50, 60, 70]),
+            "LBR14R820",
+            "MF_elektrisch",
+            0,
+            [450.3338, 365.0024, 952.8683],
+            [2.958711, -0.495729, 1.666864],
+        ),
+        (
+            [0.1, 0.5, -0.2, -1.2, 0.3, 0.8, 0.4],
+            "LBR7R800",
+            "MF_elektrisch",
+            -35,
+            [664.2448, -4.0660, 544.6541],
+            [2.437709, 0.485152, 2.652720],
+        ),
+    ],
+)
+def test_forward_kinematics_against_the_reference(q, robot, flange, shift_mm, xyz, abc):
+    T = Robot(read_urdf(robot, flange)).flange(np.array(q, dtype=float)) @ pose(p=(0, 0, shift_mm / 1000))
+    assert_allclose(1000 * T[:3, 3], xyz, atol=6e-5)
+    assert_allclose(T[:3, :3], rotation_from_zyx(*abc), atol=2e-6)
+
+
+@settings(deadline=None, max_examples=50)
+@given(joints)
+def test_the_jacobian_is_the_derivative_of_the_pose(q):
+    v, h = np.linspace(-1.0, 1.0, 7), 1e-6
+    T = ROBOT.flange(q) @ TOOL
+    ahead, behind = ROBOT.flange(q + h * v) @ TOOL, ROBOT.flange(q - h * v) @ TOOL
+    p_dot = (ahead - behind)[:3, 3] / (2 * h)
+    twist = ROBOT.jacobian(q, TOOL) @ v
+    assert_allclose(T[:3, :3] @ twist[:3], p_dot, atol=1e-6)
+    assert_allclose(ROBOT.tool_speed(q, v, TOOL), np.linalg.norm(p_dot), atol=1e-6)
+
+
+def test_joint_angles_of_a_pose_nearby():
+    q = HOME + 0.1
+    solution = ROBOT.solve(ROBOT.flange(q) @ TOOL, TOOL, HOME)
+    assert_allclose(ROBOT.flange(solution), ROBOT.flange(q), atol=1e-8)
+    assert ROBOT.solve(pose(p=(2.0, 0.0, 0.0)), TOOL, HOME) is None
+
+
+def test_a_line_is_straight_keeps_its_speed_and_the_joint_limits():
+    start = ROBOT.flange(HOME) @ TOOL
+    end = start.copy()
+    end[:3, 3] += (0.05, 0.1, 0.1)
+    move = plan(Line(start, end), 0.2, ROBOT, TOOL, HOME, ACCELERATION)
+    q = np.array([move.at(t) for t in np.linspace(0.0, move.duration, 1001)])
+    points = np.array([(ROBOT.flange(x) @ TOOL)[:3, 3] for x in q])
+    along = (end - start)[:3, 3] / 0.15
+    assert_allclose(points - start[:3, 3], ((points - start[:3, 3]) @ along)[:, None] * along, atol=1e-5)
+    assert_allclose(points[-1], end[:3, 3], atol=1e-8)
+    speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / (move.duration / 1000)
+    assert_allclose(speed.max(), 0.2, rtol=1e-2)
+    assert np.all(np.abs(np.diff(q, axis=0)) <= ROBOT.max_speed * move.duration / 1000 * 1.01)
+
+
+def test_a_circle_passes_its_three_points():
+    start = ROBOT.flange(HOME) @ TOOL
+    via, end = start.copy(), start.copy()
+    via[:3, 3] += (0.05, 0.05, 0.0)
+    end[:3, 3] += (0.1, 0.0, 0.0)
+    circle = Circle(start, via, end)
+    assert_allclose(circle.at(0.0), start, atol=1e-12)
+    assert_allclose(circle.at(0.5), via, atol=1e-12)
+    assert_allclose(circle.at(1.0), end, atol=1e-12)
+    assert_allclose(circle.length, np.pi * 0.05)
+    with pytest.raises(Unreachable, match="no circle"):
+        Circle(start, 0.5 * (start + end), end)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, np.nan, np.inf])
+def test_a_line_needs_a_speed(speed):
+    start = ROBOT.flange(HOME)
+    with pytest.raises(Unreachable, match="moves nothing"):
+        plan(Line(start, start), speed, ROBOT, np.eye(4), HOME, ACCELERATION)
+
+
+def test_angles_of_the_controller_come_back():
+    assert_allclose(zyx_from_rotation(rotation_from_zyx(0.1, -0.2, 0.3)), [0.1, -0.2, 0.3])
+
+
+def test_a_description_without_the_arm_is_refused():
+    with pytest.raises(ValueError, match="kuka/joint_1"):
+        Robot('<robot name="x"><link name="a"/></robot>')
