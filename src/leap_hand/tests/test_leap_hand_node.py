@@ -229,6 +229,24 @@ def test_without_the_hands_driver_the_node_ends_with_a_sentence(ros, wait_until)
     assert "reflex_takktile/calibrate_fingers is not there after 0.5 s" in log
 
 
+def test_a_calibration_that_fails_ends_the_node_with_a_sentence(ros, wait_until):
+    import rospy
+    from std_srvs.srv import Empty
+
+    rospy.set_param("leap_hand", LIMITS)
+    services = [
+        rospy.Service(f"reflex_takktile/{name}", Empty, lambda _: None)
+        for name in ("calibrate_fingers", "calibrate_tactile")
+    ]
+    process = ros.run("leap_hand", "leap_hand_node.py")
+    wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    for service in services:
+        service.shutdown()
+    log = process.log_path.read_text()
+    assert process.returncode == 1 and "Traceback" not in log
+    assert "reflex_takktile/calibrate_fingers failed" in log
+
+
 @pytest.mark.parametrize("path", LAUNCH, ids=lambda path: path.name)
 def test_every_launch_argument_is_explained(path):
     assert all(argument.get("doc") for argument in ElementTree.parse(path).getroot().findall("arg"))

@@ -36,6 +36,21 @@ def test_a_level_hand_in_the_box_starts_when_the_window_is_full(play, sample):
     np.testing.assert_allclose(tool_in_base(results[-1])[:3, 3], [0.42, -0.42, 0.4], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "center_line, tool_x", [((1, -1, 0), (-1, 1, 0)), ((0, 1, 0), (0, -1, 0)), ((-1, 1, 0), (-1, 1, 0))]
+)
+def test_a_level_hand_asks_for_the_rotation_of_the_home_pose(leap, arm, player, sample, center_line, tool_x):
+    play = player(Teleop(leap(), arm(center_line=np.array(center_line, dtype=float))))
+    R = tool_in_base(play.steps(10, sample(yaw=30.0))[-1])[:3, :3]
+    np.testing.assert_allclose(R[:, 0], np.array(tool_x) / np.linalg.norm(tool_x), atol=1e-9)
+    np.testing.assert_allclose(R[:, 2], [0, 0, -1], atol=1e-9)
+
+
+def test_without_any_confidence_no_stream_starts(leap, arm, player, sample):
+    play = player(Teleop(leap(min_confidence=0.0), arm()))
+    assert play.steps(10, sample(confidence=0.0))[-1].state == WAITING
+
+
 def test_the_virtual_leap_is_there_from_the_first_frame_on(play):
     result = play.step()
     assert result.state == WAITING and result.usable and result.reason == "no hand is seen"
