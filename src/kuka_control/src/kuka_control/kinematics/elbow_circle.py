@@ -15,7 +15,7 @@ turn, so all eight branches share one circle.
 
 from __future__ import annotations
 
-from math import acos, atan2, cos, hypot, pi, sin
+from math import acos, atan2, copysign, cos, hypot, pi, sin
 from typing import NamedTuple, Sequence
 
 from kuka_control.kinematics.arcs import FLAT, TURN, Arc, Interval, intersection, positive, remaining
@@ -26,7 +26,7 @@ ALIGNED = 1e-10
 
 
 class Branch(NamedTuple):
-    """The signs of joints 2, 4 and 6, each 1 or -1; a joint at zero counts as positive."""
+    """The signs of joints 2, 4 and 6, each 1 or -1; a joint at zero keeps the sign of its zero."""
 
     shoulder: int
     elbow: int
@@ -35,7 +35,7 @@ class Branch(NamedTuple):
     @classmethod
     def of(cls, q: Sequence[float]) -> Branch:
         """Returns the branch that joints q, 7 angles [rad], are in."""
-        return cls(*(-1 if q[i] < 0.0 else 1 for i in (1, 3, 5)))
+        return cls(*(int(copysign(1.0, q[i])) for i in (1, 3, 5)))
 
 
 BRANCHES = tuple(Branch(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1))
@@ -132,7 +132,7 @@ class ElbowCircle:
 
         Upper arm and forearm turn about u; written in the third and the fourth frame, u is constant.
         """
-        sign = -1.0 if q[3] < 0.0 else 1.0
+        sign = copysign(1.0, q[3])
         s2, s6 = _away_from_zero(sin(q[1])), _away_from_zero(sin(q[5]))
         d1 = sign * self._sb * cos(q[2]) / s2
         d7 = -sign * self._sa * cos(q[4]) / s6

@@ -45,7 +45,10 @@ MARGIN_RAD = radians(5.0)
 """The arm angle is led away where a joint is nearer to its limit than this, or joint 2 or 6 nearer to zero."""
 
 NEARBY_RAD = radians(3.0)
-"""A solution in the present branch with no greater joint step is taken without a look at the other branches."""
+"""A solution with no greater joint step is taken without a look at others."""
+
+CROSSING_RAD = radians(10.0)
+"""A joint goes through zero where it is nearer to zero than this before and after the step."""
 
 WOUND = -0.5
 """Below this cosine of joint 3 the elbow is where it should be with joints 1 and 3 turned over, which is not wanted."""
@@ -59,6 +62,9 @@ class IkFailure(str, Enum):
 
     TOO_FAR = "The tool pose is out of reach: too far from the shoulder for the outstretched arm."
     TOO_NEAR = "The tool pose is out of reach: so near to the shoulder that joint 4 would bend beyond its limit."
+    OTHER_BRANCH = (
+        "The tool pose is out of reach, unless the arm is folded differently first: joint 2, 4 or 6 turned over."
+    )
     NO_ARM_ANGLE = "The tool pose is out of reach: at every arm angle some joint would be beyond its limit."
 
     def __str__(self) -> str:
@@ -119,12 +125,15 @@ class Kinematics:
         """Returns the pose of the tool in the base, shape (4, 4) [m], at joints q, shape (7,) [rad]."""
         return forward(self.model, q) @ self.T_flange_tool
 
-    def inverse(self, T_base_tool: np.ndarray, near: np.ndarray) -> IkResult:
-        """Returns joints that bring the tool to a pose, as close to `near` as the ranges and the tool's step let them.
+    def inverse(self, T_base_tool: np.ndarray, near: np.ndarray, keep_branch: bool = False) -> IkResult:
+        """Returns joints that bring the tool to a pose, close to `near`.
+
+        The branch of `near` is left only through a zero of joint 2 or joint 6, or where it does not reach the pose.
 
         Args:
             T_base_tool: pose of the tool in the base, shape (4, 4) [m].
             near: joints that the arm has, shape (7,) [rad].
+            keep_branch: whether that the branch does not reach the pose is a failure.
 
         Raises:
             ValueError: the pose is not finite or not rigid, or `near` is not seven finite numbers.
@@ -149,19 +158,35 @@ class Kinematics:
         u = (w[0] / reach, w[1] / reach, w[2] / reach)
         reference = _elbow_across(u, seed)
         zero = _arm_angle(u, reference)
-        best = self._choose(ElbowCircle(bend, self._lengths, u, reference, flange), seed, zero)
+        circle = ElbowCircle(bend, self._lengths, u, reference, flange)
+        best = self._continued(circle, seed)
         if best is None:
-            return IkResult(None, IkFailure.NO_ARM_ANGLE)
+            best = self._refolded(circle, seed)
+            if best is None:
+                return IkResult(None, IkFailure.NO_ARM_ANGLE)
+            if keep_branch:
+                return IkResult(None, IkFailure.OTHER_BRANCH)
+        best = self._led_back(circle, best, seed, zero)
         return IkResult(read_only(best.q), arm_angle=wrapped(best.angle + zero), branch=best.branch)
 
-    def _choose(self, circle: ElbowCircle, seed: list[float], zero: float) -> _Candidate | None:
-        """Returns the joints to take; `zero` is the arm angle at angle zero of the circle [rad]."""
+    def _continued(self, circle: ElbowCircle, seed: list[float]) -> _Candidate | None:
+        """Returns the best joints of the present branch, or of one that joint 2 or joint 6 enters through zero."""
         present = Branch.of(seed)
         best = self._best_in_branch(circle, present, seed)
-        if best is None or _step(best.q, seed) > NEARBY_RAD:
-            found = [best, *(self._best_in_branch(circle, branch, seed) for branch in BRANCHES if branch != present)]
-            best = min((one for one in found if one is not None), key=lambda one: one.cost, default=None)
-        return best if best is None else self._led_back(circle, best, seed, zero)
+        if best is not None and _step(best.q, seed) <= NEARBY_RAD:
+            return best
+        for branch in BRANCHES:
+            crossed = [joint for joint, a, b in zip((1, 3, 5), branch, present) if a != b]
+            if crossed and 3 not in crossed and all(abs(seed[joint]) < CROSSING_RAD for joint in crossed):
+                found = self._best_in_branch(circle, branch, seed)
+                if found is not None and all(abs(found.q[joint]) < CROSSING_RAD for joint in crossed):
+                    best = found if best is None or found.cost < best.cost else best
+        return best
+
+    def _refolded(self, circle: ElbowCircle, seed: list[float]) -> _Candidate | None:
+        """Returns the best joints of all branches."""
+        found = (self._best_in_branch(circle, branch, seed) for branch in BRANCHES)
+        return min((one for one in found if one is not None), key=lambda one: one.cost, default=None)
 
     def _best_in_branch(self, circle: ElbowCircle, branch: Branch, seed: list[float]) -> _Candidate | None:
         """Returns the joints of a branch that are cheapest to reach from `seed`, or None if it has none in range."""
