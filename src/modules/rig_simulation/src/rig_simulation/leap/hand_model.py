@@ -1,0 +1,214 @@
+"""The hand that the Leap service fits to its images: one template, scaled, with a rigid palm and hinged fingers.
+
+Everything is in millimetres and in Leap axes (x to the user's right, y up, z towards the user) unless it says palm
+axes: x to the pinky's side, y out of the back of the hand, z to the wrist. Palm axes of a left hand are mirrored, so
+that one template serves both hands; so are the bases of its bones, as on the service's wire.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.rotations import rotation_about
+
+PALM_WIDTH_MM = 84.25
+ARM_LENGTH_MM, ARM_WIDTH_MM = 250.0, 59.0
+TIP_ON_DISTAL = 0.77
+"""Where on the last bone service 2 puts the centre of the finger tip; newer services end the bone there."""
+
+BONE_LENGTHS_MM = np.array(
+    [
+        [0.0, 46.22, 31.57, 21.67],
+        [68.12, 39.78, 22.38, 15.82],
+        [64.60, 44.63, 26.33, 17.40],
+        [58.00, 41.37, 25.65, 17.30],
+        [53.69, 32.74, 18.11, 15.96],
+    ]
+)
+"""Metacarpal to distal (columns) of thumb to pinky (rows); the bones of the thumb count one joint further out."""
+
+FINGER_WIDTHS_MM = np.array([18.75, 17.91, 17.59, 16.738, 14.868])
+CARPS_MM = np.array(
+    [[-19.34, -6.00, 53.17], [-11.87, 12.10, 43.26], [-0.88, 13.58, 40.60], [10.41, 12.60, 39.65], [21.41, 5.68, 41.81]]
+)
+KNUCKLES_MM = np.array(
+    [[-19.34, -6.00, 53.17], [-23.18, 2.00, -23.15], [-2.79, 4.00, -23.25], [17.45, 4.00, -17.28], [35.34, 0.00, -9.73]]
+)
+WRIST_MM = np.array([7.06, 4.0, 50.0])
+THUMB_TWIST = np.radians(45.0)
+"""How far the thumb's hinges are turned about its bones: it bends across the palm, not down."""
+
+FLEXION_SUM_EXTENDED = np.radians(85.0)
+OPEN = np.radians([[-5, 4, 4], [2, 5, 4], [1, 5, 4], [2, 5, 4], [3, 6, 5]])
+FIST = np.radians([[25, 40, 50], [85, 85, 62], [87, 86, 62], [87, 86, 62], [86, 85, 62]])
+OPEN_SPREAD = np.radians([-40.0, -3.0, 1.0, 5.0, 12.0])
+FIST_SPREAD = np.radians([-8.0, 0.0, 0.0, 1.0, 2.0])
+
+
+@dataclass(frozen=True)
+class HandPose:
+    """Where a hand is and how its fingers are bent.
+
+    Attributes:
+        palm: centre of the palm, shape (3,) [mm].
+        pitch: fingers up is positive [rad].
+        yaw: fingers to the right is positive [rad].
+        roll: palm facing right is positive [rad].
+        flexion: of the three hinges of thumb to pinky, shape (5, 3) [rad].
+        spread: of thumb to pinky at the knuckle, to the pinky's side positive, shape (5,) [rad].
+    """
+
+    palm: np.ndarray
+    pitch: float
+    yaw: float
+    roll: float
+    flexion: np.ndarray
+    spread: np.ndarray
+
+
+@dataclass(frozen=True)
+class HandGeometry:
+    """Where the bones of a hand are.
+
+    Attributes:
+        palm: shape (3,) [mm]; direction, normal: unit vectors, shape (3,).
+        joints: carp, mcp, pip, dip, btip of thumb to pinky, shape (5, 5, 3) [mm].
+        bases: axes x, y, z as rows of metacarpal to distal, shape (5, 4, 3, 3); mirrored on a left hand.
+        tips: centres of the finger tips, shape (5, 3) [mm].
+        elbow, wrist: shape (3,) [mm].
+        arm_basis: axes x, y, z of the forearm as rows, shape (3, 3); mirrored on a left hand.
+    """
+
+    palm: np.ndarray
+    direction: np.ndarray
+    normal: np.ndarray
+    joints: np.ndarray
+    bases: np.ndarray
+    tips: np.ndarray
+    elbow: np.ndarray
+    wrist: np.ndarray
+    arm_basis: np.ndarray
+
+
+def fingers_for(curl: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns flexion and spread of the fingers between the open hand (curl 0) and the fist (curl 1)."""
+    return OPEN + curl * (FIST - OPEN), OPEN_SPREAD + curl * (FIST_SPREAD - OPEN_SPREAD)
+
+
+class HandModel:
+    """A hand of one size and side.
+
+    Args:
+        side: "right" or "left".
+        scale: size against the template; adults have 1.03 to 1.10.
+        ends_at_tip: whether the last bone ends at the tip centre, as with newer services.
+    """
+
+    def __init__(self, side: str = "right", scale: float = 1.05, ends_at_tip: bool = False) -> None:
+        if side not in ("right", "left"):
+            raise ValueError(f"a hand is right or left, not {side!r}")
+        self.side, self.scale, self.ends_at_tip = side, scale, ends_at_tip
+        self.lengths = BONE_LENGTHS_MM * scale
+        if ends_at_tip:
+            self.lengths[:, 3] *= TIP_ON_DISTAL
+        self.finger_lengths = (
+            0.5 * self.lengths[:, 1] + self.lengths[:, 2] + TIP_ON_DISTAL * scale * BONE_LENGTHS_MM[:, 3]
+        )
+        self.finger_lengths[0] -= 0.5 * self.lengths[0, 1]
+        self._carps, self._knuckles, self._wrist = CARPS_MM * scale, KNUCKLES_MM * scale, WRIST_MM * scale
+        self._metacarpals = np.array([_across(carp - knuckle) for carp, knuckle in zip(CARPS_MM, KNUCKLES_MM)])
+
+    @property
+    def finger_widths(self) -> np.ndarray:
+        """Widths of thumb to pinky, shape (5,) [mm]."""
+        return FINGER_WIDTHS_MM * self.scale
+
+    @property
+    def arm_width(self) -> float:
+        """Width of the forearm [mm]."""
+        return ARM_WIDTH_MM * self.scale
+
+    @property
+    def palm_width(self) -> float:
+        """Width of the palm [mm]."""
+        return PALM_WIDTH_MM * self.scale
+
+    def place(self, pose: HandPose) -> HandGeometry:
+        """Returns where the bones are when the hand has this pose."""
+        # The service's yaw, pitch and roll are projections: two vectors are made from which they come out as set.
+        direction = _unit(np.array([np.tan(pose.yaw), np.tan(pose.pitch), -1.0]))
+        normal = _unit(np.array([np.sin(pose.roll), -np.cos(pose.roll), _tilt(direction, pose.roll)]))
+        # Columns: palm axes in Leap axes.
+        axes = np.stack([np.cross(normal, direction), -normal, -direction], axis=1)
+        if self.side == "left":
+            axes[:, 0] *= -1.0
+        attitudes = self._attitudes(pose)
+        joints = np.empty((5, 5, 3))
+        joints[:, 0], joints[:, 1] = self._carps, self._knuckles
+        for bone in (1, 2, 3):
+            joints[:, bone + 1] = joints[:, bone] - self.lengths[:, bone, None] * attitudes[:, bone, :, 2]
+        tip = 1.0 if self.ends_at_tip else TIP_ON_DISTAL
+        tips = joints[:, 3] + tip * (joints[:, 4] - joints[:, 3])
+        palm = np.asarray(pose.palm, dtype=float)
+        wrist = palm + axes @ self._wrist
+        return HandGeometry(
+            palm=palm,
+            direction=direction,
+            normal=normal,
+            joints=palm + joints @ axes.T,
+            bases=(axes @ attitudes).swapaxes(-1, -2),
+            tips=palm + tips @ axes.T,
+            elbow=wrist + ARM_LENGTH_MM * self.scale * axes[:, 2],
+            wrist=wrist,
+            arm_basis=axes.T,
+        )
+
+    def _attitudes(self, pose: HandPose) -> np.ndarray:
+        """Returns the attitudes of the bones in palm axes, axes as columns, shape (5, 4, 3, 3)."""
+        attitudes = np.empty((5, 4, 3, 3))
+        attitudes[:, 0] = self._metacarpals
+        for finger in range(5):
+            attitude = rotation_about(1, -pose.spread[finger])
+            if finger == 0:
+                attitude = attitude @ rotation_about(2, THUMB_TWIST)
+            for hinge in range(3):
+                attitude = attitude @ rotation_about(0, -pose.flexion[finger, hinge])
+                attitudes[finger, hinge + 1] = attitude
+        return attitudes
+
+
+def grab_strength(flexion: np.ndarray) -> float:
+    """Returns how much of a fist the hand is, 0 to 1, from the flexion of its hinges, shape (5, 3) [rad]."""
+    mean = np.degrees(flexion[1:].sum(axis=1).mean())
+    return float(np.clip((mean - 60.0) / 95.0, 0.0, 1.0))
+
+
+def pinch_strength(tips: np.ndarray) -> float:
+    """Returns how near the thumb is to another finger, 0 to 1, from the finger tips, shape (5, 3) [mm]."""
+    distance = np.linalg.norm(tips[1:] - tips[0], axis=1).min()
+    return float(np.clip((65.5 - distance) / 43.7, 0.0, 1.0))
+
+
+def extended(flexion: np.ndarray) -> list[bool]:
+    """Returns for each finger whether it points straight, from the flexion of its hinges, shape (5, 3) [rad]."""
+    return (flexion.sum(axis=1) < FLEXION_SUM_EXTENDED).tolist()
+
+
+def _tilt(direction: np.ndarray, roll: float) -> float:
+    """Returns the z of the normal (sin roll, -cos roll, z) that makes it orthogonal to the direction."""
+    return -(direction[0] * np.sin(roll) - direction[1] * np.cos(roll)) / direction[2]
+
+
+def _across(back: np.ndarray) -> np.ndarray:
+    """Returns the attitude of a metacarpal from the vector of its end to its start; identity if it has no length."""
+    if not back.any():
+        return np.eye(3)
+    z = _unit(back)
+    x = _unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)

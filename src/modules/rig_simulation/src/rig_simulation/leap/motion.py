@@ -1,0 +1,176 @@
+"""What a person does over the Leap: comes in flat, holds still, draws a figure, grips, tilts the hand, and leaves.
+
+A visit is a row of segments. Each starts and ends at rest, so that position, speed and acceleration have no steps:
+moves from pose to pose follow the minimum-jerk law of human reaching (Flash and Hogan 1985), figures are run through
+with a smooth start and end. A state is the row x, y, z [mm] from the centre of the work, pitch, yaw, roll [rad], curl
+(0 open, 1 fist).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+MIN_JERK_PEAK = 1.875
+"""Highest speed of a minimum-jerk move against its mean speed."""
+
+RAMP = 0.15
+"""Part of a figure's time in which it is sped up, and again slowed down."""
+
+EDGE_MM = 200.0
+"""Where the hand comes into view and goes out of it, before the centre on the user's side."""
+
+FAR_MM = 320.0
+SHORTEST_MOVE_S = 0.6
+TILT_SPEED = np.radians(40.0)
+FIGURES = ("circle", "square", "eight", "line")
+PLANES = {"upright": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), "flat": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0))}
+X, Y, Z, PITCH, YAW, ROLL, CURL = range(7)
+
+
+@dataclass(frozen=True)
+class Script:
+    """What the person is to do.
+
+    Attributes:
+        figure: one of FIGURES.
+        size: width of the figure [mm].
+        speed: highest speed of the palm [mm/s].
+        plane: of the figure, a key of PLANES.
+        laps: how often the figure is drawn.
+        away: how long the hand stays out of view after each visit [s].
+    """
+
+    figure: str = "circle"
+    size: float = 150.0
+    speed: float = 150.0
+    plane: str = "upright"
+    laps: int = 2
+    away: float = 3.0
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of a visit: its duration [s] and its state as a function of the elapsed part of it, 0 to 1."""
+
+    duration: float
+    state: Callable[[float], np.ndarray]
+
+
+class Visit:
+    """One visit of the hand.
+
+    Args:
+        script: what the person is to do.
+        rng: makes each visit a little different, as no person repeats himself.
+    """
+
+    def __init__(self, script: Script, rng: np.random.Generator) -> None:
+        if script.figure not in FIGURES or script.plane not in PLANES:
+            raise ValueError(f"there is no figure {script.figure!r} in a plane {script.plane!r}")
+        self._script = script
+        self._segments: list[Segment] = []
+        self._here = np.array(
+            [rng.uniform(-40, 40), rng.uniform(-30, 10), FAR_MM, *np.radians([6.0, rng.uniform(-8, 8), 3.0]), 0.0]
+        )
+        rest = np.array([*rng.uniform(-8, 8, 3), *np.radians(rng.uniform([2, -6, -4], [7, 6, 4])), 0.0])
+        self._compose(rest)
+        self._ends = np.cumsum([segment.duration for segment in self._segments])
+        self.duration = float(self._ends[-1])
+        times = np.arange(0.0, self.duration, 0.005)
+        seen = times[[self.state(t)[Z] < EDGE_MM for t in times]]
+        self.appears, self.vanishes = float(seen[0]), float(seen[-1])
+
+    def state(self, t: float) -> np.ndarray:
+        """Returns the state at `t` seconds after the start of the visit, shape (7,)."""
+        i = min(int(np.searchsorted(self._ends, t)), len(self._segments) - 1)
+        segment = self._segments[i]
+        start = self._ends[i] - segment.duration
+        return segment.state(float(np.clip((t - start) / segment.duration, 0.0, 1.0)))
+
+    def visible(self, t: float) -> bool:
+        """Returns whether the hand is in view."""
+        return self.appears <= t <= self.vanishes
+
+    def _compose(self, rest: np.ndarray) -> None:
+        self._move(rest, speed=1.6 * self._script.speed)
+        self._hold(1.5)
+        self._figure(rest)
+        self._move(rest)
+        self._hold(0.5)
+        for curl in (0.9, 0.0):
+            self._move(_with(rest, CURL, curl), duration=1.2)
+            self._hold(0.8)
+        for axis, degrees in ((PITCH, 12.0), (PITCH, -10.0), (ROLL, 12.0), (ROLL, -12.0), (YAW, 15.0), (YAW, -15.0)):
+            self._move(_with(rest, axis, rest[axis] + np.radians(degrees)))
+        self._move(rest)
+        self._hold(0.5)
+        self._move(_with(rest, Z, FAR_MM), speed=1.6 * self._script.speed)
+
+    def _hold(self, duration: float) -> None:
+        here = self._here
+        self._segments.append(Segment(duration, lambda _: here))
+
+    def _move(self, there: np.ndarray, duration: float = 0.0, speed: float = 0.0) -> None:
+        here = self._here
+        way = np.linalg.norm(there[:3] - here[:3]) / (speed or self._script.speed)
+        turn = np.abs(there[3:6] - here[3:6]).max() / TILT_SPEED
+        duration = duration or max(SHORTEST_MOVE_S, MIN_JERK_PEAK * max(way, turn))
+        self._segments.append(Segment(duration, lambda part: here + _min_jerk(part) * (there - here)))
+        self._here = there
+
+    def _figure(self, rest: np.ndarray) -> None:
+        script = self._script
+        plane = np.array(PLANES[script.plane])
+        half = script.size / 2.0
+        if script.figure in ("square", "line"):
+            corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)] if script.figure == "square" else [(-1, 0), (1, 0)]
+            for corner in (corners * script.laps) + corners[:1]:
+                self._move(_shifted(rest, half * np.array(corner) @ plane))
+            return
+        path = _circle if script.figure == "circle" else _eight
+        angles = np.linspace(0.0, 2.0 * np.pi, 721)
+        points = half * np.array([path(angle) for angle in angles])
+        fastest = np.linalg.norm(np.gradient(points, angles, axis=0), axis=1).max()
+        total = 2.0 * np.pi * script.laps
+        duration = fastest * total / (script.speed * (1.0 - RAMP))
+        self._move(_shifted(rest, half * np.array(path(0.0)) @ plane))
+        self._segments.append(
+            Segment(duration, lambda part: _shifted(rest, half * np.array(path(total * _run(part))) @ plane))
+        )
+        self._here = _shifted(rest, half * np.array(path(total)) @ plane)
+
+
+def _circle(angle: float) -> tuple[float, float]:
+    return np.sin(angle), -np.cos(angle)
+
+
+def _eight(angle: float) -> tuple[float, float]:
+    return np.sin(angle), np.sin(angle) * np.cos(angle)
+
+
+def _min_jerk(part: float) -> float:
+    return part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+
+
+def _run(part: float) -> float:
+    """Returns the part of the way after `part` of the time: smoothly up to speed, steadily, smoothly down."""
+    if part > 0.5:
+        return 1.0 - _run(1.0 - part)
+    q = min(part / RAMP, 1.0)
+    ramped = RAMP * (q**3 - 0.5 * q**4)
+    return (ramped + max(0.0, part - RAMP)) / (1.0 - RAMP)
+
+
+def _with(state: np.ndarray, axis: int, value: float) -> np.ndarray:
+    state = state.copy()
+    state[axis] = value
+    return state
+
+
+def _shifted(state: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    state = state.copy()
+    state[:3] += shift
+    return state

@@ -1,0 +1,118 @@
+"""The person of the demonstration: waits for the arm, switches the controls on, puts a hand over the Leap.
+
+Nobody stands beside a simulated rig, so this node does what a person does by hand: it waits until the controller runs
+and the arm stands at home, switches gripper and arm control on, and tells the simulated Leap service to play.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+
+import numpy as np
+import rospy
+
+from common.config import flag, integer, number, parse
+from common.errors import DeviceError, RigError
+from kuka_msgs.msg import jointPositions
+from kuka_msgs.srv import setGripperControl, setKukaControl
+from rig_simulation.control_port import ControlClient
+
+NAME = "operator"
+HOST = "127.0.0.1"
+POLL_S = 0.1
+REMIND_S = 10.0
+AT_HOME = np.radians(1.0)
+DEFAULTS = {"auto_start": True, "leapd_port": 16437, "time_out": 300.0}
+
+
+@dataclasses.dataclass(frozen=True)
+class OperatorConfig:
+    """Private parameters of the node."""
+
+    auto_start: bool = flag(doc="switch gripper and arm control on; false: only start the hand")
+    leapd_port: int = integer(low=1, high=65535, doc="control port of the simulated Leap service")
+    time_out: float = number("s", above=0.0, doc="longest time to wait for each thing")
+
+
+class Operator:
+    """Does one step after the other, each with the same time-out."""
+
+    def __init__(self, config: OperatorConfig) -> None:
+        self._config = config
+        self._leapd = ControlClient(HOST, config.leapd_port)
+        self._joints: np.ndarray | None = None
+        self._why = ""
+        rospy.Subscriber("kuka/joint_positions", jointPositions, self._take_joints, queue_size=1)
+
+    def run(self) -> None:
+        """Starts everything, then lives as long as the rig.
+
+        Raises:
+            RigError: something was not to be had in time, or was refused.
+        """
+        self._wait(lambda: rospy.has_param("kuka/joints_home"), "the controller has computed the home position")
+        home = np.asarray(rospy.get_param("kuka/joints_home"), dtype=float)
+        self._wait(lambda: self._stands_at(home), "the arm is at home")
+        if self._config.auto_start:
+            self._switch("kuka/gripper_control", setGripperControl)
+            self._switch("kuka/kuka_control", setKukaControl)
+        self._wait(self._leapd_plays, "the simulated Leap service plays")
+        rospy.loginfo("A hand comes in over the Leap.")
+        rospy.spin()
+
+    def _take_joints(self, message: jointPositions) -> None:
+        self._joints = np.array([getattr(message, f"joint_{i}") for i in range(1, 8)])
+
+    def _stands_at(self, home: np.ndarray) -> bool:
+        return self._joints is not None and bool(np.abs(self._joints - home).max() < AT_HOME)
+
+    def _switch(self, name: str, service_type: type) -> None:
+        proxy = rospy.ServiceProxy(name, service_type)
+
+        def switched() -> bool:
+            try:
+                answer = proxy(True)
+            except rospy.ServiceException as error:
+                self._why = f": {error}"
+                return False
+            self._why = f": {answer.message}"
+            return answer.success
+
+        self._wait(switched, f"the service {name} switches on")
+        rospy.loginfo("%s is on%s", rospy.resolve_name(name), self._why)
+
+    def _leapd_plays(self) -> bool:
+        try:
+            self._leapd.ask("play")
+        except DeviceError as error:
+            self._why = f": {error}"
+            return False
+        return True
+
+    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Polls the condition.
+
+        Raises:
+            RigError: it was not met in time.
+            rospy.ROSInterruptException: ROS shut down meanwhile.
+        """
+        start = time.monotonic()
+        remind = start + 1.0
+        self._why = ""
+        while not condition():
+            now = time.monotonic()
+            if rospy.is_shutdown():
+                raise rospy.ROSInterruptException(f"shut down while waiting until {what}")
+            if now - start > self._config.time_out:
+                raise RigError(f"Waited {self._config.time_out:g} s in vain until {what}{self._why}")
+            if now > remind:
+                rospy.loginfo("Waiting until %s%s", what, self._why)
+                remind = now + REMIND_S
+            time.sleep(POLL_S)
+
+
+def main() -> None:
+    """Runs the node with its private parameters."""
+    Operator(parse(OperatorConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")).run()
