@@ -12,20 +12,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from common.poses import pose
-from common.rotations import rotation_from_zyx, zyx_from_rotation
-from rig_simulation.sunrise import java_numbers
+from rig_simulation.sunrise import java_numbers, motions
 from rig_simulation.sunrise.arm import Arm
-from rig_simulation.sunrise.paths import Circle, Line, Unreachable, plan, shifted
-from rig_simulation.sunrise.profiles import JointMove
+from rig_simulation.sunrise.goals import Goals, finite, frame_from_pose, overwritten, pose_from_frame
+from rig_simulation.sunrise.profiles import Motion
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
-MM_PER_M = 1000.0
 SERVO_START_S = 0.1
 """From the answer to a start until the mode runs and takes the present joints as goal; goals before that are lost."""
-FIRST_RELATIVE_SPEED = 0.1
-ARRIVED_JOINT_RAD = np.radians(0.1)
-ARRIVED_TOOL_M = 2e-4
 IMPEDANCE_SHARE = 0.1
 IMPEDANCE_MAX_TORQUE_NM = 10.0
 MAX_STIFFNESS = (5000.0, 300.0)
@@ -65,11 +59,8 @@ class Application:
         self._reader_alive = self._main_alive = True
         self._main_answered = -np.inf
         self._now = -np.inf
-        self._joint_goal = np.zeros(7)
-        self._speed_goal = np.zeros(7)
-        self._poses = {name: np.zeros(6) for name in ("", "Circ1", "Circ2", "servo")}
-        self._relative_speed = FIRST_RELATIVE_SPEED
-        self._final_word: Callable[[], str] = lambda: DONE
+        self._goals = Goals()
+        self._arrived: Callable[[Arm], bool] = lambda _: True
         self._servo_starts: float | None = None
         self._servo_stopping = False
         self._reader = self._reader_commands()
@@ -133,7 +124,7 @@ class Application:
             self._begin_servo()
         self._arm.advance(now)
         if self.mode == "ptp" and not self._arm.in_motion:
-            self._finish(self._final_word())
+            self._finish(DONE if self._arrived(self._arm) else INTERRUPTED)
         elif self.mode.endswith("servo") and self._servo_starts is None and not self._arm.in_servo:
             if self.mode == "impedance_servo" and not self._servo_stopping:
                 self._replies.append(DONE)
@@ -164,7 +155,9 @@ class Application:
             ("DcSeCar_", self._goal(self._take_pose, lambda: "")),
             *((f"velJDC{s}", self._goal(self._take_speeds, feedback[s])) for s in ("ExT_", "MT_", "JP_", "EEfP_")),
             ("velJDC_", self._goal(self._take_speeds, lambda: DONE)),
-            *((f"cArtixanPosition{name}_", self._keep_pose(name)) for name in ("Circ1", "Circ2", "")),
+            ("cArtixanPositionCirc1_", self._keep_pose("via")),
+            ("cArtixanPositionCirc2_", self._keep_pose("end")),
+            ("cArtixanPosition_", self._keep_pose("target")),
             ("stopDirectServoJoints", self._stop),
             ("getJointsPositions", lambda _: self._replies.append(self._joints_text())),
             ("blueOn", self._output("blue", True)),
@@ -183,14 +176,14 @@ class Application:
         return [
             ("TFtrans", self._attach),
             ("jRelVel_", self._set_speed),
-            ("doPTPinJS", lambda _: self._move(self._joint_motion)),
-            ("doPTPinCSRelBase", lambda _: self._move(lambda: self._line(self._relative(along_tool=False)))),
-            ("doPTPinCSRelEEF", lambda _: self._move(lambda: self._line(self._relative(along_tool=True)))),
-            ("doPTPinCSCircle1", lambda _: self._move(self._circle)),
-            ("doPTPinCS", lambda _: self._move(lambda: self._line(self._pose("")))),
-            ("doPTP!inJS", self._guarded(cartesian=False)),
-            ("doPTP!inCS", self._guarded(cartesian=True)),
-            ("doPTP!CSCircle1", self._guarded(cartesian=False)),
+            ("doPTPinJS", lambda _: self._move(motions.joint_motion)),
+            ("doPTPinCSRelBase", lambda _: self._move(motions.line_along_base)),
+            ("doPTPinCSRelEEF", lambda _: self._move(motions.line_along_tool)),
+            ("doPTPinCSCircle1", lambda _: self._move(motions.circle)),
+            ("doPTPinCS", lambda _: self._move(motions.line)),
+            ("doPTP!inJS", self._guarded_joint_motion),
+            ("doPTP!inCS", self._guarded_line),
+            ("doPTP!CSCircle1", self._guarded_joint_motion),
             ("startDirectServoJoints", lambda _: self._start_servo("servo")),
             ("stDcEEf_", lambda _: self._start_servo("cartesian_servo")),
             ("stVelDcJoint_", lambda _: self._start_servo("velocity_servo")),
@@ -209,8 +202,7 @@ class Application:
         return f"{java_numbers.vector(self._arm.q)}\n"
 
     def _tool_text(self) -> str:
-        T = self._arm.tool
-        return f"{java_numbers.vector([*(MM_PER_M * T[:3, 3]), *zyx_from_rotation(T[:3, :3])])}\n"
+        return f"{java_numbers.vector(frame_from_pose(self._arm.tool))}\n"
 
     def _force_text(self) -> str:
         return f"{java_numbers.vector(self._arm.tool_force)}\n"
@@ -229,10 +221,10 @@ class Application:
 
     def _take_joints(self, words: list[str]) -> bool:
         try:
-            goal = _overwritten(self._joint_goal, words)
+            goal = overwritten(self._goals.joints, words)
         except ValueError:
             return False
-        self._joint_goal = goal
+        self._goals.joints = goal
         if self._arm.in_servo and self.mode in ("servo", "impedance_servo"):
             self._arm.goal = goal
         return True
@@ -241,27 +233,27 @@ class Application:
         if len(words) > 7:
             return False
         try:
-            self._speed_goal = _overwritten(self._speed_goal, words)
+            self._goals.speeds = overwritten(self._goals.speeds, words)
         except ValueError:
             self._stop_servo()
             return True
         if self._arm.in_servo and self.mode == "velocity_servo":
-            self._arm.goal_speed = self._speed_goal
+            self._arm.goal_speed = self._goals.speeds
         return True
 
     def _take_pose(self, words: list[str]) -> bool:
         if len(words) > 6:
             return False
         try:
-            self._poses["servo"] = _overwritten(self._poses["servo"], words)
+            self._goals.servo = overwritten(self._goals.servo, words)
         except ValueError:
             self._stop_servo()
             return True
         if self._arm.in_servo and self.mode == "cartesian_servo":
-            try:
-                goal = self._arm.robot.solve(self._pose("servo"), self._arm.T_flange_tool, self._arm.goal)
-            except Unreachable:
-                goal = None
+            goal = None
+            if np.all(np.isfinite(self._goals.servo)):
+                target = pose_from_frame(self._goals.servo)
+                goal = self._arm.robot.solve(target, self._arm.T_flange_tool, self._arm.goal)
             if goal is None:
                 self._stop_servo()
             else:
@@ -271,7 +263,7 @@ class Application:
     def _keep_pose(self, name: str) -> Callable[[list[str]], None]:
         def command(words: list[str]) -> None:
             try:
-                self._poses[name] = _overwritten(self._poses[name], words)
+                setattr(self._goals, name, overwritten(getattr(self._goals, name), words))
             except ValueError:
                 self._reader_alive = False
                 return
@@ -303,83 +295,47 @@ class Application:
             self._main_alive = False
         if len(words) != 6:
             raise ValueError
-        numbers = _finite(words)
-        self._arm.attach(pose(rotation_from_zyx(*numbers[3:]), numbers[:3] / MM_PER_M))
+        self._arm.attach(pose_from_frame(finite(words)))
         self._replies.append(DONE)
 
     def _set_speed(self, words: list[str]) -> None:
-        self._relative_speed = java_numbers.number(words[0])
+        self._goals.speed = java_numbers.number(words[0])
         self._replies.append(DONE)
 
-    def _move(self, make: Callable[[], object], torque_ranges: np.ndarray | None = None, final=lambda: DONE) -> None:
+    def _move(
+        self,
+        make: Callable[[Arm, Goals], Motion | None],
+        break_when: Callable[[Arm], bool] | None = None,
+        arrived: Callable[[Arm], bool] = lambda _: True,
+    ) -> None:
         self._replies.append(DONE)
-        motion = make()
+        motion = make(self._arm, self._goals)
         if motion is None:
             self._replies.append(DONE)
             return
-        break_when = None
-        if torque_ranges is not None:
-            joints, low, high = torque_ranges[:, 0].astype(int), torque_ranges[:, 1], torque_ranges[:, 2]
-
-            def break_when(arm: Arm) -> bool:
-                torque = arm.external_torques[joints]
-                return bool(np.any((torque < low) | (torque > high)))
-
         self.mode = "ptp"
-        self._final_word = final
+        self._arrived = arrived
         self._arm.start_motion(motion, break_when)
 
-    def _joint_motion(self) -> JointMove | None:
-        arm = self._arm
-        if not 0.0 < self._relative_speed <= 1.0 or not arm.robot.within_range(self._joint_goal):
-            raise Unreachable("the speed or the goal is out of range")
-        if np.array_equal(arm.q, self._joint_goal):
-            return None
-        return JointMove(arm.q, self._joint_goal, self._relative_speed * arm.robot.max_speed, arm.motion_acceleration)
+    def _guarded_joint_motion(self, words: list[str]) -> None:
+        target = self._goals.joints
+        self._guarded(words, motions.joint_motion, lambda arm: motions.arrived_at_joints(arm, target))
 
-    def _line(self, target: np.ndarray):
-        return self._follow(Line(self._arm.tool, target))
+    def _guarded_line(self, words: list[str]) -> None:
+        target = self._goals.target
+        self._guarded(words, motions.line, lambda arm: motions.arrived_at_pose(arm, pose_from_frame(target)))
 
-    def _circle(self):
-        return self._follow(Circle(self._arm.tool, self._pose("Circ1"), self._pose("Circ2")))
-
-    def _follow(self, path: Line | Circle):
-        arm = self._arm
-        speed = self._relative_speed / MM_PER_M
-        return plan(path, speed, arm.robot, arm.T_flange_tool, arm.q, arm.motion_acceleration)
-
-    def _relative(self, along_tool: bool) -> np.ndarray:
-        return shifted(self._arm.tool, self._poses[""][:3] / MM_PER_M, along_tool)
-
-    def _pose(self, name: str) -> np.ndarray:
-        numbers = self._poses[name]
-        if not np.all(np.isfinite(numbers)):
-            raise Unreachable("the pose is not finite")
-        return pose(rotation_from_zyx(*numbers[3:]), numbers[:3] / MM_PER_M)
-
-    def _guarded(self, cartesian: bool) -> Callable[[list[str]], None]:
-        def command(words: list[str]) -> None:
-            ranges = _finite(words[: len(words) // 3 * 3]).reshape(-1, 3)
-            if len(ranges) == 0:
-                self._replies += [DONE, DONE]
-                return
-            if np.any((ranges[:, 0] < 0) | (ranges[:, 0] > 6)):
-                self._replies.append(DONE)
-                raise ValueError
-            if cartesian:
-                target = self._pose("")
-                self._move(lambda: self._line(target), ranges, lambda: self._arrived_tool(target))
-            else:
-                target = self._joint_goal
-                self._move(self._joint_motion, ranges, lambda: self._arrived_joints(target))
-
-        return command
-
-    def _arrived_joints(self, target: np.ndarray) -> str:
-        return DONE if np.max(np.abs(self._arm.q - target)) <= ARRIVED_JOINT_RAD else INTERRUPTED
-
-    def _arrived_tool(self, target: np.ndarray) -> str:
-        return DONE if np.max(np.abs((self._arm.tool - target)[:3, 3])) <= ARRIVED_TOOL_M else INTERRUPTED
+    def _guarded(self, words: list[str], make, arrived: Callable[[Arm], bool]) -> None:
+        ranges = finite(words[: len(words) // 3 * 3]).reshape(-1, 3)
+        if len(ranges) == 0:
+            self._replies += [DONE, DONE]
+            return
+        try:
+            break_when = motions.leaves_torque_ranges(ranges)
+        except ValueError:
+            self._replies.append(DONE)
+            raise
+        self._move(make, break_when, arrived)
 
     def _start_servo(self, mode: str) -> None:
         self._replies.append(DONE)
@@ -388,7 +344,7 @@ class Application:
         self._servo_starts = self._now + SERVO_START_S
 
     def _start_impedance(self, words: list[str]) -> None:
-        numbers = _finite(words)
+        numbers = finite(words)
         if len(numbers) < 7:
             raise ValueError
         mass, stiffness = numbers[0], numbers[4:7]
@@ -403,31 +359,15 @@ class Application:
         arm = self._arm
         if self.mode == "servo":
             arm.start_servo()
-            self._joint_goal = arm.goal
+            self._goals.joints = arm.goal
         elif self.mode == "cartesian_servo":
             arm.start_servo(law="none")
-            T = arm.tool
-            self._poses["servo"] = np.array([*(MM_PER_M * T[:3, 3]), *zyx_from_rotation(T[:3, :3])])
+            self._goals.servo = frame_from_pose(arm.tool)
         elif self.mode == "velocity_servo":
             arm.start_servo(integrates=True)
-            self._speed_goal = arm.goal_speed
+            self._goals.speeds = arm.goal_speed
         else:
             # The published server forgets joint 1 here: its goal stays what was sent last.
             arm.start_servo(law="none", share=IMPEDANCE_SHARE)
-            self._joint_goal = np.array([self._joint_goal[0], *arm.q[1:]])
-            arm.goal = self._joint_goal
-
-
-def _overwritten(values: np.ndarray, words: list[str]) -> np.ndarray:
-    """Returns the values with the first ones replaced by the numbers of the words; further words are ignored."""
-    result = values.copy()
-    for k, word in enumerate(words[: len(values)]):
-        result[k] = java_numbers.number(word)
-    return result
-
-
-def _finite(words: list[str]) -> np.ndarray:
-    numbers = np.array([java_numbers.number(word) for word in words])
-    if not np.all(np.isfinite(numbers)):
-        raise ValueError
-    return numbers
+            self._goals.joints = np.array([self._goals.joints[0], *arm.q[1:]])
+            arm.goal = self._goals.joints
