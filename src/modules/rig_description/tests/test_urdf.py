@@ -110,9 +110,10 @@ def test_base_of_the_arm_is_the_root(path):
 
 
 @every_file
-def test_hand_stands_on_the_connector(path):
+def test_hand_stands_on_the_connector_with_its_two_fingers_away_from_the_flange_x_axis(path):
     flange, hand = place(path, "kuka/flange", kuka=BENT), place(path, "reflex/base_link", kuka=BENT)
-    np.testing.assert_allclose(flange.actInv(hand).homogeneous, pin.SE3(np.eye(3), np.array([0, 0, 0.026])), atol=1e-9)
+    expected = pin.SE3(np.diag([-1.0, -1.0, 1.0]), np.array([0, 0, 0.026]))
+    np.testing.assert_allclose(flange.actInv(hand).homogeneous, expected.homogeneous, atol=1e-9)
 
 
 @every_file

@@ -10,7 +10,6 @@ import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from reflex_msgs.msg import Hand
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import String
@@ -20,6 +19,7 @@ from common.ros.conversions import array, pose_from_transform
 from common.ros.stage_times import TOPIC as STAGE_TIMES
 from common.rotations import rotation_from_quaternion
 from leap_rig.recorder import Recorder
+from reflex_msgs.msg import Hand
 
 BASE = "kuka/base_frame"
 DESIRED = "kuka/tool_frame/desired"

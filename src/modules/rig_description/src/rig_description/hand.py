@@ -21,6 +21,10 @@ from rig_description.rigid_body import Body, box, cylinder, joined
 CONNECTOR_LENGTH = 0.026
 """From the media flange's face to the hand's mounting face."""
 
+CONNECTOR_YAW = np.pi
+"""The hand is turned by half a turn about the flange's axis: in the calculated home position the tool's x axis points
+back to the base, and so the two fingers point away from it, as those of the person behind the Leap do."""
+
 CONNECTOR_RADIUS = 0.0375
 
 TENDON_SPEED = 3.5

@@ -83,7 +83,14 @@ def _hand(root) -> None:
         for mesh in hand_shapes.LOOK[part]:
             _shown(link, {"xyz": "0 0 0", "rpy": "0 0 0"}, _mesh(f"reflex/{mesh}"))
         _discs(link, hand_shapes.trim(part), np.eye(3))
-    _joint(root, "reflex/connector", "kuka/flange", "reflex/base_link", xyz=(0, 0, hand.CONNECTOR_LENGTH))
+    _joint(
+        root,
+        "reflex/connector",
+        "kuka/flange",
+        "reflex/base_link",
+        xyz=(0, 0, hand.CONNECTOR_LENGTH),
+        rpy=(0, 0, hand.CONNECTOR_YAW),
+    )
     for j in hand.JOINTS:
         joint = _joint(
             root, f"reflex/{j.name}", f"reflex/{j.parent}", f"reflex/{j.child}", xyz=j.xyz, rpy=(0, 0, j.yaw)
