@@ -204,6 +204,14 @@ def test_a_refusal_that_comes_while_the_joints_are_read(server, connect):
     assert client.mode is Mode.IDLE
 
 
+def test_a_refusal_is_not_made_good_by_a_later_word(server, connect, wait_until):
+    client = connect()
+    client.start_ptp_joints(HOME, 0.25)
+    server.push(b"nak\ndone\n")
+    with pytest.raises(MotionRefused):
+        wait_until(client.ptp_arrived, 10.0, "the refusal")
+
+
 def test_a_tool_that_cannot_be_attached_again(server, connect):
     client = connect(reply=0.15, tries=2, quiet=0.02)
     server.answers["TFtrans"] = b""
@@ -276,6 +284,15 @@ def test_an_unasked_nak_in_the_servo_mode(server, connect):
         client.servo(HOME)
     assert client.mode is Mode.IDLE
     assert server.words()[-2:] == ["stopDirectServoJoints", "TFtrans"]
+
+
+def test_goals_without_answer_notice_an_unasked_nak(server, connect, wait_until):
+    client = connect()
+    client.start_joint_servo()
+    server.push(b"nak\n")
+    with pytest.raises(MotionRefused):
+        wait_until(lambda: client.servo_unacknowledged(HOME), 10.0, "the refusal")
+    assert client.mode is Mode.IDLE
 
 
 def test_an_unasked_nak_after_the_stop(server, connect):

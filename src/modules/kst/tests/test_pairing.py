@@ -144,7 +144,7 @@ def test_a_flood_of_lines_does_not_hold_a_call_for_ever(server, connect):
     server.once("getJointsPositions", b"")
     with pytest.raises(ReplyTimeout):
         client.joints()
-    server.answers["getPin3"] = b"0.5_0.5_0.5_\n" * 1000
+    server.answers["getPin3"] = b"0.5_0.5_0.5_\n" * 1000 + b"1\n\n"
     with pytest.raises(ConnectionLost):
         client.joints()
 
@@ -167,11 +167,13 @@ def test_nothing_but_garbage(server, connect):
 
 def test_an_answer_of_the_wrong_kind_leaves_the_next_one_right(server, connect):
     client = connect()
-    server.once("getJointsPositions", b"done\n" + joints(1.0))
+    server.once("getJointsPositions", b"done\n")
+    server.once("getPin3", joints(1.0) + b"1\n\n")
     with pytest.raises(ProtocolError, match="`getJointsPositions` was answered by `done` instead of 7 numbers"):
         client.joints()
     for _ in range(3):
         np.testing.assert_array_equal(client.joints(), HOME)
+    assert "getPin3" in server.words()
 
 
 def test_the_pose_of_an_old_server_is_its_force(server, connect):
@@ -211,3 +213,11 @@ def test_the_shortest_pause_outlasts_the_wiping():
     assert Timing().main_pause >= 0.005
     assert Timing().servo_start >= 0.3
     assert Timing().servo_stop >= 0.1
+
+
+def test_an_unasked_line_is_not_the_answer_to_the_next_question(server, connect):
+    client = connect()
+    server.push(joints(1.0))
+    client._session.transport._readable.poll(10_000)
+    np.testing.assert_array_equal(client.joints(), HOME)
+    assert client.counts.stray == 1
