@@ -98,7 +98,7 @@ class StartGate:
         R_leap_hand = hand.T_leap_hand[:3, :3]
         angles = attitude(R_leap_hand, heading(R_leap_hand[:, 0]))
         return [
-            f"the {name} is {math.degrees(angle):.0f} deg and must be within {limit:g} deg"
+            f"the {name} is {math.degrees(angle):.1f} deg and must be within {limit:g} deg"
             for name, angle, limit in (
                 ("pitch", angles.pitch, self._leap.start_tol_pitch),
                 ("roll", angles.roll, self._leap.start_tol_roll),
