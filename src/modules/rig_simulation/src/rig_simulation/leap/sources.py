@@ -69,18 +69,17 @@ class Person:
 
     def _visit(self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator) -> Frames:
         tracker, order = Tracker(model, hand_id, rng), rng.permutation(5).tolist()
-        t = visit.appears
+        t, interval = visit.appears, _interval(rng)
         while t < visit.vanishes + self.script.away:
-            interval = _interval(rng)
-            t += interval
             hands = []
             if visit.visible(t):
                 state, before = visit.state(t), visit.state(t - PERIOD_S)
                 speed = float(np.linalg.norm(state[:3] - before[:3])) / PERIOD_S
-                age, left = t - visit.appears - interval, visit.vanishes - t
-                pose = self._pose(state)
-                hands = [tracker.report(pose, state[motion.CURL], speed, max(age, 0.0), left)]
+                pose, curl = self._pose(state), float(state[motion.CURL])
+                hands = [tracker.report(pose, curl, speed, t - visit.appears, visit.vanishes - t)]
             yield interval, wire.frame(hands, 1.0 / PERIOD_S, self.fields, order)
+            interval = _interval(rng)
+            t += interval
 
     def _pose(self, state: np.ndarray) -> HandPose:
         flexion, spread = fingers_for(state[motion.CURL])

@@ -1,0 +1,228 @@
+"""Frames of the simulated service: read by our own codec, true to the recording, rising ids and time stamps."""
+
+import gzip
+import itertools
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from leap_motion.codec import read_message
+from rig_simulation.leap import wire
+from rig_simulation.leap.motion import Script
+from rig_simulation.leap.playback import Playback
+from rig_simulation.leap.sources import PERIOD_S, Person, Recording, RecordingError
+
+RECORDINGS = ("rollAndPitchWithEntry", "grab", "HandSplay-110fps", "confidence-74fps", "three-claps")
+SHORT = Script(figure="line", laps=1, speed=600.0, away=0.5)
+
+
+def played(playback, count):
+    return [playback.next() for _ in range(count)]
+
+
+def two_frames(first=10, second=8660):
+    """A recording of two frames with one hand and one finger, times in us."""
+    hand = {
+        "id": 5,
+        "type": "right",
+        "palmPosition": [10.5, 200, -3],
+        "direction": [0, 0, -1],
+        "palmVelocity": [1, 2, 3],
+    }
+    finger = {"id": 51, "handId": 5, "type": 1, "tipPosition": [1, 2, 3], "tipVelocity": [4, 5, 6]}
+    return [
+        {"id": 700 + i, "timestamp": stamp, "hands": [hand], "pointables": [finger], "s": 1.5}
+        for i, stamp in enumerate((first, second))
+    ]
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(lines, name="frames.jsonl"):
+        path = tmp_path / name
+        path.write_text("\n".join(line if isinstance(line, str) else wire.text(line) for line in lines) + "\n")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("fields", wire.FIELD_SETS)
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_our_codec_reads_every_frame_of_the_person(fields, side):
+    playback = Playback(Person(SHORT, side, fields=fields), fields=fields)
+    frames = [read_message(frame.text) for frame in played(playback, 3000)]
+    assert [frame.id for frame in frames] == list(range(1, 3001))
+    assert (np.diff([frame.timestamp_us for frame in frames]) > 8000).all()
+    hands = [hand for frame in frames for hand in frame.hands]
+    assert {hand.side for hand in hands} == {side}
+    assert {len(hand.fingers) for hand in hands} == {5}
+    assert len({hand.id for hand in hands}) >= 2, "each visit has an id of its own"
+    for hand in hands[::50]:
+        for finger in hand.fingers:
+            for bone in finger.bones[1:]:
+                assert_allclose(bone.rotation[:, 2] * bone.length, bone.start - bone.end, atol=1e-6)
+        thumb = hand.fingers[0].bones[0]
+        assert thumb.length == 0.0
+    ids = [frame.hands[0].id if frame.hands else None for frame in frames]
+    assert None in ids[ids.index(1) :], "the hand leaves"
+
+
+def test_fields_of_the_two_sets():
+    texts = {fields: Playback(Person(SHORT, fields=fields), fields=fields).next().text for fields in wire.FIELD_SETS}
+    old, new = json.loads(texts["2.x"]), json.loads(texts["new"])
+    assert {"interactionBox", "gestures", "r", "s", "t"} <= set(old)
+    assert set(new) == {"id", "timestamp", "currentFrameRate", "hands", "pointables", "devices"}
+    assert {"sphereCenter", "stabilizedPalmPosition"} <= set(old["hands"][0])
+    assert {"grabAngle", "pinchDistance"} <= set(new["hands"][0])
+    assert {"tool", "touchZone", "tipVelocity"} <= set(old["pointables"][0])
+    assert not {"tool", "touchZone", "tipVelocity"} & set(new["pointables"][0])
+
+
+def test_signs_of_entry_and_exit():
+    playback = Playback(Person(SHORT))
+    hands = []
+    while not hands or hands[-1]["id"] == 1:
+        hands += json.loads(playback.next().text)["hands"]
+    hands = [hand for hand in hands if hand["id"] == 1]
+    assert hands[0]["palmVelocity"] == [1.19209e-07] * 3
+    assert hands[0]["stabilizedPalmPosition"] == hands[0]["palmPosition"]
+    assert hands[0]["timeVisible"] == 0
+    confidence = np.array([hand["confidence"] for hand in hands])
+    assert 0.4 < confidence[0] < 0.9
+    assert confidence[15:40].min() < confidence[60:120].mean()
+    assert np.median(confidence) > 0.9
+    assert confidence[-1] < 0.3
+    fist = [hand["confidence"] for hand in hands if hand["grabStrength"] == 1.0]
+    assert 0.5 < np.mean(fist) < 0.85
+
+
+def test_a_still_hand_trembles_as_measured():
+    playback = Playback(Person(Script()))
+    palms = []
+    for frame in played(playback, 430):
+        palms += [hand["palmPosition"] for hand in json.loads(frame.text)["hands"]]
+    still = np.array(palms)[190:290]
+    steps = np.abs(np.diff(still, axis=0))
+    assert 0.005 < np.median(steps) < 0.1
+    assert np.ptp(still, axis=0).max() < 12.0
+
+
+def test_the_same_seed_gives_the_same_frames():
+    a, b, c = ([frame.text for frame in played(Playback(Person(SHORT), seed), 300)] for seed in (1, 1, 2))
+    assert a == b
+    assert a != c
+
+
+def test_play_and_pause():
+    playback = Playback(Person(SHORT), playing=False)
+    assert not any(json.loads(frame.text)["hands"] for frame in played(playback, 50))
+    playback.play()
+    first = json.loads(playback.next().text)
+    assert [hand["id"] for hand in first["hands"]] == [1]
+    assert (playback.playing, playback.position, first["id"]) == (True, 1, 51)
+    playback.pause()
+    assert json.loads(playback.next().text)["hands"] == []
+    playback.play()
+    assert [hand["id"] for hand in json.loads(playback.next().text)["hands"]] == [2]
+    times = [frame.time for frame in played(playback, 100)]
+    assert times == sorted(times)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_a_recording_is_served_byte_for_byte_but_for_ids_and_time_stamps(shared_data, name):
+    path = shared_data / "leap" / f"{name}.jsonl.gz"
+    with gzip.open(path, "rt") as lines:
+        recorded = [line.strip() for line in lines]
+    playback = Playback(Recording(path))
+    first_stamp = json.loads(recorded[0])["timestamp"]
+    for number, (line, frame) in enumerate(zip(recorded, played(playback, len(recorded))), 1):
+        original, served = json.loads(line), json.loads(frame.text)
+        shift = served["timestamp"] - original["timestamp"]
+        assert served["id"] == number
+        assert abs(shift - (1_000_000 + round(PERIOD_S * 1e6) - first_stamp)) <= 1
+        served.update(id=original["id"], timestamp=original["timestamp"])
+        assert wire.text({key: served[key] for key in original}) == line
+    assert json.loads(playback.next().text)["hands"] == [], "nothing comes after it"
+
+
+def test_an_offset_moves_positions_only(write):
+    frames = Recording(write(two_frames()), offset=(100, -50, 0.25)).frames(np.random.default_rng(0), 1)
+    _, frame = next(frames)
+    original = two_frames()[0]
+    assert frame["hands"][0] == {**original["hands"][0], "palmPosition": [110.5, 150, -2.75]}
+    assert frame["pointables"][0] == {**original["pointables"][0], "tipPosition": [101, -48, 3.25]}
+
+
+def test_every_position_of_a_frame_is_moved():
+    original = json.loads(Playback(Person(SHORT)).next().text)
+    moved = wire.shifted(original, (1000, 2000, 3000))
+    for before, after in zip(original["hands"] + original["pointables"], moved["hands"] + moved["pointables"]):
+        for key, value in before.items():
+            if key.endswith(("Position", "Center")) or key in ("elbow", "wrist"):
+                assert_allclose(np.subtract(after[key], value), [1000, 2000, 3000], atol=0.01)
+            else:
+                assert after[key] == value
+
+
+def test_rate_changes_the_rhythm(write):
+    frames = Recording(write(two_frames(0, 20000)), rate=4.0).frames(np.random.default_rng(0), 1)
+    assert_allclose([next(frames)[0] for _ in range(2)][1], 0.005)
+
+
+def test_a_loop_has_a_pause_without_hands_and_new_ids(write):
+    playback = Playback(Recording(write(two_frames()), loop=True))
+    frames = [json.loads(frame.text) for frame in played(playback, 1200)]
+    ids = [frame["hands"][0]["id"] if frame["hands"] else None for frame in frames]
+    rounds = [key for key, _ in itertools.groupby(ids)]
+    assert rounds[:5] == [5, None, 11, None, 17]
+    assert [frame["id"] for frame in frames] == list(range(1, 1201))
+    stamps = np.array([frame["timestamp"] for frame in frames])
+    assert (np.diff(stamps) > 0).all()
+    again = ids.index(11)
+    assert 1.0e6 < stamps[again] - stamps[1] < 2.5e6
+    assert frames[again]["pointables"][0]["handId"] == 11
+    assert frames[again]["pointables"][0]["id"] == 111
+
+
+@pytest.mark.parametrize(
+    ("lines", "sentence"),
+    [
+        (["no json"], "Line 1 of the recording"),
+        ([*two_frames(), '{"id":1}'], "Line 3 of the recording"),
+        ([{**two_frames()[0], "hands": [{"type": "right"}]}], "Line 1 of the recording"),
+        (two_frames(20, 10), "go back"),
+        ([""], "holds no frames"),
+    ],
+)
+def test_bad_recordings_are_refused(write, lines, sentence):
+    with pytest.raises(RecordingError, match=sentence):
+        Recording(write(lines))
+
+
+def test_missing_and_torn_files_are_refused(tmp_path, write):
+    with pytest.raises(RecordingError, match="cannot be read"):
+        Recording(tmp_path / "nothing.jsonl")
+    torn = tmp_path / "torn.jsonl.gz"
+    torn.write_bytes(gzip.compress(b"x" * 1000)[:-20])
+    with pytest.raises(RecordingError, match="cannot be read"):
+        Recording(torn)
+    with pytest.raises(RecordingError, match="cannot be read"):
+        Recording(write(["plain"], "plain.jsonl.gz"))
+
+
+@pytest.mark.parametrize(
+    ("path", "version"),
+    [("/v6.json", 6), ("/v1.json", 1), ("/", 1), ("", 1), ("/v7.json", None), ("/v0.json", None), ("/v6.txt", None)],
+)
+def test_versions_of_paths(path, version):
+    assert wire.version_of(path) == version
+
+
+@pytest.mark.parametrize(
+    ("number", "printed"),
+    [(1.23456789, "1.23457"), (-0.000123456789, "-0.000123457"), (20.0, "20"), (1.19209289e-07, "1.19209e-07")],
+)
+def test_numbers_are_printed_with_six_digits(number, printed):
+    assert json.dumps(wire.six(number)) == printed

@@ -1,0 +1,120 @@
+"""The operator of the demonstration against a stand-in for the controller."""
+
+import contextlib
+import threading
+
+import pytest
+
+from rig_simulation.control_port import ControlPort
+
+pytestmark = pytest.mark.ros
+
+HOME = [0.1, -0.5, 0.0, 1.4, 0.0, -1.2, 0.3]
+
+
+class Controller:
+    """Has the parameter, the topic and the two services of the arm's controller."""
+
+    def __init__(self):
+        import rospy
+
+        from kuka_msgs.msg import jointPositions
+        from kuka_msgs.srv import setGripperControl, setKukaControl
+
+        self.calls = []
+        self.joints = [0.0] * 7
+        self.refusals = 0
+        rospy.set_param("kuka/joints_home", HOME)
+        self._publisher = rospy.Publisher("kuka/joint_positions", jointPositions, queue_size=1, latch=True)
+        self._message = jointPositions
+        self._services = [
+            rospy.Service("kuka/gripper_control", setGripperControl, self._answer("gripper")),
+            rospy.Service("kuka/kuka_control", setKukaControl, self._answer("arm")),
+        ]
+        self._ended = threading.Event()
+        threading.Thread(target=self._publish, daemon=True).start()
+
+    def _answer(self, name):
+        def answer(request):
+            if self.refusals:
+                self.refusals -= 1
+                return False, "the arm moves"
+            self.calls.append((name, request.data))
+            return True, f"{name} control is on"
+
+        return answer
+
+    def _publish(self):
+        while not self._ended.wait(0.05):
+            self._publisher.publish(self._message(None, *self.joints))
+
+    def close(self):
+        self._ended.set()
+        for service in self._services:
+            service.shutdown()
+        self._publisher.unregister()
+
+
+@pytest.fixture
+def controller(ros):
+    controller = Controller()
+    yield controller
+    controller.close()
+
+
+@pytest.fixture
+def leapd():
+    """A control port that notes that it was told to play."""
+    played = threading.Event()
+    with ControlPort({"play": played.set}) as port:
+        port.played = played
+        yield port
+
+
+def test_waits_for_home_then_switches_on_and_plays(ros, controller, leapd, wait_until):
+    controller.refusals = 2
+    node = ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}")
+    wait_until(lambda: "until the arm is at home" in node.log_path.read_text(), 20.0, "the waiting")
+    assert controller.calls == []
+    assert not leapd.played.is_set()
+    controller.joints = HOME
+    wait_until(leapd.played.is_set, 20.0, "the hand")
+    assert controller.calls == [("gripper", True), ("arm", True)]
+    assert node.poll() is None, "it lives on: a rig whose nodes end is not well"
+
+
+def test_without_auto_start_it_only_starts_the_hand(ros, controller, leapd, wait_until):
+    controller.joints = HOME
+    ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}", "_auto_start:=false")
+    wait_until(leapd.played.is_set, 20.0, "the hand")
+    assert controller.calls == []
+
+
+def test_ends_with_a_sentence_when_the_controller_never_comes(ros):
+    node = ros.run("rig_simulation", "operator_node.py", "_time_out:=0.5")
+    assert node.wait(20.0) == 1
+    log = node.log_path.read_text()
+    assert "Waited 0.5 s in vain until the controller has computed the home position" in log
+    assert "Traceback" not in log
+
+
+def test_ends_with_a_sentence_when_control_is_refused(ros, controller, leapd):
+    controller.joints, controller.refusals = HOME, 10**6
+    node = ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}", "_time_out:=1.0")
+    assert node.wait(20.0) == 1
+    assert "the arm moves" in node.log_path.read_text()
+    assert not leapd.played.is_set()
+
+
+def test_bad_parameters_end_it_with_a_sentence(ros):
+    node = ros.run("rig_simulation", "operator_node.py", "_leapd_prot:=1")
+    assert node.wait(20.0) == 1
+    assert "~leapd_prot is not a known key" in node.log_path.read_text()
+
+
+def test_ends_with_an_interrupt(ros, processes, wait_until):
+    node = ros.run("rig_simulation", "operator_node.py")
+    wait_until(lambda: "Waiting until" in node.log_path.read_text(), 20.0, "the waiting")
+    with contextlib.suppress(ProcessLookupError):
+        assert processes.end(node, 10.0) == 0
+    assert "Traceback" not in node.log_path.read_text()
