@@ -7,10 +7,10 @@ import socket
 import threading
 
 import pytest
-from rig_simulation import control_port
-from rig_simulation.control_port import ControlClient, ControlPort
 
 from common.errors import DeviceError
+from rig_simulation import control_port
+from rig_simulation.control_port import ControlClient, ControlPort
 
 
 def refuse():
