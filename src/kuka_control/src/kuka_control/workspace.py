@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from common.errors import ConfigError
 from common.poses import read_only
 
 ON_BOUND = 1e-12
@@ -124,7 +125,7 @@ class Workspace:
         joint_2_height: height of the origin of joint 2 (RobotModel.base_shoulder) [m].
 
     Raises:
-        ValueError: no workspace has these settings; every fault is named.
+        ConfigError: no workspace has these settings; every fault is named.
     """
 
     center_line: np.ndarray
@@ -146,7 +147,7 @@ class Workspace:
             self.joint_2_height,
         )
         if faults:
-            raise ValueError(" ".join(faults))
+            raise ConfigError(faults)
         object.__setattr__(self, "center_line", read_only(self.center_line))
 
     @cached_property

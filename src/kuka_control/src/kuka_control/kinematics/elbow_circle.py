@@ -161,7 +161,7 @@ class ElbowCircle:
         angles = []
         for angle in (middle - half, middle + half):
             x, y = cos(angle), sin(angle)
-            if (ca * x + cb * y + cc) * c + (sa * x + sb * y + sc) * s > 0.0:
+            if (ca * x + cb * y + cc) * c + (sa * x + sb * y + sc) * s > -ALIGNED:
                 angles.append(wrapped(angle))
         return angles
 

@@ -141,7 +141,10 @@ class Kinematics:
         seed = np.asarray(near, dtype=float).tolist()
         if len(seed) != 7 or not all(map(isfinite, seed)):
             raise ValueError(f"the present joints must be seven finite numbers, not {seed}")
-        flange, position = _axes_and_position(np.asarray(T_base_tool, dtype=float) @ self._T_tool_flange)
+        T = np.asarray(T_base_tool, dtype=float)
+        if T.shape != (4, 4) or not np.isfinite(T).all():
+            raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")
+        flange, position = _axes_and_position(T @ self._T_tool_flange)
         w = combination(1.0, position, -self.model.wrist_flange, flange[2])
         w = (w[0], w[1], w[2] - self.model.base_shoulder)
         reach = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
@@ -167,7 +170,7 @@ class Kinematics:
             if keep_branch:
                 return IkResult(None, IkFailure.OTHER_BRANCH)
         best = self._led_back(circle, best, seed, zero)
-        return IkResult(read_only(best.q), arm_angle=wrapped(best.angle + zero), branch=best.branch)
+        return IkResult(read_only(best.q), arm_angle=wrapped(best.angle + zero), branch=Branch.of(best.q))
 
     def _continued(self, circle: ElbowCircle, seed: list[float]) -> _Candidate | None:
         """Returns the best joints of the present branch, or of one that joint 2 or joint 6 enters through zero."""
@@ -286,10 +289,8 @@ def _axes_and_position(T: np.ndarray) -> tuple[tuple[Vector, Vector, Vector], Ve
     """Returns the columns of a rigid pose.
 
     Raises:
-        ValueError: the pose is not finite or not rigid.
+        ValueError: the pose is not rigid.
     """
-    if T.shape != (4, 4):
-        raise ValueError(f"a pose needs 4 x 4 numbers, not {T.shape}")
     x, y, z, p = map(tuple, T.T[:, :3].tolist())
     xy = cross(x, y)
     faults = (
@@ -299,8 +300,8 @@ def _axes_and_position(T: np.ndarray) -> tuple[tuple[Vector, Vector, Vector], Ve
         abs(xy[1] - z[1]),
         abs(xy[2] - z[2]),
     )
-    if not (all(fault <= RIGID_TOLERANCE for fault in faults) and isfinite(p[0] + p[1] + p[2])):
-        raise ValueError(f"the pose {T.tolist()} is not finite or not rigid")
+    if max(faults) > RIGID_TOLERANCE:
+        raise ValueError(f"the pose {T.tolist()} is not rigid")
     return (x, y, z), p
 
 

@@ -1,0 +1,62 @@
+"""Forward kinematics against poses of the toolbox's own chain, and the Jacobian against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as st_numpy
+
+from common.poses import pose
+from common.rotations import rotation_from_zyx
+from kuka_control.kinematics import Kinematics, forward, jacobian
+from kuka_control.robot_model import robot_model
+
+MODEL = robot_model("LBR7R800", "MF_elektrisch")
+TURNED = np.radians([10.0, 20.0, 30.0, -40.0, 50.0, 60.0, 70.0])
+joints = st_numpy.arrays(float, 7, elements=st.floats(-3.0, 3.0))
+
+# Joints, arm, media flange; position [mm] and angles about z, y, x [rad] of the flange by the toolbox's chain.
+PUBLISHED = [
+    (np.zeros(7), "LBR7R800", "MF_elektrisch", (0, 0, 1301), (0, 0, 0)),
+    (np.zeros(7), "LBR14R820", "MF_elektrisch", (0, 0, 1341), (0, 0, 0)),
+    (np.radians([0, 30, 0, -60, 0, 90, 0]), "LBR7R800", "MF_elektrisch", (600, 0, 525.4102), (np.pi, 0, np.pi)),
+    (TURNED, "LBR7R800", "MF_elektrisch", (443.5973, 363.8146, 914.0745), (2.958711, -0.495729, 1.666864)),
+    (TURNED, "LBR7R800", "MF_touch_pneumatisch", (447.1375, 389.4789, 911.8808), (2.958711, -0.495729, 1.666864)),
+    (TURNED, "LBR14R820", "MF_elektrisch", (450.3338, 365.0024, 952.8683), (2.958711, -0.495729, 1.666864)),
+]
+
+
+@pytest.mark.parametrize("q, robot, flange, millimetres, angles", PUBLISHED)
+def test_flange_stands_where_the_toolbox_says(q, robot, flange, millimetres, angles):
+    T = forward(robot_model(robot, flange), q)
+    np.testing.assert_allclose(T[:3, 3] * 1000.0, millimetres, atol=1e-4)
+    np.testing.assert_allclose(T[:3, :3], rotation_from_zyx(*angles), atol=2e-6)
+
+
+def test_flange_without_a_media_flange():
+    """The published pose is that of the bare link 7, the media flange's height along z before ours."""
+    T = forward(MODEL, [0.1, 0.5, -0.2, -1.2, 0.3, 0.8, 0.4]) @ pose(p=(0.0, 0.0, -0.035))
+    np.testing.assert_allclose(T[:3, 3] * 1000.0, (664.2448, -4.0660, 544.6541), atol=1e-4)
+    np.testing.assert_allclose(T[:3, :3], rotation_from_zyx(2.437709, 0.485152, 2.652720), atol=2e-6)
+
+
+@given(joints, st_numpy.arrays(float, 3, elements=st.floats(-0.3, 0.3)))
+def test_jacobian_is_the_derivative(q, tool):
+    T_flange_tool = pose(rotation_from_zyx(0.3, -0.2, 0.1), tool)
+    kinematics = Kinematics(MODEL, T_flange_tool)
+    J = jacobian(MODEL, q, T_flange_tool)
+    h = 1e-6
+    for i in range(7):
+        step = np.zeros(7)
+        step[i] = h
+        before, after = kinematics.forward(q - step), kinematics.forward(q + step)
+        np.testing.assert_allclose(J[:3, i], (after - before)[:3, 3] / (2 * h), atol=1e-7)
+        turned = pin.log3(after[:3, :3] @ before[:3, :3].T) / (2 * h)
+        np.testing.assert_allclose(J[3:, i], turned, atol=1e-7)
+
+
+def test_jacobian_without_a_tool_is_that_of_the_flange():
+    np.testing.assert_array_equal(jacobian(MODEL, TURNED), jacobian(MODEL, TURNED, np.eye(4)))

@@ -1,0 +1,179 @@
+"""The home position: for every direction of center_line, arm and tool, against forward kinematics."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.poses import pose, translation
+from common.rotations import rotation_about
+from kuka_control.home_pose import HomeError, custom_home, home_pose
+from kuka_control.kinematics import Kinematics, forward
+from kuka_control.robot_model import robot_model
+from kuka_control.workspace import Workspace
+
+MODELS = [robot_model("LBR7R800", "MF_elektrisch"), robot_model("LBR14R820", "MF_touch_pneumatisch")]
+TOOL_LENGTH = 0.106
+CUSTOM = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
+
+
+def workspace_of(model, center_line, **changes):
+    settings = {"z_lower": 0.2, "z_upper": 0.6, "inner_sphere": 0.5, "outer_sphere": 0.7, **changes}
+    return Workspace(
+        center_line=np.array(center_line),
+        opening_angle=math.radians(50.0),
+        joint_2_height=model.base_shoulder,
+        **settings,
+    )
+
+
+def check(home, model, workspace, tool_length):
+    """What holds for every home position that is calculated."""
+    x, y, _ = workspace.center_line
+    heading = math.atan2(y, x)
+    # Tool z down; tool x back to the base for center_line.x >= 0, else along center_line.
+    if x >= 0.0:
+        R = rotation_about(2, heading) @ rotation_about(1, math.pi)
+    else:
+        R = rotation_about(2, heading) @ rotation_about(0, math.pi)
+    T_base_tool = pose(R, workspace.centre)
+    np.testing.assert_allclose(home.T_base_tool, T_base_tool, atol=1e-9)
+    np.testing.assert_allclose(forward(model, home.q) @ translation(0.0, 0.0, tool_length), T_base_tool, atol=1e-9)
+    np.testing.assert_allclose(home.T_base_flange @ translation(0.0, 0.0, tool_length), T_base_tool, atol=1e-9)
+    np.testing.assert_array_equal(home.centre, workspace.centre)
+    assert np.all(model.lower <= home.q) and np.all(home.q <= model.upper)
+    np.testing.assert_array_equal(home.q[[2, 4, 6]], 0.0)
+    assert abs(home.q[0]) <= math.pi / 2 + 1e-9
+    elbow = model.base_shoulder + model.shoulder_elbow * math.cos(home.q[1])
+    wrist = workspace.centre[2] + tool_length + model.wrist_flange
+    share = model.shoulder_elbow / (model.shoulder_elbow + model.elbow_wrist)
+    assert elbow > model.base_shoulder + share * (wrist - model.base_shoulder), "the elbow is up"
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@given(heading=st.floats(-math.pi, math.pi), tool_length=st.floats(0.0, 0.2), size=st.floats(0.01, 100.0))
+def test_every_direction_and_tool(model, heading, tool_length, size):
+    workspace = workspace_of(model, [size * math.cos(heading), size * math.sin(heading), 0.0])
+    home = home_pose(model, workspace, tool_length)
+    check(home, model, workspace, tool_length)
+    sign = 1.0 if workspace.center_line[0] >= 0.0 else -1.0
+    assert np.array_equal(np.sign(home.q[[1, 3, 5]]), [sign, -sign, sign])
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@pytest.mark.parametrize(
+    "center_line, joint_1, signs",
+    [
+        ([1, 0, 0], 0.0, (1, -1, 1)),
+        ([1, -1, 0], -45.0, (1, -1, 1)),
+        ([1, 1, 0], 45.0, (1, -1, 1)),
+        ([0, 1, 0], 90.0, (1, -1, 1)),
+        ([0, -1, 0], -90.0, (1, -1, 1)),
+        ([-1, 0, 0], 0.0, (-1, 1, -1)),
+        ([-1, 1, 0], -45.0, (-1, 1, -1)),
+        ([-1, -1, 0], 45.0, (-1, 1, -1)),
+        ([-1e-9, 1, 0], -90.0, (-1, 1, -1)),
+    ],
+)
+def test_which_way_joint_1_turns_and_the_arm_leans(model, center_line, joint_1, signs):
+    workspace = workspace_of(model, np.array(center_line, dtype=float))
+    home = home_pose(model, workspace, TOOL_LENGTH)
+    check(home, model, workspace, TOOL_LENGTH)
+    assert math.degrees(home.q[0]) == pytest.approx(joint_1, abs=1e-6)
+    assert tuple(np.sign(home.q[[1, 3, 5]])) == signs
+
+
+def test_home_of_the_default_parameters():
+    model = MODELS[0]
+    home = home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH)
+    np.testing.assert_allclose(np.degrees(home.q), (-45.0, 29.593, 0.0, -63.391, 0.0, 87.016, 0.0), atol=1e-3)
+    np.testing.assert_allclose(home.centre, (0.42214, -0.42214, 0.4), atol=1e-5)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@pytest.mark.parametrize("center_line", [[1.0, -1.0, 0.0], [-1.0, 0.2, 0.0]])
+def test_inverse_kinematics_starts_from_home_without_a_step(model, center_line):
+    home = home_pose(model, workspace_of(model, center_line), TOOL_LENGTH)
+    arm = Kinematics(model, translation(0.0, 0.0, TOOL_LENGTH))
+    result = arm.inverse(home.T_base_tool, home.q)
+    np.testing.assert_allclose(result.q, home.q, atol=1e-9)
+    assert result.arm_angle == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_tool_that_is_too_long_is_named(model):
+    with pytest.raises(HomeError, match=r"out of reach: with a tool of 0\.6 m .* probably the tool is too long"):
+        home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), 0.6)
+
+
+def test_joint_out_of_range_is_named():
+    """High and with a long tool the forearm points so far up that joint 6 cannot turn the tool down."""
+    model = MODELS[0]
+    high = workspace_of(model, [1.0, 0.0, 0.0], z_lower=0.55)
+    with pytest.raises(
+        HomeError, match=r"needs joint 6 at 12\d\.\d deg \(range -120 to 120 deg\); probably the tool is"
+    ):
+        home_pose(model, high, 0.16)
+
+
+def test_settings_that_can_be_reached_lead_home_and_others_are_refused():
+    """Over all settings a home position is right, or refused."""
+    rng = np.random.default_rng(1)
+    model, found, refused = MODELS[0], 0, 0
+    for _ in range(500):
+        inner = rng.uniform(0.4, 0.75)
+        z_lower = rng.uniform(0.1, 0.7)
+        workspace = workspace_of(
+            model,
+            [rng.normal(), rng.normal(), 0.0],
+            inner_sphere=inner,
+            outer_sphere=rng.uniform(inner + 0.01, 0.8),
+            z_lower=z_lower,
+            z_upper=rng.uniform(z_lower + 0.01, 0.75),
+        )
+        tool_length = rng.uniform(0.0, 0.4)
+        try:
+            home = home_pose(model, workspace, tool_length)
+        except HomeError:
+            refused += 1
+            continue
+        check(home, model, workspace, tool_length)
+        found += 1
+    assert found > 50 and refused > 50
+
+
+def test_custom_home_is_where_its_joints_bring_the_tool():
+    model = MODELS[0]
+    workspace = workspace_of(model, [1.0, -1.0, 0.0])
+    q = CUSTOM + np.radians([5.0, 5.0, 0.0, 5.0, 3.0, 0.0, 10.0])
+    home = custom_home(model, workspace, TOOL_LENGTH, q)
+    np.testing.assert_array_equal(home.q, q)
+    np.testing.assert_array_equal(home.T_base_flange, forward(model, q))
+    np.testing.assert_allclose(home.T_base_tool, home.T_base_flange @ translation(0.0, 0.0, TOOL_LENGTH), atol=1e-12)
+    np.testing.assert_array_equal(home.centre, home.T_base_tool[:3, 3])
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_custom_home_of_the_default_parameters_is_accepted(model):
+    custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH, CUSTOM)
+
+
+@pytest.mark.parametrize(
+    "q, words",
+    [
+        (CUSTOM + np.radians([100.0, 0, 0, 0, 0, 0, 0]), r"out of the workspace: .* behind the base"),
+        (CUSTOM + np.radians([40.0, 0, 0, 0, 0, 0, 0]), r"outside the workspace \(opening angle.*\)"),
+        (np.radians([-45.0, 0, 0, 0, 0, 0, 0]), r"home_pos .* workspace"),
+        (np.radians([0, 0, 0, -121.0, 0, 0, 176.0]), r"joint 4 at -121.0 deg \(range -120 .* and joint 7 at 176"),
+        (np.full(7, np.nan), "seven finite numbers"),
+        (np.zeros(6), "seven finite numbers"),
+    ],
+)
+def test_custom_home_that_cannot_be_is_refused(q, words):
+    model = MODELS[0]
+    with pytest.raises(HomeError, match=words):
+        custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH, q)

@@ -1,0 +1,274 @@
+"""Inverse kinematics: right, complete, within the ranges, and steady along a path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.poses import pose, translation
+from common.rotations import rotation_about
+from kuka_control.kinematics import Branch, IkFailure, Kinematics
+from kuka_control.kinematics.inverse import RETURN_SHARE
+from kuka_control.robot_model import robot_model
+
+TOOL = translation(0.0, 0.0, 0.106)
+ARMS = [
+    Kinematics(robot_model("LBR7R800", "MF_elektrisch"), TOOL),
+    Kinematics(robot_model("LBR14R820", "MF_touch_pneumatisch"), pose(rotation_about(0, 0.4), (0.1, -0.05, 0.2))),
+]
+HOME = np.radians([-45.0, 30.0, 0.0, -65.0, 0.0, 85.0, 0.0])
+arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.model.name)
+
+
+def check(arm, result, T):
+    assert result.failure is None
+    np.testing.assert_allclose(arm.forward(result.q), T, atol=1e-9)
+    assert np.all(arm.model.lower <= result.q) and np.all(result.q <= arm.model.upper)
+    assert result.branch == Branch.of(result.q)
+
+
+def random_joints(arm, count, seed):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(arm.model.lower, arm.model.upper, (count, 7))
+
+
+@arms
+@pytest.mark.parametrize("seed", [np.zeros(7), HOME], ids=["upright", "home"])
+def test_every_pose_within_the_ranges_is_reached_from_a_cold_start(arm, seed):
+    for q in random_joints(arm, 1000, seed=1):
+        T = arm.forward(q)
+        check(arm, arm.inverse(T, seed), T)
+
+
+@arms
+def test_pose_of_the_present_joints_gives_the_present_joints(arm):
+    for q in random_joints(arm, 1000, seed=2):
+        result = arm.inverse(arm.forward(q), q)
+        np.testing.assert_allclose(result.q, q, atol=1e-8)
+
+
+@arms
+def test_small_step_of_the_tool_is_a_small_step_of_the_joints(arm):
+    """With full rank the joints move by no more than the least singular value allows, and stay in the branch."""
+    rng = np.random.default_rng(3)
+    checked = 0
+    for q in random_joints(arm, 1000, seed=3):
+        slack = np.minimum(q - arm.model.lower, arm.model.upper - q).min()
+        if min(slack, *np.abs(q[[1, 3, 5]])) < 0.2:
+            continue
+        dq = 1e-3 * rng.normal(size=7)
+        T = arm.forward(q + dq)
+        result = arm.inverse(T, q)
+        check(arm, result, T)
+        assert result.branch == Branch.of(q)
+        # q + dq is one of the solutions; joint 3 weighs most, and the way back adds its share.
+        assert np.linalg.norm(result.q - q) < 4.0 * (1.0 + RETURN_SHARE) * np.linalg.norm(dq) + 1e-5
+        checked += 1
+    assert checked > 300
+
+
+SINGULAR = {
+    "upright": np.zeros(7),
+    "upright and turned": np.radians([30, 0, 20, 0, 40, 0, -60]),
+    "straight arm": np.radians([20, 50, 30, 0, 40, 60, 70]),
+    "joint 2 at zero": np.radians([20, 0, 30, -70, 40, 60, 70]),
+    "joint 6 at zero": np.radians([20, 40, 30, -70, 40, 0, 70]),
+    "joints 2 and 6 at zero": np.radians([20, 0, 30, -70, 40, 0, 70]),
+    "wrist above the shoulder": np.radians([20, 45, 30, 90, 10, -45, 70]),
+    "all shared turns near their ends": np.radians([169, 0, 169, 0, 169, 0, 174]),
+    "almost joint 2 at zero": np.array([0.3, -1e-7, -0.2, -1.0, 0.1, 1e-7, 0.4]),
+}
+
+
+@arms
+@pytest.mark.parametrize("q", SINGULAR.values(), ids=SINGULAR.keys())
+def test_singular_poses(arm, q):
+    T = arm.forward(q)
+    result = arm.inverse(T, q)
+    check(arm, result, T)
+    np.testing.assert_allclose(result.q, q, atol=1e-6)
+    check(arm, arm.inverse(T, HOME), T)
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        T = arm.forward(q * 0.99 + 1e-3 * rng.normal(size=7))
+        check(arm, arm.inverse(T, q), T)
+
+
+@arms
+@pytest.mark.parametrize("tiny", [1e-5, 1e-7, 1e-8, 1e-9, 1e-11, 1e-13, 1e-16])
+def test_almost_upright(arm, tiny):
+    """Where the pose hardly tells how joints 1, 3, 5 and 7 share their sum, it is reached all the same."""
+    q = np.array([0.3, tiny, -0.2, tiny, 0.1, tiny, 0.4])
+    T = arm.forward(q)
+    check(arm, arm.inverse(T, q), T)
+
+
+def smooth(rng, steps, size, count=3):
+    """A smooth closed path from zero, shape (steps, count), about `size` wide."""
+    t = np.linspace(0.0, 1.0, steps)[:, None]
+    waves = (rng.normal(size=count) * np.sin(2 * np.pi * f * t + rng.uniform(0, 6, count)) / f for f in (1, 2, 3))
+    path = size * sum(waves)
+    return path - path[0]
+
+
+@arms
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_smooth_paths_are_followed_without_a_flip(arm, seed):
+    """As a hand moves the tool: up to 0.5 m and 30 deg about home, some of it out of reach."""
+    rng = np.random.default_rng(seed)
+    T_home = arm.forward(HOME)
+    positions, rotations = smooth(rng, 400, 0.12), smooth(rng, 400, 0.2)
+    q = HOME
+    followed, lost = 0, False
+    for p, r in zip(positions, rotations):
+        T = pose(T_home[:3, :3] @ pin.exp3(r), T_home[:3, 3] + p)
+        result = arm.inverse(T, q, keep_branch=True)
+        if result.q is not None:
+            check(arm, result, T)
+            if result.branch != Branch.of(q) and not lost:
+                assert np.abs(result.q - q).max() < np.radians(25.0), "the branch may change through a zero only"
+            followed += 1
+            q = result.q
+        lost = result.q is None
+    assert followed > 0
+
+
+def test_tool_passes_the_place_where_joint_2_is_zero():
+    """High and near, with the tool tilted, joint 2 goes through zero and back, off the arm's plane; nothing races."""
+    arm = ARMS[0]
+    start = np.radians([-45.0, 12.0, 2.0, -85.0, 5.0, 80.0, 0.0])
+    T_start, T_end = arm.forward(start), arm.forward(start + np.radians([4.0, -24.0, 0.0, 0.0, 3.0, 0.0, 0.0]))
+    way = pin.log6(np.linalg.inv(T_start) @ T_end)
+    q, lowest = start, start[1]
+    for s in (1.0 - np.cos(np.linspace(0.0, 2 * np.pi, 1000))) / 2.0:
+        T = T_start @ pin.exp6(s * way.vector).homogeneous
+        result = arm.inverse(T, q, keep_branch=True)
+        check(arm, result, T)
+        assert np.abs(result.q - q).max() < np.radians(0.5)
+        q, lowest = result.q, min(lowest, result.q[1])
+    assert lowest < np.radians(-5.0)
+    np.testing.assert_allclose(q, start, atol=np.radians(15.0))
+
+
+@arms
+def test_elbow_goes_back_to_its_preference_while_the_tool_moves(arm):
+    q = HOME + np.radians([0.0, 0.0, 25.0, 0.0, -20.0, 0.0, 0.0])
+    T = arm.forward(q)
+    assert abs(arm.inverse(T, q).arm_angle) > 0.2
+    for i in range(2000):
+        there_and_back = translation(0.0, 0.02 * np.sin(i / 20.0), 0.02 * np.cos(i / 20.0))
+        result = arm.inverse(there_and_back @ T, q)
+        q = result.q
+    assert abs(result.arm_angle) < 0.02
+
+
+@pytest.mark.parametrize("preference", [-0.5, 0.3])
+def test_preferred_arm_angle_is_reached(preference):
+    arm = Kinematics(ARMS[0].model, TOOL, elbow_preference=preference)
+    q, T = HOME, arm.forward(HOME)
+    for i in range(2500):
+        result = arm.inverse(translation(0.0, 0.02 * np.sin(i / 20.0), 0.02 * np.cos(i / 20.0)) @ T, q)
+        q = result.q
+    assert result.arm_angle == pytest.approx(preference, abs=0.02)
+
+
+def test_arm_angle_is_zero_with_the_elbow_up_and_turns_about_the_line_to_the_wrist():
+    arm = ARMS[0]
+    assert arm.inverse(arm.forward(HOME), HOME).arm_angle == pytest.approx(0.0, abs=1e-9)
+    q = HOME + np.radians([0.0, 0.0, 20.0, 0.0, 0.0, 0.0, 0.0])
+    shoulder = np.array([0.0, 0.0, arm.model.base_shoulder])
+    T = arm.forward(q)
+    wrist = T[:3, 3] - (arm.model.wrist_flange + 0.106) * T[:3, 2]
+    elbow = shoulder + arm.model.shoulder_elbow * np.array(
+        [np.sin(q[1]) * np.cos(q[0]), np.sin(q[1]) * np.sin(q[0]), np.cos(q[1])]
+    )
+    u = (wrist - shoulder) / np.linalg.norm(wrist - shoulder)
+    up, out = np.cross(u, np.cross([0.0, 0.0, 1.0], u)), np.cross(u, np.cross(elbow - shoulder, u))
+    expected = np.arctan2(np.cross(up, out) @ u, up @ out)
+    assert arm.inverse(T, q).arm_angle == pytest.approx(expected, abs=1e-9)
+
+
+@arms
+def test_out_of_reach_is_named(arm):
+    R = arm.forward(HOME)[:3, :3]
+    assert arm.inverse(pose(R, (2.0, 0.0, 0.5)), HOME).failure == IkFailure.TOO_FAR
+    down = pose(rotation_about(0, np.pi))
+    folded = pose(p=(0.0, 0.0, arm.model.base_shoulder + 0.05)) @ down
+    T_wrist_tool = translation(0.0, 0.0, arm.model.wrist_flange) @ arm.T_flange_tool
+    assert arm.inverse(folded @ T_wrist_tool, HOME).failure == IkFailure.TOO_NEAR
+    assert arm.inverse(pose(p=(0.0, 0.0, arm.model.base_shoulder)) @ T_wrist_tool, HOME).failure == IkFailure.TOO_NEAR
+    # The flange looks back along the outstretched forearm: joint 6 would be at 180 deg.
+    out = arm.model.shoulder_elbow + arm.model.elbow_wrist - 1e-6
+    back = pose(rotation_about(1, -np.pi / 2), (out, 0.0, arm.model.base_shoulder)) @ T_wrist_tool
+    result = arm.inverse(back, HOME)
+    assert result.failure == IkFailure.NO_ARM_ANGLE
+    assert result.q is None
+    assert str(result.failure).startswith("The tool pose is out of reach")
+
+
+@arms
+def test_just_beyond_and_just_within_the_outstretched_arm(arm):
+    T = arm.forward(np.radians([20, 50, 30, 0, 40, 60, 70]))
+    u = T[:3, :3] @ np.linalg.inv(arm.T_flange_tool)[:3, :3]
+    wrist = (T @ np.linalg.inv(arm.T_flange_tool))[:3, 3] - arm.model.wrist_flange * u[:, 2]
+    outwards = (wrist - [0.0, 0.0, arm.model.base_shoulder]) / np.linalg.norm(
+        wrist - [0.0, 0.0, arm.model.base_shoulder]
+    )
+    for step in (-1e-3, -1e-6, -1e-9, -1e-12, 0.0, 1e-12):
+        moved = pose(p=step * outwards) @ T
+        check(arm, arm.inverse(moved, HOME), moved)
+    assert arm.inverse(pose(p=1e-8 * outwards) @ T, HOME).failure == IkFailure.TOO_FAR
+
+
+def test_another_branch_is_a_failure_if_it_is_to_be_kept():
+    arm = ARMS[0]
+    refused = kept = 0
+    for q in random_joints(arm, 1500, seed=5):
+        T = arm.forward(q)
+        result = arm.inverse(T, HOME, keep_branch=True)
+        if result.q is None:
+            assert result.failure == IkFailure.OTHER_BRANCH
+            check(arm, arm.inverse(T, HOME), T)
+            refused += 1
+        else:
+            assert result.branch == Branch.of(HOME)
+            kept += 1
+    assert refused > 0 and kept > 0
+
+
+def test_measured_joints_may_be_a_little_out_of_range():
+    arm = ARMS[0]
+    q = arm.model.upper * np.array([1, 0.3, 1, 0.5, 1, 0.5, 1]) + 1e-4
+    T = arm.forward(np.minimum(q, arm.model.upper))
+    check(arm, arm.inverse(T, q), T)
+
+
+@pytest.mark.parametrize(
+    "T",
+    [
+        np.full((4, 4), np.nan),
+        np.diag([1.0, 1.0, -1.0, 1.0]),
+        np.diag([1.1, 1.0, 1.0, 1.0]),
+        np.eye(3),
+        pose(p=(np.inf, 0.0, 0.0)),
+    ],
+)
+def test_what_is_no_pose_is_refused(T):
+    with pytest.raises(ValueError):
+        ARMS[0].inverse(T, HOME)
+
+
+@pytest.mark.parametrize("near", [np.full(7, np.nan), np.zeros(6)])
+def test_present_joints_must_be_seven_numbers(near):
+    with pytest.raises(ValueError, match="seven finite numbers"):
+        ARMS[0].inverse(ARMS[0].forward(HOME), near)
+
+
+def test_result_cannot_be_changed():
+    result = ARMS[0].inverse(ARMS[0].forward(HOME), HOME)
+    with pytest.raises(ValueError, match="read-only"):
+        result.q[0] = 0.0

@@ -1,0 +1,45 @@
+"""The scaling factor: its laws and its range."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as st_numpy
+
+from kuka_control.scaling import check_scaling_factor, scaled
+
+positions = st_numpy.arrays(float, 3, elements=st.floats(-2.0, 2.0))
+factors = st.floats(0.1, 1.5)
+
+
+@given(positions, positions, factors)
+def test_the_way_from_the_centre_is_scaled(position, centre, factor):
+    np.testing.assert_allclose(scaled(position, centre, factor) - centre, factor * (position - centre), atol=1e-12)
+
+
+@given(positions, factors)
+def test_the_centre_stays(centre, factor):
+    np.testing.assert_array_equal(scaled(centre, centre, factor), centre)
+
+
+@given(positions, positions)
+def test_factor_one_changes_nothing(position, centre):
+    np.testing.assert_allclose(scaled(position, centre, 1.0), position, atol=1e-12)
+
+
+@given(factors)
+def test_factors_of_the_range_are_accepted(factor):
+    assert check_scaling_factor(factor) == factor
+
+
+@pytest.mark.parametrize("typed", [0.1, 0.7, 1.5])
+def test_factor_that_came_as_a_32_bit_number_is_accepted(typed):
+    check_scaling_factor(float(np.float32(typed)))
+
+
+@pytest.mark.parametrize("factor", [0.0999, 1.5001, 0.0, -1.0, float("nan"), float("inf")])
+def test_factors_out_of_the_range_are_refused(factor):
+    with pytest.raises(ValueError, match=r"outside 0\.1 to 1\.5"):
+        check_scaling_factor(factor)
