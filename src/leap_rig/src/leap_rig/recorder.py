@@ -49,6 +49,7 @@ class Recorder:
         self.tool_path = 0.0
         self.hand_low: np.ndarray | None = None
         self.hand_high: np.ndarray | None = None
+        self.received: dict[float, float] = {}
         self.stage_times: dict[str, dict[float, float]] = {stage: {} for stage in STAGES}
         self.counters: dict[str, dict[str, str]] = {}
         self._base_counters: dict[str, dict[str, str]] = {}
@@ -75,7 +76,9 @@ class Recorder:
         if stage == "leap_motion":
             self.frames += 1
         if stage in self.stage_times:
-            self.stage_times[stage].setdefault(frame_stamp, done)
+            frame = round(frame_stamp, 4)  # tf rounds stamps by a nanosecond, frames are milliseconds apart
+            self.received.setdefault(frame, frame_stamp)
+            self.stage_times[stage].setdefault(frame, done)
 
     def stream(self, running: bool, reason: str, now: float) -> None:
         """The stream of hand poses started or stopped."""

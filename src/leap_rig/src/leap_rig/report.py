@@ -49,7 +49,7 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = ()) -> dic
         "hand_travel_rad": []
         if recorder.hand_low is None
         else np.round(recorder.hand_high - recorder.hand_low, 3).tolist(),
-        "delay_ms": _delays(recorder.stage_times),
+        "delay_ms": _delays(recorder.received, recorder.stage_times),
         "nodes_died": list(deaths),
     }
     summary["faults"] = _faults(summary)
@@ -91,9 +91,8 @@ def _errors(errors: TrackingErrors) -> dict:
     }
 
 
-def _delays(times: dict[str, dict[float, float]]) -> dict:
+def _delays(received: dict[float, float], times: dict[str, dict[float, float]]) -> dict:
     """Percentiles of the time each stage took, and of the whole ways from the received frame to the two wires."""
-    received = {stamp: stamp for stamp in times["leap_motion"]}
     ways = {
         "leap_motion: received to published": (received, times["leap_motion"]),
         "leap_kuka: published to desired tool": (times["leap_motion"], times["leap_kuka"]),

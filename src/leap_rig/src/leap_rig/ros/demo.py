@@ -162,11 +162,13 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         parent.start(auto_terminate=False)
         deaths.take_early(parent.pm)
-        rospy.init_node("demo", disable_signals=True)
+        rospy.init_node("demo", argv=[], disable_signals=True)  # name:=value is for the launch file
         listener = RigListener(recorder)
         ended = wait_for_end(listener, deaths, status, arguments.duration)
+        listener.stop()
         summary_time = time.monotonic()
         if ended == "duration":
+            status.say("The time is up: the arm goes to the zero position.")
             end_in_order(deaths)
     finally:
         status.finish()
@@ -199,7 +201,7 @@ def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, dura
 
 def main() -> None:
     """Runs the demo with the arguments of the command line."""
-    arguments = parse_arguments(rospy.myargv()[1:])
+    arguments = parse_arguments(sys.argv[1:])
     try:
         code = run(arguments)
     except (RigError, roslaunch.RLException, OSError) as error:

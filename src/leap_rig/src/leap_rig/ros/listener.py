@@ -37,6 +37,7 @@ class RigListener:
         self.warnings: list[str] = []
         self._lock = threading.Lock()
         self._tool_length: float | None = None
+        self._subscribers: list[rospy.Subscriber] = []
         self._buffer = tf2_ros.Buffer()
         self._tf = tf2_ros.TransformListener(self._buffer, tcp_nodelay=True)
         for topic, kind, callback, queue in (
@@ -49,7 +50,12 @@ class RigListener:
             ("reflex_takktile/hand_state", Hand, self._hand, 1),
             ("/rosout", Log, self._log, 100),
         ):
-            rospy.Subscriber(topic, kind, callback, queue_size=queue)
+            self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=queue))
+
+    def stop(self) -> None:
+        """Ends the listening: what comes now is not part of the run."""
+        for subscriber in self._subscribers:
+            subscriber.unregister()
 
     def _stage(self, message: TimeReference) -> None:
         with self._lock:

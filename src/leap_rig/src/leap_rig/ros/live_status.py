@@ -24,7 +24,7 @@ class LiveStatus:
         recorder = listener.recorder
         warnings, listener.warnings = listener.warnings, []
         for warning in warnings:
-            self._print(warning + "\n")
+            self.say(warning)
         if now < self._next:
             return
         self._next = now + self._period
@@ -36,6 +36,10 @@ class LiveStatus:
         if speed is not None:
             text += f" | TCP {1e3 * float(speed):4.0f} mm/s"
         self._print(text + ("" if self._terminal else "\n"))
+
+    def say(self, sentence: str) -> None:
+        """Prints a sentence on a line of its own."""
+        self._print(sentence + "\n")
 
     def finish(self) -> None:
         """Ends the live line."""

@@ -1,0 +1,104 @@
+"""The whole rig, as `make demo` starts it, on ports of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def demo(processes, free_port, tmp_path):
+    """Starts the demo on free ports with a master of its own; returns the process and where its report will be."""
+
+    def start(*arguments: str, **launch):
+        report = tmp_path / "report.json"
+        ports = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port")
+        launch = {**{name: free_port() for name in ports}, "hand_port": free_port(socket.SOCK_DGRAM), **launch}
+        process = processes.start(
+            "rosrun", "leap_rig", "demo.py", "--headless", "--report", str(report), *arguments,
+            "--", *(f"{name}:={value}" for name, value in launch.items()),
+            env={"ROS_MASTER_URI": f"http://localhost:{free_port()}", "ROS_HOME": str(tmp_path / "ros"),
+                 "ROS_LOG_DIR": str(tmp_path / "log")},
+        )  # fmt: skip
+        process.report = report
+        return process
+
+    return start
+
+
+def descendants(pid: int) -> set[int]:
+    children = {}
+    for entry in os.listdir("/proc"):
+        if entry.isdigit():
+            try:
+                with open(f"/proc/{entry}/stat") as file:
+                    parent = int(file.read().rsplit(")", 1)[1].split()[1])
+            except OSError:
+                continue
+            children.setdefault(parent, set()).add(int(entry))
+    found, new = set(), {pid}
+    while new:
+        new = set().union(*(children.get(p, set()) for p in new))
+        found |= new
+    return found
+
+
+@pytest.mark.timeout(300)
+def test_a_scripted_hand_moves_arm_and_hand_and_nothing_is_left_behind(demo, wait_until):
+    process = demo("--duration", "15")
+    wait_until(lambda: len(descendants(process.pid)) > 12, 60.0, "the nodes")
+    nodes = descendants(process.pid)
+    assert process.wait(200) == 0, process.log_path.read_text()
+    summary = json.loads(process.report.read_text())
+    assert summary["faults"] == [] and summary["nodes_died"] == []
+    assert summary["servo_goals_sent"] > 500 and summary["frames_received"] > 500
+    assert len(summary["streams"]) >= 1 and summary["safety_stops"] == 0
+    assert summary["tracking_error"]["commanded"]["rms_mm"] < 50.0
+    assert max(summary["hand_travel_rad"]) > 0.5
+    assert summary["delay_ms"]["frame received to goal on the arm's wire"]["samples"] > 300
+    wait_until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes), 20.0, "the end of all nodes")
+
+
+@pytest.mark.timeout(300)
+def test_with_control_off_arm_and_hand_stand_still_and_the_demo_says_so(demo):
+    process = demo("--duration", "6", auto_start="false")
+    assert process.wait(200) == 1, process.log_path.read_text()
+    faults = json.loads(process.report.read_text())["faults"]
+    assert faults == ["The arm never followed a hand.", "The robot hand never moved."]
+
+
+@pytest.mark.timeout(300)
+def test_a_dead_node_is_named(demo, wait_until):
+    process = demo()
+
+    def driver():
+        for pid in descendants(process.pid):
+            try:
+                with open(f"/proc/{pid}/cmdline") as file:
+                    if "leap_driver.py" in file.read():
+                        return pid
+            except OSError:
+                continue
+        return None
+
+    wait_until(lambda: " s | arm " in process.log_path.read_text(), 90.0, "the arm at home")
+    os.kill(driver(), signal.SIGKILL)
+    assert process.wait(100) == 1, process.log_path.read_text()
+    assert "leap_driver ended" in " ".join(json.loads(process.report.read_text())["faults"])
+
+
+def test_bad_arguments_are_one_sentence(processes):
+    for arguments, sentence in (
+        (("--recording", "no/such/file"), "the recording no/such/file is not a file"),
+        (("--duration", "-1"), "the duration -1.0 must be a positive number of seconds"),
+        (("rviz",), "'rviz' is not of the form name:=value"),
+    ):
+        process = processes.start("rosrun", "leap_rig", "demo.py", *arguments)
+        assert process.wait(30) == 2
+        assert sentence in process.log_path.read_text()
