@@ -119,7 +119,8 @@ class World:
         self.loop = make(settings_, self.rig)
         self.controller = Controller(self.arm, self.loop)
         self.now = 100.0
-        self.control_on = False
+        self._control_on = False
+        self.engagements = 0
         self.exit_requested = False
         self.scale = 1.0
         self.tool = None
@@ -136,7 +137,9 @@ class World:
             if tool is not None and i % 3 == 0:
                 T = tool(self.now - start) if callable(tool) else tool
                 self.newest = Desired(T, CLOCK + self.now + self.skew)
-            inputs = Inputs(self.newest, CLOCK + self.now, self.control_on, self.scale, self.exit_requested)
+            inputs = Inputs(
+                self.newest, CLOCK + self.now, self.control_on, self.engagements, self.scale, self.exit_requested
+            )
             step = self.controller.cycle(inputs, self.now)
             self.events += [e.sentence for e in step.events]
             if not self.modes or self.modes[-1] != step.mode:
@@ -164,6 +167,15 @@ class World:
         self.arm.told.clear()
         self.modes.clear()
         return self
+
+    @property
+    def control_on(self):
+        return self._control_on
+
+    @control_on.setter
+    def control_on(self, on):
+        self.engagements += on and not self._control_on
+        self._control_on = on
 
     @property
     def mode(self):
@@ -299,10 +311,12 @@ def test_control_off_sends_the_arm_home_slowly():
     assert world.modes == ["returning", "home"]
 
 
-def test_control_off_and_on_again_still_goes_home_first():
+@pytest.mark.parametrize("cycles", [0, 1])
+def test_control_off_and_on_again_still_goes_home_first(cycles):
     world = World().following(shifted(0.05, 0.0, 0.0))
     world.control_on = False
-    world.run(DT, shifted(0.05, 0.0, 0.0))
+    if cycles:
+        world.run(cycles * DT, shifted(0.05, 0.0, 0.0))
     world.control_on = True
     world.run(3.0, shifted(0.05, 0.0, 0.0))
     assert world.arm.told[:2] == [("stop_servo",), ptp(HOME.q, SLOW)]
@@ -418,7 +432,8 @@ def test_stale_and_future_frames_do_not_move_the_arm(skew):
     assert world.arm.told == [] and sum("0.7" in e and "refused" in e for e in world.events) == 1
 
 
-def test_a_safety_stop_is_found_held_and_latched():
+@pytest.mark.parametrize("off_s", [0.0, 1.0])
+def test_a_safety_stop_is_found_held_and_latched(off_s):
     world = World().following()
     world.arm.held = True
     world.run(2.0, lambda t: shifted(0.05 * t, 0.0, 0.0))
@@ -430,7 +445,8 @@ def test_a_safety_stop_is_found_held_and_latched():
     world.run(2.0, shifted(0.1, 0.0, 0.0))
     np.testing.assert_allclose(world.arm.q, held_at)
     world.control_on = False
-    world.run(1.0, shifted(0.1, 0.0, 0.0))
+    if off_s:
+        world.run(off_s, shifted(0.1, 0.0, 0.0))
     np.testing.assert_allclose(world.arm.q, held_at)
     world.arm.told.clear()
     world.control_on = True

@@ -20,6 +20,7 @@ class Observation:
         desired: the newest desired tool frame, or None.
         clock: ROS time [s], the clock of the stamps.
         control_on: whether the arm is to follow the desired tool frame.
+        engagements: how often control was switched on so far, so that off and on again is never overlooked.
         scale: scaling factor.
         exit_requested: whether the controller is to go to zero and end.
         arrived: whether no PTP motion runs.
@@ -30,6 +31,7 @@ class Observation:
     desired: Desired | None = None
     clock: float = 0.0
     control_on: bool = False
+    engagements: int = 0
     scale: float = 1.0
     exit_requested: bool = False
     arrived: bool = True

@@ -81,7 +81,7 @@ class ControlLoop(ABC):
         self._home_at: float | None = None
         self._because = ""
         self._leaving_because: str | None = None
-        self._control_was_off = False
+        self._engagements = self._engagement = 0
         self._aim: Target | None = None
         self._failing = False
 
@@ -94,6 +94,7 @@ class ControlLoop(ABC):
         """
         self._events = []
         self._limited_by = ()
+        self._engagements = seen.engagements
         taken = self._stream.take(seen.desired, seen.clock, now)
         if taken.refused:
             self.counts["refused_frames"] += 1
@@ -127,6 +128,8 @@ class ControlLoop(ABC):
         if self._must_return(seen, now):
             velocity, self._home_at = self._home_at, None
             return self._ptp(seen, "home", self._settings.q_home, velocity, "returning", self._home, now)
+        if self._at_home:
+            self._engagement = seen.engagements
         if not seen.control_on or fresh is None:
             return Wait()
         target = self._resolve(seen, fresh, seen.joints)
@@ -156,9 +159,7 @@ class ControlLoop(ABC):
         """A fault holds the loop until control goes off and on again."""
         if self._leaving(seen):
             return self._go_to_zero(seen, now)
-        if not seen.control_on:
-            self._control_was_off = True
-        elif self._control_was_off:
+        if seen.control_on and seen.engagements != self._engagement:
             self._because = "Control was switched off and on again."
             self.stopped_because = None
             return self._starting(seen, fresh, now)
@@ -198,7 +199,8 @@ class ControlLoop(ABC):
     def _latch(self, fault: str) -> Command:
         self._enter("stopped", self._latched, f"{fault} The arm stays where it is until control goes off and on again.")
         self._aim = self._home_at = None
-        self._at_home = self._control_was_off = False
+        self._at_home = False
+        self._engagement = self._engagements
         self.stopped_because = fault
         self.counts["faults"] += 1
         return Wait()
@@ -214,8 +216,8 @@ class ControlLoop(ABC):
     def _must_return(self, seen: Observation, now: float) -> bool:
         """Whether the arm has to go home now, or to be stopped for that; at which velocity, stands in _home_at then."""
         if self._home_at is None and not self._at_home:
-            if not seen.control_on:
-                self._because = "Control is off."
+            if not seen.control_on or seen.engagements != self._engagement:
+                self._because = f"Control {'was' if seen.control_on else 'is'} off."
                 self._home_at = self._settings.velocity_home
             elif self._stream.silent_for(now) > self._settings.time_out:
                 self._because = f"No new desired tool frame came for {self._settings.time_out:g} s."

@@ -21,6 +21,7 @@ class Inputs:
     desired: Desired | None = None
     clock: float = 0.0
     control_on: bool = False
+    engagements: int = 0
     scale: float = 1.0
     exit_requested: bool = False
 
@@ -60,6 +61,7 @@ class Controller:
             desired=inputs.desired,
             clock=inputs.clock,
             control_on=inputs.control_on,
+            engagements=inputs.engagements,
             scale=inputs.scale,
             exit_requested=inputs.exit_requested,
             arrived=not self.moving,

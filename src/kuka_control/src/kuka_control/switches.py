@@ -12,6 +12,7 @@ class Switched:
     """The position of all switches."""
 
     control_on: bool = False
+    engagements: int = 0
     gripper_on: bool = False
     scale: float = SCALING_DEFAULT
     exit_requested: bool = False
@@ -45,18 +46,19 @@ class Switches:
         """Switches control of the arm on or off."""
         if on and self._now.exit_requested:
             return Answer(False, "Control stays off: the controller is shutting down.")
-        before, self._now = self._now.control_on, replace(self._now, control_on=on)
+        stopped, before = self._stopped_because, self._now.control_on
+        engagements = self._now.engagements + (on and not before)
+        self._now = replace(self._now, control_on=on, engagements=engagements)
+        if on and before and stopped:
+            return Answer(False, f"The arm is stopped until control is switched off and on again: {stopped}")
+        if on == before:
+            return Answer(True, f"Control is {'on' if on else 'off'} already.")
         if not on:
-            return Answer(True, "Control is off, the arm goes home." if before else "Control is off already.")
-        if self._stopped_because is not None and before:
-            return Answer(
-                False, f"The arm is stopped until control is switched off and on again: {self._stopped_because}"
-            )
-        if before:
-            return Answer(True, "Control is on already.")
-        if self._mode in ("home", "stopped"):
+            where = "stays where it is until control is on again" if stopped else "goes home"
+            return Answer(True, f"Control is off, the arm {where}.")
+        if self._mode == "home":
             return Answer(True, "Control is on, the arm follows the desired tool frame.")
-        return Answer(True, "Control is on, the arm follows the desired tool frame once it has reached home.")
+        return Answer(True, "Control is on, the arm goes home first and then follows the desired tool frame.")
 
     def set_gripper(self, on: bool) -> Answer:
         """Switches the flag on the topic kuka/gripper_control."""

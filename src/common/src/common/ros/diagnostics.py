@@ -38,4 +38,8 @@ class Diagnostics:
 
     def _loop(self) -> None:
         while not self._stop.wait(PERIOD_S):
-            self.publish()
+            try:
+                self.publish()
+            except rospy.ROSException:
+                if not rospy.core.is_shutdown_requested():  # then the topic closes under this thread
+                    raise

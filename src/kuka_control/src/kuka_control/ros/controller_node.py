@@ -97,6 +97,9 @@ class _Node:
                 deadline = time.monotonic() + (self._servo_period if self._controller.in_servo else self._rest_period)
                 if isinstance(self._step.command, End):
                     return self._end(self._step.command)
+        except rospy.ROSException:
+            if not rospy.core.is_shutdown_requested():  # then the topics close during a cycle
+                raise
         except DeviceError as error:
             raise DeviceError(
                 f"The robot is out of reach: {error}. Start MatlabToolboxServer on the smartPad again, "
@@ -115,6 +118,7 @@ class _Node:
             desired=desired,
             clock=rospy.get_time(),
             control_on=switched.control_on,
+            engagements=switched.engagements,
             scale=switched.scale,
             exit_requested=switched.exit_requested,
         )

@@ -94,6 +94,13 @@ class StatePublisher:
             self._thread.join(1.0)
 
     def _loop(self) -> None:
+        try:
+            self._publish()
+        except rospy.ROSException:
+            if not rospy.core.is_shutdown_requested():  # then the topics close under this thread
+                raise
+
+    def _publish(self) -> None:
         next_state = 0.0
         while not self._stop.wait(self._period):
             if self._newest is not None:
