@@ -202,7 +202,7 @@ class LeapClient:
             self._counters = replace(self._counters, connections=self._counters.connections + 1)
         version = header.service or "of unknown version"
         self._set_status(
-            Link.SILENT, f"Connected to Leap service {version} on {self._address}; no frame yet.", header.service
+            Link.CONNECTING, f"Connected to Leap service {version} on {self._address}; no frame yet.", header.service
         )
 
     def _read(self, connection: ClientConnection) -> None:

@@ -12,7 +12,7 @@ from common.config import choice, integer, parse, text
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run
 from common.ros.stage_times import StageTimes
-from leap_motion.client import LeapClient, Link
+from leap_motion.client import LeapClient, Link, Status
 from leap_motion.msg import Human
 from leap_motion.ros.human import COMPATIBLE, CORRECT, human_from_frame
 
@@ -20,6 +20,7 @@ NAME = "leap_driver"
 TOPIC = "leap_motion/leap_device"
 POLL_S = 0.1
 REMIND_S = 10.0
+SETTLED_S = 0.3
 DEFAULTS = {"host": "127.0.0.1", "port": 6437, "orientation": COMPATIBLE}
 
 
@@ -33,20 +34,23 @@ class DriverConfig:
 
 
 class LinkReport:
-    """Logs the state of the link when it changes, and every 10 s while no frames come."""
+    """Logs a state of the link that stays for a moment, and again every 10 s while no frames come."""
 
     def __init__(self, client: LeapClient) -> None:
         self._client = client
-        self._logged: tuple[Link, str] | None = None
-        self._time = 0.0
+        self._seen: Status | None = None
+        self._logged: Status | None = None
+        self._seen_at = self._logged_at = 0.0
 
     def update(self) -> None:
         """Logs if there is something to say."""
         status, now = self._client.status, time.monotonic()
+        if status != self._seen:
+            self._seen, self._seen_at = status, now
         streaming = status.link is Link.STREAMING
-        changed = (status.link, status.sentence) != self._logged
-        if changed or (not streaming and now - self._time > REMIND_S):
-            self._logged, self._time = (status.link, status.sentence), now
+        due = status != self._logged or (not streaming and now - self._logged_at > REMIND_S)
+        if due and now - self._seen_at > SETTLED_S:
+            self._logged, self._logged_at = status, now
             log = rospy.loginfo if streaming or status.link is Link.CONNECTING else rospy.logwarn
             log("%s", status.sentence)
 

@@ -19,6 +19,9 @@ MIN_JERK_PEAK = 1.875
 RAMP = 0.15
 """Part of a figure's time in which it is sped up, and again slowed down."""
 
+HOLD_S = 2.5
+"""How long the hand waits over the centre for the arm to come to it."""
+
 EDGE_MM = 200.0
 """Where the hand comes into view and goes out of it, before the centre on the user's side."""
 
@@ -96,7 +99,7 @@ class Visit:
 
     def _compose(self, rest: np.ndarray) -> None:
         self._move(rest, speed=1.6 * self._script.speed)
-        self._hold(1.5)
+        self._hold(HOLD_S)
         self._figure(rest)
         self._move(rest)
         self._hold(0.5)

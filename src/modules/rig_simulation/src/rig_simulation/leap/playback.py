@@ -5,13 +5,14 @@ Playing starts the source anew; paused, and before, the frames are empty. What t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from rig_simulation.leap import wire
-from rig_simulation.leap.sources import Frames, empty_frames
+from rig_simulation.leap.sources import empty_frames
 
 START_US = 1_000_000
 
@@ -19,7 +20,7 @@ START_US = 1_000_000
 class Source(Protocol):
     """What can be played: see sources.py."""
 
-    def frames(self, rng: np.random.Generator, first_id: int) -> Frames:
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
         """Yields (interval, frame)."""
 
 

@@ -27,14 +27,12 @@ LOST_FRAME = 0.005
 PAUSE_S = 1.5
 """Empty frames between two rounds of a recording."""
 
-Frames = Iterator["tuple[float, dict]"]
-
 
 class RecordingError(RigError):
     """A recording that cannot be played."""
 
 
-def empty_frames(rng: np.random.Generator, fields: str) -> Frames:
+def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float, dict]]:
     """Yields frames without hands for ever, at the rate of the device with its jitter."""
     while True:
         yield _interval(rng), wire.frame([], 1.0 / PERIOD_S, fields)
@@ -58,7 +56,7 @@ class Person:
     centre: tuple[float, float, float] = (0.0, 350.0, 0.0)
     fields: str = "2.x"
 
-    def frames(self, rng: np.random.Generator, first_id: int) -> Frames:
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
         """Yields visit after visit for ever, each with a hand id of its own and a pause after it."""
         model = HandModel(self.side, self.scale, ends_at_tip=self.fields == "new")
         hand_id = first_id
@@ -67,7 +65,9 @@ class Person:
             yield from self._visit(visit, model, hand_id, rng)
             hand_id += 1
 
-    def _visit(self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator) -> Frames:
+    def _visit(
+        self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator
+    ) -> Iterator[tuple[float, dict]]:
         tracker, order = Tracker(model, hand_id, rng), rng.permutation(5).tolist()
         t, interval = visit.appears, _interval(rng)
         while t < visit.vanishes + self.script.away:
@@ -114,7 +114,7 @@ class Recording:
     def __len__(self) -> int:
         return len(self._lines)
 
-    def frames(self, rng: np.random.Generator, first_id: int) -> Frames:
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
         """Yields the recorded frames; after them empty ones, for a while or for ever."""
         shift = 0 if first_id <= 1 else first_id
         while True:
