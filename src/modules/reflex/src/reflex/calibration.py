@@ -104,4 +104,6 @@ def _parse(schema, text: str, where: str):
 
 
 def _flow(values: np.ndarray) -> str:
-    return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
+    # Without exponents, which yaml takes for text where they have no decimal point.
+    digits = (np.format_float_positional(v, precision=6, unique=False, fractional=False, trim="-") for v in values)
+    return f"[{', '.join(digits)}]"

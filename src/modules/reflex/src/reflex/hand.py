@@ -63,11 +63,13 @@ class Hand:
         settings: the driver's settings.
         zeros: where the fingers are open.
         offsets: counts of the untouched tactile sensors.
+        calibrated: whether the zeros are those of this hand; if not, commands are refused until it is calibrated.
     """
 
-    def __init__(self, settings: Settings, zeros: FingerZeros, offsets: TactileOffsets) -> None:
+    def __init__(self, settings: Settings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
         self._settings = settings
         self._zeros = zeros
+        self._calibrated = calibrated
         self._offsets = offsets
         self._thresholds = ((settings.default_contact_threshold,) * 9,) * 3
         self.link = Link(settings.silence_time)
@@ -80,7 +82,6 @@ class Hand:
         self._tactile: list[StatePacket] | None = None
         self._waiting_command: tuple[float, ...] | None = None
         self._reading: Reading | None = None
-        self._said_silent = False
         self._complaint_time = -math.inf
         self.calibration_outcome = "none yet"
         self.commands = 0
@@ -121,7 +122,7 @@ class Hand:
             return self._result()
         previous = self._reading.packet if self._reading else None
         if arrival is not Arrival.NEXT:
-            self._appeared(arrival, now)
+            self._appeared(arrival, packet, now)
             previous = None
         reading = self._reader.read(packet, self._zeros, self._offsets, self._thresholds)
         self._reading = reading
@@ -138,8 +139,7 @@ class Hand:
         """Lets time pass: packets of a speed change, silence, requests that waited too long."""
         self._begin()
         self._send.extend(self.motion.step(now))
-        if self.link.heard() and not self.link.alive(now) and not self._said_silent:
-            self._said_silent = True
+        if self.link.watch(now):
             self._note("error", f"The hand is silent: no packet for {self._settings.silence_time:g} s.")
             self._tactile = None
             if self._calibration:
@@ -187,7 +187,9 @@ class Hand:
         except ValueError as error:
             return self._refuse(f"The speeds {list(speeds)} were refused: {error}.")
         self._speeds = tuple(speeds)
-        self._torque = True
+        if not self._torque:
+            self._torque = True
+            self._hold(self._reading.packet)
         return self._result()
 
     def disable_torque(self) -> Result:
@@ -255,9 +257,8 @@ class Hand:
             return self._silent_sentence()
         return "" if self._torque else "Torque is off; set_speed switches it on again."
 
-    def _appeared(self, arrival: Arrival, now: float) -> None:
+    def _appeared(self, arrival: Arrival, packet: StatePacket, now: float) -> None:
         """The first packet ever, after a silence, or after the hand was switched off and on."""
-        self._said_silent = False
         if self._calibration:
             self._fail("The hand was interrupted.")
         self._reader.reset()
@@ -273,6 +274,12 @@ class Hand:
             self._note("warning", "The hand was switched off and on: calibrate its fingers before they are used.")
         if self._torque:
             self._send.extend(self.motion.change_speed(self._speeds, now))
+            self._hold(packet)
+
+    def _hold(self, packet: StatePacket) -> None:
+        """Makes the present pose the goal: servos that get torque would go where they were last sent to."""
+        if not implausible_servos(packet.positions):
+            self._aim(packet.positions)
 
     def _serve_requests(self, packet: StatePacket, now: float) -> None:
         if self._requests.pop("calibrate_tactile", None) is not None:
@@ -327,6 +334,7 @@ class Hand:
 
     def _adopt(self, zeros: FingerZeros) -> None:
         self._zeros = self._new_zeros = zeros
+        self._calibrated = True
         self.motion.guard.reset()
 
     def _aim(self, positions: tuple[int, ...]) -> None:
@@ -334,6 +342,8 @@ class Hand:
 
     def _command(self, angles: tuple[float, ...]) -> str:
         """Sends the motors to `angles`; returns why not, or an empty text."""
+        if not self._calibrated:
+            return "This hand has never been calibrated: calibrate the fingers."
         zeros = self._zeros.motor_zero_reference
         packets, refusal = self.motion.command(angles, self._reading.packet.positions, zeros)
         self._send.extend(packets)

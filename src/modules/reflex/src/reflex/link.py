@@ -12,7 +12,8 @@ from enum import Enum
 from reflex.codec import PacketError, StatePacket, decode_state, is_command
 
 PERIOD_S = 0.025
-CLOCK_TOLERANCE_S = 1.0
+CLOCK_TOLERANCE_S = 0.3
+CLOCK_DRIFT = 1e-3
 
 _CLOCK_WRAP = 2**32
 _MICROSECONDS = 1e-6
@@ -55,6 +56,7 @@ class Link:
         self._last: StatePacket | None = None
         self._last_time = 0.0
         self._source: tuple | None = None
+        self._missed = False
         self.counters = Counters()
 
     def heard(self) -> bool:
@@ -64,6 +66,12 @@ class Link:
     def alive(self, now: float) -> bool:
         """Whether a packet came within the silence time."""
         return self._last is not None and now - self._last_time <= self._silence_time
+
+    def watch(self, now: float) -> bool:
+        """Looks whether the hand is silent; true once, when the silence begins."""
+        begins = self.heard() and not self.alive(now) and not self._missed
+        self._missed = self._missed or begins
+        return begins
 
     def age(self, now: float) -> float:
         """Returns the time since the last packet [s]; infinite before the first."""
@@ -99,28 +107,37 @@ class Link:
         self.counters.packets += 1
         self.counters.restarts += arrival is Arrival.RESTARTED
         self._last, self._last_time, self._source = packet, now, source
+        self._missed = False
         return arrival, packet, ""
 
     def _relate(self, packet: StatePacket, now: float) -> Arrival:
+        """Compares the hand's clock with the host's.
+
+        A host that was busy takes packets late, so that the hand's clock falls behind only in appearance; that counts
+        as a restart only after a silence that `watch` has seen.
+        """
         if self._last is None:
             return Arrival.FIRST
         host_step = now - self._last_time
-        ticks = (packet.device_time - self._last.device_time) % _CLOCK_WRAP
-        back = (_CLOCK_WRAP - ticks) * _MICROSECONDS
-        if ticks == 0 and host_step < PERIOD_S / 2:
+        device_step = _signed((packet.device_time - self._last.device_time) * _MICROSECONDS)
+        repeated = device_step == 0 and host_step < PERIOD_S / 2
+        if not self._missed and (repeated or -_LONGEST_REORDERING_S < device_step < 0):
             return Arrival.DROPPED
-        if ticks and back < _LONGEST_REORDERING_S and host_step <= self._silence_time:
-            return Arrival.DROPPED
-        device_step = ticks * _MICROSECONDS
-        wrap = _CLOCK_WRAP * _MICROSECONDS
-        apart = (host_step - device_step + wrap / 2) % wrap - wrap / 2
-        if abs(apart) > CLOCK_TOLERANCE_S:
+        behind = _signed(host_step - device_step)
+        tolerance = CLOCK_TOLERANCE_S + CLOCK_DRIFT * host_step
+        if behind < -tolerance or (self._missed and behind > tolerance) or (not self._missed and device_step < 0):
             return Arrival.RESTARTED
-        if host_step > self._silence_time:
+        if self._missed:
             return Arrival.RESUMED
         self.counters.lost += max(0, round(device_step / PERIOD_S) - 1)
         self.counters.late += host_step - device_step > PERIOD_S
         return Arrival.NEXT
+
+
+def _signed(step: float) -> float:
+    """Returns the step [s] around the end of the hand's clock, at most half its range either way."""
+    wrap = _CLOCK_WRAP * _MICROSECONDS
+    return (step + wrap / 2) % wrap - wrap / 2
 
 
 def _name(source: tuple | None) -> str:

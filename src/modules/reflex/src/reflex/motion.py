@@ -122,7 +122,7 @@ class Motion:
             The packets, and what is new.
         """
         here = reading.packet.positions
-        if self._change or implausible_servos(here):
+        if implausible_servos(here):
             return (), []
         goals, notes = list(self._goals or here), []
         if previous and not implausible_servos(previous.positions):
@@ -133,11 +133,12 @@ class Motion:
                 names = ", ".join(MOTORS[i] for i in jumped)
                 text = f"The position of motor {names} jumped by a turn: held there, calibrate the fingers."
                 notes.append(Note("error", text))
-        angles = all_joint_angles(goals, zeros)
-        relieved, news = self.guard.check(reading, angles)
-        notes.extend(Note("warning", text) for text in news)
-        for i, (old, new) in enumerate(zip(angles, relieved)):
-            if new != old:
-                goals[i] += round(ticks(i, new - old))
+        if not self._change:
+            angles = all_joint_angles(goals, zeros)
+            relieved, news = self.guard.check(reading, angles)
+            notes.extend(Note("warning", text) for text in news)
+            for i, (old, new) in enumerate(zip(angles, relieved)):
+                if new != old:
+                    goals[i] += round(ticks(i, new - old))
         target = tuple(goals)
         return (self.aim(target) if target != (self._goals or here) else ()), notes

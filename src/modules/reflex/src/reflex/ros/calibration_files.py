@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 import rospkg
+import rospy
 
 from common.errors import DeviceError
 from reflex.calibration import (
@@ -34,8 +35,8 @@ class CalibrationFiles:
         self._folder = Path(os.path.expanduser(folder))
         self._shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
 
-    def load(self) -> tuple[FingerZeros, TactileOffsets, str]:
-        """Returns both calibrations, and as one sentence where they come from; the shipped ones where none was saved.
+    def load(self) -> tuple[FingerZeros, TactileOffsets, bool]:
+        """Returns both calibrations, the shipped ones where none was saved, and whether the fingers' was saved.
 
         Raises:
             ConfigError: a file holds something else.
@@ -44,7 +45,8 @@ class CalibrationFiles:
         fingers, tactile = self._find(FINGERS), self._find(TACTILE)
         zeros = zeros_from_text(_read(fingers), str(fingers))
         offsets = offsets_from_text(_read(tactile), str(tactile))
-        return zeros, offsets, f"Calibration from {fingers} and {tactile}."
+        rospy.loginfo("Calibration from %s and %s.", fingers, tactile)
+        return zeros, offsets, fingers.parent == self._folder
 
     def save_zeros(self, zeros: FingerZeros) -> Path:
         """Writes the zeros of the fingers and returns the file.

@@ -37,9 +37,7 @@ class Driver:
         self._settings = settings
         self._transport = Transport(settings.network_interface, settings.port)
         self._files = CalibrationFiles(settings.calibration_folder)
-        zeros, offsets, source = self._files.load()
-        rospy.loginfo(source)
-        self._hand = Hand(settings, zeros, offsets)
+        self._hand = Hand(settings, *self._files.load())
         # Reentrant: ROS ends the node from a signal handler, in whatever the main thread is doing.
         self._lock = threading.RLock()
         self._stopped = False

@@ -1,7 +1,7 @@
 """A finger: a tendon spool turns it at the knuckle and bends its outer link. Angles in rad, 0 = open.
 
-While nothing is in the way the knuckle takes 1/1.4 of the tendon's turn and the outer link the rest; once the inner link
-is blocked, the outer link takes all of it.
+While nothing is in the way the knuckle takes 1/1.4 of the tendon's turn and the outer link the rest; once the inner
+link is blocked, the outer link takes all of it.
 """
 
 from __future__ import annotations

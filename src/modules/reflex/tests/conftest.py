@@ -1,0 +1,136 @@
+"""A hand and its driver in one process, in a time that the test lets pass."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from common.config import parse
+from reflex.calibration import offsets_from_text, zeros_from_text
+from reflex.hand import Hand
+from reflex.settings import Settings
+from rig_simulation.control_port import ControlClient
+from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
+from rig_simulation.reflex.wire import read_command
+
+CONFIG = Path(__file__).parents[1] / "config"
+HAND = Path(__file__).parents[2] / "rig_simulation" / "scripts" / "reflex_hand.py"
+SOURCE = ("10.99.99.99", 11333)
+
+
+def settings_with(**changes) -> Settings:
+    """The shipped settings, some of them changed."""
+    values = yaml.safe_load((CONFIG / "reflex_takktile.yaml").read_text())
+    values.update(network_interface="lo", port=11333, calibration_folder="unused")
+    return parse(Settings, {**values, **changes})
+
+
+def shipped_calibration():
+    """The calibration that comes with the package."""
+    names = ("finger_calibrate.yaml", "tactile_calibrate.yaml")
+    fingers, tactile = ((CONFIG / name).read_text() for name in names)
+    return zeros_from_text(fingers, names[0]), offsets_from_text(tactile, names[1])
+
+
+class Bench:
+    """Driver and simulated hand joined packet by packet."""
+
+    def __init__(self, seed: int = 0, calibrated: bool = False, **changes) -> None:
+        self.settings = settings_with(**changes)
+        self.device = SimulatedHand(seed)
+        self.driver = Hand(self.settings, *shipped_calibration(), calibrated)
+        self.now = 100.0
+        self.sent: list[bytes] = []
+        self.notes: list = []
+        self.zeros = self.offsets = self.reading = None
+        self.take(self.driver.start())
+
+    def take(self, result):
+        """Carries the driver's packets to the hand and keeps what it said."""
+        for data in result.send:
+            self.sent.append(data)
+            if not self.device.silent:
+                self.device.handle(read_command(data))
+        self.notes += result.notes
+        self.zeros = result.zeros or self.zeros
+        self.offsets = result.offsets or self.offsets
+        self.reading = result.reading or self.reading
+        return result
+
+    def run(self, seconds: float, until=None) -> bool:
+        """Lets time pass, at most until the condition holds; returns whether it held."""
+        for _ in range(round(seconds / PERIOD_S)):
+            if until and until():
+                return True
+            self.device.step(PERIOD_S)
+            for _ in range(5):
+                self.now += PERIOD_S / 5
+                self.take(self.driver.tick(self.now))
+            if not self.device.silent:
+                self.take(self.driver.receive(self.device.packet(), SOURCE, self.now))
+        return bool(until and until())
+
+    def calibrated(self):
+        """Lets the driver calibrate the fingers; returns this bench."""
+        self.run(0.3)
+        self.take(self.driver.calibrate_fingers(self.now))
+        assert self.run(5.0, lambda: self.driver.calibration_outcome == "succeeded"), self.notes
+        return self
+
+    def command(self, *angles):
+        """Sends a command in radians."""
+        return self.take(self.driver.command(angles, self.now))
+
+    def said(self, text: str) -> bool:
+        """Whether the driver said something with this text in it."""
+        return any(text in note.text for note in self.notes)
+
+
+@pytest.fixture
+def bench():
+    """Makes benches: bench(seed, setting=value)."""
+    return Bench
+
+
+@pytest.fixture
+def make_settings():
+    """The function settings_with."""
+    return settings_with
+
+
+@pytest.fixture
+def shipped():
+    """Zeros and offsets that come with the package."""
+    return shipped_calibration()
+
+
+@pytest.fixture
+def simulated_hand(processes, free_port, wait_until):
+    """Starts the simulated hand as a program: (process, UDP port, control client)."""
+    clients = []
+
+    def start(*arguments: str, port: int | None = None):
+        control_port = free_port()
+        port = port or free_port(socket.SOCK_DGRAM)
+        process = processes.start(
+            sys.executable,
+            str(HAND),
+            "--port",
+            str(port),
+            "--control-port",
+            str(control_port),
+            *arguments,
+            env={"PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+        wait_until(lambda: "control port" in process.log_path.read_text(), 20.0, "the simulated hand")
+        clients.append(ControlClient("127.0.0.1", control_port))
+        return process, port, clients[-1]
+
+    yield start
+    for client in clients:
+        client.close()
