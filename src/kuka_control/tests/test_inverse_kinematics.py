@@ -154,26 +154,84 @@ def test_tool_passes_the_place_where_joint_2_is_zero():
     np.testing.assert_allclose(q, start, atol=np.radians(15.0))
 
 
+def wiggled(arm, q, steps, size=0.02):
+    """The last result after the tool of an arm at joints q moved about in circles of radius `size` [m]."""
+    T = arm.forward(q)
+    for i in range(steps):
+        result = arm.inverse(translation(0.0, size * np.sin(i / 20.0), size * np.cos(i / 20.0)) @ T, q)
+        q = result.q
+    return result
+
+
 @arms
 def test_elbow_goes_back_to_its_preference_while_the_tool_moves(arm):
     q = HOME + np.radians([0.0, 0.0, 25.0, 0.0, -20.0, 0.0, 0.0])
-    T = arm.forward(q)
-    assert abs(arm.inverse(T, q).arm_angle) > 0.2
-    for i in range(2000):
-        there_and_back = translation(0.0, 0.02 * np.sin(i / 20.0), 0.02 * np.cos(i / 20.0))
-        result = arm.inverse(there_and_back @ T, q)
-        q = result.q
-    assert abs(result.arm_angle) < 0.02
+    assert abs(arm.inverse(arm.forward(q), q).arm_angle) > 0.2
+    assert abs(wiggled(arm, q, 2000).arm_angle) < 0.02
+
+
+@arms
+def test_arm_stays_in_its_plane_when_the_tool_goes_sideways(arm):
+    q, T, highest = HOME, arm.forward(HOME), 0.0
+    for turn in 0.4 * np.sin(np.linspace(0.0, 6.0, 300)):
+        result = arm.inverse(pose(rotation_about(2, turn)) @ T, q)
+        q, highest = result.q, max(highest, abs(result.arm_angle))
+    assert highest < np.radians(0.7)
+
+
+def test_preference_gives_way_before_the_end_of_a_range():
+    arm = Kinematics(ARMS[0].model, TOOL, elbow_preference=0.6)
+    q = np.radians([-45.0, 60.0, 20.0, -60.0, -40.0, 114.0, 0.0])
+    result = wiggled(arm, q, 1500, size=0.01)
+    assert result.q[5] < np.radians(117.0)
+    assert result.arm_angle > ARMS[0].inverse(ARMS[0].forward(q), q).arm_angle
+
+
+def test_elbow_is_not_wound_up_to_go_back_to_its_preference():
+    """With the elbow up joint 2 would be negative; while it is positive, up means joints 1 and 3 near their ends."""
+    arm = ARMS[0]
+    T = arm.forward(np.radians([-45.0, -8.0, 0.0, -90.0, 0.0, 75.0, 0.0]))
+    q = arm.inverse(T, np.radians([-105.0, 20.0, 60.0, -90.0, 0.0, 75.0, 0.0])).q
+    assert q[1] > 0.0 and q[0] > np.radians(-130.0)
+    assert wiggled(arm, q, 1500).q[0] > np.radians(-145.0)
+
+
+def test_arm_that_was_stretched_out_bends_the_way_it_did():
+    arm = ARMS[0]
+    q = np.radians([20.0, 50.0, 10.0, -20.0, 40.0, 60.0, 70.0])
+    straight = q * [1, 1, 1, 0, 1, 1, 1]
+    T, T_straight = arm.forward(q), arm.forward(straight)
+    shoulder = np.array([0.0, 0.0, arm.model.base_shoulder])
+    wrist = (T_straight @ np.linalg.inv(TOOL))[:3, 3] - arm.model.wrist_flange * T_straight[:3, 2]
+    rounding = 5e-11 * (wrist - shoulder) / np.linalg.norm(wrist - shoulder)
+    out = arm.inverse(pose(p=rounding) @ T_straight, q).q
+    assert out[3] == 0.0
+    back = arm.inverse(T, out).q
+    assert back[3] == pytest.approx(q[3], abs=1e-9)
+
+
+def test_target_along_the_axis_of_the_present_joint_4():
+    """The present elbow says nothing about where the elbow is to be."""
+    arm = Kinematics(ARMS[0].model)
+    near = np.array([0.0, 0.5, 0.0, -1.0, 0.0, 0.6, 0.0])
+    T = pose(p=(0.0, 0.6 + arm.model.wrist_flange, arm.model.base_shoulder))
+    T[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    check(arm, arm.inverse(T, near), T)
+
+
+@pytest.mark.parametrize("turn", [-2.0, 0.0, 0.5])
+def test_arm_angle_counts_from_base_x_where_the_wrist_is_above_the_shoulder(turn):
+    arm = ARMS[0]
+    q = np.array([turn, -np.radians(40.0), 0.0, -np.radians(80.0), 0.0, np.radians(30.0), 0.0])
+    # Upper arm and forearm are equally long: with joint 2 at half of joint 4 the wrist is above the shoulder.
+    expected = (turn + np.pi + np.pi) % (2 * np.pi) - np.pi
+    assert arm.inverse(arm.forward(q), q).arm_angle == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("preference", [-0.5, 0.3])
 def test_preferred_arm_angle_is_reached(preference):
     arm = Kinematics(ARMS[0].model, TOOL, elbow_preference=preference)
-    q, T = HOME, arm.forward(HOME)
-    for i in range(2500):
-        result = arm.inverse(translation(0.0, 0.02 * np.sin(i / 20.0), 0.02 * np.cos(i / 20.0)) @ T, q)
-        q = result.q
-    assert result.arm_angle == pytest.approx(preference, abs=0.02)
+    assert wiggled(arm, HOME, 2500).arm_angle == pytest.approx(preference, abs=0.02)
 
 
 def test_arm_angle_is_zero_with_the_elbow_up_and_turns_about_the_line_to_the_wrist():

@@ -138,8 +138,9 @@ class Kinematics:
         Raises:
             ValueError: the pose is not finite or not rigid, or `near` is not seven finite numbers.
         """
-        seed = np.asarray(near, dtype=float).tolist()
-        if len(seed) != 7 or not all(map(isfinite, seed)):
+        present = np.asarray(near, dtype=float)
+        seed = present.tolist()
+        if present.shape != (7,) or not all(map(isfinite, seed)):
             raise ValueError(f"the present joints must be seven finite numbers, not {seed}")
         T = np.asarray(T_base_tool, dtype=float)
         if T.shape != (4, 4) or not np.isfinite(T).all():
