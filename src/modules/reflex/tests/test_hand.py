@@ -398,6 +398,22 @@ def test_a_servo_that_counts_from_another_turn_is_held(bench):
     assert "calibrate the fingers" in b.command(2, 2, 2, 0).refusal
 
 
+def test_a_servo_that_answers_again_gets_its_speed_and_stays(bench):
+    b = bench().calibrated()
+    b.command(2, 2, 2, 0)
+    b.run(1.5)
+    b.device.unplug_servo(1, True)
+    b.run(0.5)
+    b.device.servos[1].power_up()
+    b.device.unplug_servo(1, False)
+    before = b.device.state()["angles"]
+    b.run(1.0)
+    assert b.said("All servos answer again")
+    assert b.device.state()["speed_settings"] == [356, 1380, 356, 1275]
+    assert b.device.state()["torque"] == [True] * 4
+    np.testing.assert_allclose(b.device.state()["angles"], before, atol=0.01)
+
+
 def test_zero_pose_takes_the_pose_and_lets_the_tendons_out(bench):
     b = bench().calibrated()
     b.command(0.5, 0.5, 0.5, 0.5)
@@ -470,7 +486,7 @@ def test_any_sequence_of_events_leaves_a_driver_that_works(bench, plan, seed):
         "silent": lambda: b.device.set_silent(True),
         "loud": lambda: b.device.set_silent(False),
         "cycle": b.device.power_cycle,
-        "jump": lambda: b.device.silent or b.device.jump(seed % 4, 1),
+        "jump": lambda: b.device.silent or not b.device.servos[seed % 4].present or b.device.jump(seed % 4, 1),
         "unplug": lambda: b.device.unplug_servo(seed % 4, True),
         "plug": lambda: b.device.unplug_servo(seed % 4, False),
         "load": lambda: b.device.set_load(seed % 4, 700),
@@ -482,7 +498,8 @@ def test_any_sequence_of_events_leaves_a_driver_that_works(bench, plan, seed):
         do[action]()
         b.run(0.15)
         status(b.driver, b.settings, "", b.now)
-        assert all(-1.5 < angle < 4.2 for angle in b.device.state()["angles"]), action
+        low = -1.5 - 0.22 * plan.count("zero")
+        assert all(low < angle < 4.2 for angle in b.device.state()["angles"]), action
     b.device.set_silent(False)
     b.device.unplug_servo(seed % 4, False)
     b.device.set_load(seed % 4, None)

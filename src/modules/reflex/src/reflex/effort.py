@@ -60,8 +60,12 @@ class EffortGuard:
         self._low = np.where((goals > self._low) | (goals >= travel), 0.0, self._low)
         return tuple(np.clip(goals, self._low, self._high).tolist())
 
-    def check(self, reading: Reading, goals: Sequence[float]) -> tuple[tuple[float, ...], list[str]]:
-        """Returns the goals [rad] by the rule, equal to `goals` where nothing is wrong, and news as sentences."""
+    def check(self, reading: Reading, goals: Sequence[float], calibrated: bool) -> tuple[tuple[float, ...], list[str]]:
+        """Returns the goals [rad] by the rule, equal to `goals` where nothing is wrong, and news as sentences.
+
+        A motor outside of its travel, or of a hand that is not calibrated, is only stopped: which way is open for how
+        long is not known.
+        """
         settings = self._settings
         new_goals, notes = list(goals), []
         for i, name in enumerate(MOTORS):
@@ -78,11 +82,12 @@ class EffortGuard:
             )
             self._hot[i] = hot
             if overloaded and load > 0:
-                # Outside of its travel the motor is not driven back in, only stopped: its calibration is wrong.
-                new_goals[i] = min(goals[i], max(angle - settings.loosen_angle, min(angle, 0.0)))
+                end = 0.0 if calibrated else angle
+                new_goals[i] = min(goals[i], max(angle - settings.loosen_angle, min(angle, end)))
                 self._low[i], self._high[i] = 0.0, min(self._high[i], max(0.0, new_goals[i]))
             elif overloaded:
-                new_goals[i] = max(goals[i], min(angle + settings.loosen_angle, max(angle, most)))
+                end = most if calibrated else angle
+                new_goals[i] = max(goals[i], min(angle + settings.loosen_angle, max(angle, end)))
                 self._low[i], self._high[i] = max(self._low[i], min(most, new_goals[i])), most
             if hot:
                 self._high[i] = max(self._low[i], min(self._high[i], new_goals[i]))

@@ -124,13 +124,17 @@ class Hand:
         if arrival is not Arrival.NEXT:
             self._appeared(arrival, packet, now)
             previous = None
+        elif implausible_servos(previous.positions) and not implausible_servos(packet.positions):
+            self._note("warning", "All servos answer again: calibrate the fingers before they are used.")
+            self._start_servos(packet, now)
+            previous = None
         reading = self._reader.read(packet, self._zeros, self._offsets, self._thresholds)
         self._reading = reading
         self._serve_requests(packet, now)
         if self._calibration:
             self._calibrate(reading, now)
         elif self._torque:
-            packets, notes = self.motion.protect(reading, previous, self._zeros.motor_zero_reference)
+            packets, notes = self.motion.protect(reading, previous, self._zeros.motor_zero_reference, self._calibrated)
             self._send.extend(packets)
             self._notes.extend(notes)
         return self._result(reading)
@@ -267,11 +271,15 @@ class Hand:
             if not self.motion.changing_speed:
                 self._send.append(encode_mode(POSITION if self._torque else IDLE))
             return
-        self.motion.reset()
         if arrival is Arrival.FIRST:
             self._note("info", "The hand is there.")
         else:
             self._note("warning", "The hand was switched off and on: calibrate its fingers before they are used.")
+        self._start_servos(packet, now)
+
+    def _start_servos(self, packet: StatePacket, now: float) -> None:
+        """Servos may have lost torque, speed and turn: gives them the first two again and keeps them where they are."""
+        self.motion.reset()
         if self._torque:
             self._send.extend(self.motion.change_speed(self._speeds, now))
             self._hold(packet)

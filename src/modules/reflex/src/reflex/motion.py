@@ -106,7 +106,7 @@ class Motion:
         return self.aim(goals), ""
 
     def protect(
-        self, reading: Reading, previous: StatePacket | None, zeros: Sequence[float]
+        self, reading: Reading, previous: StatePacket | None, zeros: Sequence[float], calibrated: bool
     ) -> tuple[tuple[bytes, ...], list[Note]]:
         """Looks at a new reading for what must not go on.
 
@@ -117,6 +117,7 @@ class Motion:
             reading: the new reading.
             previous: the packet before it, or None.
             zeros: motor zeros [joint rad].
+            calibrated: whether they are this hand's own.
 
         Returns:
             The packets, and what is new.
@@ -135,7 +136,7 @@ class Motion:
                 notes.append(Note("error", text))
         if not self._change:
             angles = all_joint_angles(goals, zeros)
-            relieved, news = self.guard.check(reading, angles)
+            relieved, news = self.guard.check(reading, angles, calibrated)
             notes.extend(Note("warning", text) for text in news)
             for i, (old, new) in enumerate(zip(angles, relieved)):
                 if new != old:
