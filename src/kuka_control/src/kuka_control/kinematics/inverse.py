@@ -6,8 +6,8 @@ the ends of joint ranges and from the singular poses in which joint 2 or joint 6
 
 Close means a small weighted joint step in which joint 3 counts most: with joint 3 nearly held the arm moves like one
 with six joints, its elbow stays in its plane, and the tool may pass over places where joint 2 goes through zero without
-any joint racing. The slow return is bound to the tool's motion, so an arm whose tool stands still does not move, and a
-slow tool never makes fast joints.
+any joint racing. The slow return adds no more than a share of the joint step that the tool asks for, so an arm whose
+tool stands still does not move.
 """
 
 from __future__ import annotations
