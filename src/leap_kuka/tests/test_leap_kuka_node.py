@@ -203,7 +203,10 @@ def test_the_box_is_shown_in_the_colour_of_the_state_with_the_reason(ros, node, 
     box, text = node.markers[-1].markers
     assert box.header.frame_id == text.header.frame_id == "leap_motion/virtual_frame"
     np.testing.assert_allclose([box.pose.position.x, box.pose.position.y, box.pose.position.z], [0, 0.35, 0])
-    np.testing.assert_allclose([box.scale.x, box.scale.y, box.scale.z], [0.2, 0.2, 0.2])
+    corners = np.array([[p.x, p.y, p.z] for p in box.points])
+    assert len(corners) == 24, "the box has twelve edges"
+    np.testing.assert_allclose(np.linalg.norm(corners[::2] - corners[1::2], axis=1), 0.2)
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[-0.1] * 3, [0.1] * 3])
     waiting = box.color
     tracker.show(hand())
     wait_until(lambda: node.markers[-1].markers[0].color != waiting, 20.0, "the other colour")

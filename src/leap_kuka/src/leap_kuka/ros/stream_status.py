@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Point, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -16,7 +17,7 @@ from leap_kuka.teleop import RUNNING, TeleopResult
 
 GREEN = (0.2, 0.8, 0.3)
 AMBER = (1.0, 0.7, 0.1)
-BOX_ALPHA = 0.25
+EDGE_WIDTH_M = 0.004
 TEXT_HEIGHT_M = 0.025
 
 
@@ -72,9 +73,17 @@ class StreamStatus:
         self._markers.publish(MarkerArray([self._box_marker(colour), self._text_marker(colour, result.reason)]))
 
     def _box_marker(self, colour: tuple[float, float, float]) -> Marker:
-        marker = self._marker(Marker.CUBE, 0, self._box.center)
-        marker.scale = Vector3(*self._box.size)
-        marker.color = ColorRGBA(*colour, BOX_ALPHA)
+        """The edges of the box: faces would hide the robot hand that works in it."""
+        marker = self._marker(Marker.LINE_LIST, 0, self._box.center)
+        marker.scale.x = EDGE_WIDTH_M
+        marker.color = ColorRGBA(*colour, 1.0)
+        corners = [self._box.size / 2.0 * signs for signs in itertools.product((-1.0, 1.0), repeat=3)]
+        marker.points = [
+            Point(*corner)
+            for ends in itertools.combinations(corners, 2)
+            if np.count_nonzero(ends[0] != ends[1]) == 1
+            for corner in ends
+        ]
         return marker
 
     def _text_marker(self, colour: tuple[float, float, float], text: str) -> Marker:
