@@ -91,7 +91,7 @@ class RealTimeLoop(ControlLoop):
                 self._target, self._target_stamp = target.q, fresh.stamp
                 stamp = fresh.stamp
         share = CATCH_UP_SHARE if self._catching_up else 1.0
-        limited = self._limits.step(self._target, now - self._servo_time, share)
+        limited = self._limits.step(self._target, seen.joints, now - self._servo_time, share)
         self._servo_time = now
         if limited.limited_by is not None:
             self.counts["limited_goals"] += 1

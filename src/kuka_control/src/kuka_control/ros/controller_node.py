@@ -93,8 +93,9 @@ class _Node:
         try:
             while not rospy.is_shutdown():
                 desired = self._desired.wait(deadline)
+                started = time.monotonic()
                 self._cycle(desired)
-                deadline = time.monotonic() + (self._servo_period if self._controller.in_servo else self._rest_period)
+                deadline = started + (self._servo_period if self._controller.in_servo else self._rest_period)
                 if isinstance(self._step.command, End):
                     return self._end(self._step.command)
         except rospy.ROSException:

@@ -1,0 +1,114 @@
+"""The parameters of the controllers: the files are good, each bad value is refused with a sentence that names it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from common.config import describe, parse
+from common.errors import ConfigError, RigError
+from kuka_control import assembly
+from kuka_control.config import PtpConfig, RealTimeConfig, neighbours
+
+CONFIG = Path(__file__).parents[1] / "config"
+FILES = {RealTimeConfig: CONFIG / "kuka_params_rt.yaml", PtpConfig: CONFIG / "kuka_params_ptp.yaml"}
+schemas = pytest.mark.parametrize("schema", FILES, ids=lambda s: s.__name__)
+
+
+def values(schema, **changes):
+    return {**yaml.safe_load(FILES[schema].read_text()), **changes}
+
+
+@schemas
+def test_the_files_hold_good_defaults_for_every_key_and_nothing_else(schema):
+    assembly.Rig.of(parse(schema, values(schema)))
+    assert values(schema).keys() == {name for name, _, _ in describe(schema)}
+
+
+@schemas
+def test_every_line_says_its_unit(schema):
+    for line in FILES[schema].read_text().splitlines():
+        if re.match(r"\w+:", line):
+            assert re.search(r"# .*(\bm\b|\bs\b|\bdeg\b|\bHz\b|m/s|no unit|share of)", line), line
+
+
+@schemas
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("robot", "LBR7"),
+        ("flange", "electric"),
+        ("ip", ""),
+        ("port", 0),
+        ("port", 30001.5),
+        ("center_line", [1, -1, 0.1]),
+        ("center_line", [0, 0, 0]),
+        ("center_line", [1, -1]),
+        ("opening_angle", 0.0),
+        ("opening_angle", 180.0),
+        ("z_lower_limit", 0.1),
+        ("z_lower_limit", 0.6),
+        ("z_upper_limit", 1.14),
+        ("z_upper_limit", 0.2),
+        ("z_upper_limit", 1.05),
+        ("inner_sphere_limit", 0.4),
+        ("inner_sphere_limit", 0.7),
+        ("outer_sphere_limit", 0.8),
+        ("tool_length", -0.001),
+        ("tool_length", float("inf")),
+        ("time_out", 0.0),
+        ("time_out", float("nan")),
+        ("home_pos", [0] * 6),
+        ("use_home_pos", "yes"),
+        ("rate_state", 0),
+    ],
+)
+def test_a_value_out_of_its_range_is_refused_by_name(schema, key, value):
+    with pytest.raises(ConfigError) as error:
+        parse(schema, values(schema, **{key: value}), "kuka/")
+    assert all(f"{key}" in fault for fault in error.value.faults), error.value.faults
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, -0.1, "fast"])
+@pytest.mark.parametrize(
+    "schema, key",
+    [(RealTimeConfig, "velocity_ptp_slow"), (RealTimeConfig, "velocity_ptp_fast"), (PtpConfig, "velocity_ptp")],
+)
+def test_velocities_are_shares(schema, key, value):
+    with pytest.raises(ConfigError, match=key):
+        parse(schema, values(schema, **{key: value}))
+
+
+@pytest.mark.parametrize("key, value", [("tcp_speed", 0.8), ("joint_speed", 1.1), ("rate_servo", 10)])
+def test_limits_of_the_stream(key, value):
+    with pytest.raises(ConfigError, match=key):
+        parse(RealTimeConfig, values(RealTimeConfig, **{key: value}))
+
+
+def test_the_other_arm_stands_higher():
+    parse(PtpConfig, values(PtpConfig, z_upper_limit=1.05, robot="LBR14R820"))
+
+
+@schemas
+def test_what_both_controllers_upload_and_load_may_stand_side_by_side(schema):
+    other = PtpConfig if schema is RealTimeConfig else RealTimeConfig
+    both = {**values(other), **values(schema), "ws_center": [0, 0, 0], "joints_home": [0] * 7}
+    parse(schema, both, others=neighbours(schema))
+    with pytest.raises(ConfigError, match="velocity is not a known key"):
+        parse(schema, {**both, "velocity": 1}, others=neighbours(schema))
+
+
+def test_a_tool_that_is_too_long_has_no_home():
+    with pytest.raises(RigError, match="too long"):
+        assembly.Rig.of(parse(RealTimeConfig, values(RealTimeConfig, tool_length=0.7)))
+
+
+def test_a_home_of_ones_own():
+    rig = assembly.Rig.of(parse(RealTimeConfig, values(RealTimeConfig, use_home_pos=True)))
+    assert rig.home.q[0] == pytest.approx(-0.785398, abs=1e-6)
+    turned = values(RealTimeConfig, use_home_pos=True, home_pos=[0, 30, 0, -80, 0, 70, 0])
+    with pytest.raises(RigError, match="outside the workspace"):
+        assembly.Rig.of(parse(RealTimeConfig, turned))

@@ -1,0 +1,84 @@
+"""What the services answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kuka_control.switches import Switches
+
+
+def switches(mode="home", stopped=None):
+    result = Switches()
+    result.report(mode, stopped)
+    return result
+
+
+def test_everything_is_off_at_the_start():
+    now = Switches().read()
+    assert (now.control_on, now.gripper_on, now.scale, now.exit_requested) == (False, False, 1.0, False)
+
+
+def test_control_goes_on_and_off():
+    s = switches()
+    assert s.set_control(True).success and s.read().control_on
+    assert s.set_control(True).message == "Control is on already."
+    assert s.set_control(False).success and not s.read().control_on
+    assert s.set_control(False).message == "Control is off already."
+
+
+def test_each_engagement_counts():
+    s = switches()
+    for on in (True, True, False, True, False, False, True):
+        s.set_control(on)
+    assert s.read().engagements == 3
+
+
+def test_before_home_control_says_that_the_arm_goes_there_first():
+    assert "home first" in switches("homing").set_control(True).message
+
+
+def test_a_stopped_arm_wants_control_off_and_on_again():
+    s = switches()
+    s.set_control(True)
+    s.report("stopped", "The arm does not follow.")
+    answer = s.set_control(True)
+    assert not answer.success and "off and on again" in answer.message and "does not follow" in answer.message
+    assert "stays where it is" in s.set_control(False).message
+    assert s.set_control(True).success
+
+
+@given(st.floats(0.1, 1.5))
+def test_scaling_within_its_range(factor):
+    s = switches()
+    assert s.set_scale(float(np.float32(factor))).success
+    assert s.read().scale == pytest.approx(factor, abs=1e-6)
+
+
+@pytest.mark.parametrize("factor", [0.0999, 1.5001, 0.0, -1.0, float("nan"), float("inf")])
+def test_scaling_outside_its_range_is_refused(factor):
+    s = switches()
+    answer = s.set_scale(factor)
+    assert not answer.success and "0.1 to 1.5" in answer.message and s.read().scale == 1.0
+
+
+def test_scaling_is_refused_while_control_is_on():
+    s = switches()
+    s.set_control(True)
+    answer = s.set_scale(0.7)
+    assert not answer.success and "control is on" in answer.message
+    s.set_control(False)
+    assert s.set_scale(np.float32(0.7)).message == "The scaling factor is 0.7."
+
+
+def test_exit_switches_everything_off_for_good():
+    s = switches()
+    s.set_control(True)
+    s.set_gripper(True)
+    assert s.request_exit().success
+    now = s.read()
+    assert (now.control_on, now.gripper_on, now.exit_requested) == (False, False, True)
+    assert not s.set_control(True).success and not s.set_gripper(True).success
+    assert s.request_exit().success
