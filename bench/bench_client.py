@@ -1,0 +1,101 @@
+"""The toolbox client against the simulated controller, a process of its own: servo goals, paced and without pause."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from bench.measure import SRC, BenchError, Row, number, row
+from common.poses import translation
+from kst.client import KstClient, Timing
+
+PROGRAM = SRC / "modules" / "rig_simulation" / "scripts" / "sunrise_controller.py"
+READY = re.compile(r"listening on 127\.0\.0\.1:(\d+)")
+TOOL = translation(0.0, 0.0, 0.106)
+PERIOD_S = 1.0 / 250.0
+SWING_RAD = 0.03
+CALLS = ("servo", "servo_joints", "servo_unacknowledged")
+
+
+def rows(quick: bool) -> list[Row]:
+    """Returns round trip, jitter of the period and highest rate of each kind of servo goal."""
+    paced, fast = (50, 50) if quick else (5000, 5000)
+    table = []
+    with simulated_controller() as port:
+        timing = Timing(servo_reply=10.0, reply=10.0)
+        with KstClient.connect("127.0.0.1", port, TOOL, timeout=10.0, timing=timing) as client:
+            client.start_joint_servo()
+            for name in CALLS:
+                table += _call_rows(client, name, paced, fast)
+    return table
+
+
+@contextlib.contextmanager
+def simulated_controller() -> Iterator[int]:
+    """Runs a simulated controller on a free port; yields the port.
+
+    Raises:
+        BenchError: it did not start.
+    """
+    command = (sys.executable, str(PROGRAM), "--port", "0", "--control-port", "0")
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        ready = READY.search(process.stdout.readline())
+        if not ready:
+            raise BenchError(f"The simulated controller did not start; try {PROGRAM.name} by hand.")
+        yield int(ready[1])
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        process.stdout.close()
+
+
+def _call_rows(client: KstClient, name: str, paced: int, fast: int) -> list[Row]:
+    call = getattr(client, name)
+    starts, ends = _paced(call, paced)
+    late = np.abs(np.diff(starts) - PERIOD_S)
+    way = "call (written, no answer)" if name == "servo_unacknowledged" else "round trip"
+    table = [
+        row(f"kst {name}: {way}", 1e3 * (ends - starts), "ms", "goals at 250 Hz to the simulated controller, loopback"),
+        row(f"kst {name}: jitter of the period", 1e3 * late, "ms", "how far a period was from 4 ms; time.sleep"),
+    ]
+    begin = time.perf_counter()
+    for _ in range(fast - 1):
+        call(_goal())
+    client.servo(_goal())  # answered after all before it were read
+    rate = fast / (time.perf_counter() - begin)
+    return [
+        *table,
+        number(f"kst {name}: highest rate", rate, "1/s", f"{fast} goals without pause; the simulation counts"),
+    ]
+
+
+def _paced(call: Callable[[np.ndarray], object], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns when each call began and ended [s]."""
+    starts, ends = np.empty(count), np.empty(count)
+    due = time.perf_counter()
+    for i in range(count):
+        due = max(due + PERIOD_S, time.perf_counter())
+        time.sleep(max(due - time.perf_counter(), 0.0))
+        starts[i] = time.perf_counter()
+        call(_goal())
+        ends[i] = time.perf_counter()
+    return starts, ends
+
+
+def _goal() -> np.ndarray:
+    """Returns a goal of a slow swing of all joints about zero, where the simulated arm stands at first."""
+    return np.full(7, SWING_RAD * np.sin(np.pi * time.perf_counter()))

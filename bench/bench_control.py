@@ -1,0 +1,114 @@
+"""The arm's controller without its wire: target chain, motion limits, and whole cycles on an arm that costs nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import yaml
+
+from bench.measure import SRC, Row, row, timed
+from common.config import parse
+from common.poses import pose, read_only
+from kuka_control import assembly
+from kuka_control.arm import Arm, ArmState
+from kuka_control.commands import Servo
+from kuka_control.config import RealTimeConfig
+from kuka_control.controller import Controller, Inputs
+from kuka_control.motion_limits import MotionLimits, SpeedLimits
+from kuka_control.stream import Desired
+
+CLOCK_S = 1.7e9
+GOAL_S = 1.0 / 250.0
+GOALS_PER_FRAME = 2
+FRAME_S = GOALS_PER_FRAME * GOAL_S
+RADIUS_M = 0.06
+SPEED_M_S = 0.15
+
+
+class IdealArm(Arm):
+    """Is at once where it is sent."""
+
+    def __init__(self, q: np.ndarray) -> None:
+        self._be_at(q)
+
+    def read(self) -> None:
+        """Has nothing new to read."""
+
+    def start_ptp(self, q: np.ndarray, velocity: float) -> None:
+        """Jumps there."""
+        self._be_at(q)
+
+    def ptp_arrived(self) -> bool:
+        """Returns True."""
+        return True
+
+    def start_servo(self) -> None:
+        """Is ready."""
+
+    def servo(self, q: np.ndarray) -> None:
+        """Jumps there."""
+        self._be_at(q)
+
+    def stop_servo(self) -> None:
+        """Stands already."""
+
+    def close(self) -> None:
+        """Has nothing to close."""
+
+    def abort(self) -> None:
+        """Has nothing to drop."""
+
+    def _be_at(self, q: np.ndarray) -> None:
+        self.state = ArmState(joints=read_only(q))
+
+
+def rows(quick: bool) -> list[Row]:
+    """Returns the time of the steps and of the whole cycle for a tool that runs in circles about the centre."""
+    count = 100 if quick else 10_000
+    config = parse(
+        RealTimeConfig, yaml.safe_load((SRC / "kuka_control/config/kuka_params_rt.yaml").read_text()), "kuka/"
+    )
+    rig = assembly.Rig.of(config)
+    home = rig.kinematics.forward(rig.home.q)
+    circle = [_on_circle(home, i * FRAME_S) for i in range(count)]
+
+    near = [rig.home.q]
+
+    def resolve(T: np.ndarray):
+        target = rig.chain.resolve(T, 1.0, near[0])
+        near[0] = target.q
+        return target
+
+    settings = f"circle of {1e3 * RADIUS_M:.0f} mm at {SPEED_M_S:g} m/s"
+    times, targets = timed(resolve, [(T,) for T in circle])
+    table = [row("kuka_control: target chain", times, "us", f"scaling, workspace, IK; {settings}")]
+
+    speeds = SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed)
+    limits = MotionLimits(speeds, lambda q: rig.kinematics.forward(q)[:3, 3])
+    limits.reset(rig.home.q)
+    times, _ = timed(lambda q: limits.step(q, limits.goal, FRAME_S), [(target.q,) for target in targets])
+    table.append(row("kuka_control: motion limits", times, "us", settings))
+    return table + _cycles(config, rig, circle, settings)
+
+
+def _cycles(config: RealTimeConfig, rig: assembly.Rig, circle: list[np.ndarray], settings: str) -> list[Row]:
+    controller = Controller(IdealArm(rig.home.q), assembly.real_time_loop(config, rig))
+    inputs = []
+    for i in range(GOALS_PER_FRAME * len(circle)):
+        now = 100.0 + i * GOAL_S
+        frame = i // GOALS_PER_FRAME
+        desired = Desired(circle[frame], CLOCK_S + 100.0 + frame * FRAME_S)
+        inputs.append((Inputs(desired, CLOCK_S + now, control_on=True, engagements=1), now))
+    times, steps = timed(controller.cycle, inputs)
+    servo = np.array([isinstance(step.command, Servo) for step in steps])
+    fresh = np.array([isinstance(step.command, Servo) and step.command.stamp is not None for step in steps])
+    return [
+        row("kuka_control: cycle, new desired tool", times[fresh], "us", f"arm without wire; {settings}"),
+        row("kuka_control: cycle in between", times[servo & ~fresh], "us", f"arm without wire; {settings}"),
+    ]
+
+
+def _on_circle(home: np.ndarray, t: float) -> np.ndarray:
+    """Returns the tool frame, shape (4, 4) [m], that starts at home with the time t [s]."""
+    angle = SPEED_M_S / RADIUS_M * t
+    shift = RADIUS_M * np.array([0.0, np.sin(angle), 1.0 - np.cos(angle)])
+    return pose(home[:3, :3], home[:3, 3] + shift)

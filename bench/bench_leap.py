@@ -1,0 +1,104 @@
+"""The hand's way from the text on the WebSocket to the two commands, each step alone. Needs the built messages."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import itertools
+
+import numpy as np
+import rospy
+import yaml
+
+from bench.measure import SHARED_DATA, SRC, Row, row, timed
+from common.config import parse
+from kuka_control.assembly import Rig
+from kuka_control.config import RealTimeConfig
+from leap_hand import teleop as hand_teleop
+from leap_hand.config import HandConfig
+from leap_hand.ros import tracking as hand_tracking
+from leap_kuka import teleop as arm_teleop
+from leap_kuka.config import ArmConfig, LeapConfig
+from leap_kuka.ros import tracking as arm_tracking
+from leap_motion.codec import read_message
+from leap_motion.msg import Human
+from leap_motion.ros.human import human_from_frame
+from rig_simulation.leap.motion import Script
+from rig_simulation.leap.playback import Playback
+from rig_simulation.leap.sources import Person
+
+RECORDINGS = ("rollAndPitchWithEntry", "grab", "three-claps")
+CLOCK_S = 1.7e9
+PERIOD_S = 1.0 / 115.3
+
+
+def rows(quick: bool) -> list[Row]:
+    """Returns the time of each step for frames of the simulated service, of the codec also for recorded ones."""
+    count = 60 if quick else 3000
+    table = []
+    recorded = recorded_texts()[:count]
+    if recorded:
+        times, _ = timed(read_message, [(text,) for text in recorded])
+        table.append(row("leap codec, recorded frames", times, "us", f"{_size(recorded)}, early field set"))
+    else:
+        table.append(Row("leap codec, recorded frames", None, None, "us", "no recordings in ../shared/data/leap"))
+    texts = simulated_texts(count)
+    times, frames = timed(read_message, [(text,) for text in texts])
+    table.append(row("leap codec, simulated frames", times, "us", f"{_size(texts)}, one hand"))
+
+    stamps = [rospy.Time.from_sec(CLOCK_S + i * PERIOD_S) for i in range(count)]
+    times, humans = timed(human_from_frame, zip(frames, stamps))
+    table.append(row("Human: from the frame", times, "us", "one hand, five fingers"))
+    times, packed = timed(_serialised, [(human,) for human in humans])
+    table.append(row("Human: serialised", times, "us", f"{len(packed[-1])} bytes"))
+    times, humans = timed(lambda data: Human().deserialize(data), [(data,) for data in packed])
+    table.append(row("Human: deserialised", times, "us", "once in each node that listens"))
+
+    arm, hand = _arm_teleop(), hand_teleop.Teleop(_config(HandConfig, "leap_hand", "leap_hand", "leap_hand"), True)
+    times, results = timed(lambda h, s: arm.step(arm_tracking.frame_from_human(h, s), s.to_sec()), zip(humans, stamps))
+    running = sum(result.state == arm_teleop.RUNNING for result in results)
+    table.append(row("leap_kuka: Human to desired tool", times, "us", f"the stream runs in {running} of them"))
+    times, results = timed(
+        lambda h, s: hand.step(hand_tracking.frame_from_human(h, s), s.to_sec()), zip(humans, stamps)
+    )
+    following = sum(result is not None and result.state == hand_teleop.FOLLOWING for result in results)
+    table.append(row("leap_hand: Human to command", times, "us", f"a hand is followed in {following} of them"))
+    return table
+
+
+def recorded_texts() -> list[str]:
+    """Returns the recorded frames with a hand; none where there are no recordings."""
+    texts = []
+    for path in (SHARED_DATA / "leap" / f"{name}.jsonl.gz" for name in RECORDINGS):
+        if path.is_file():
+            with gzip.open(path, "rt", encoding="utf-8") as file:
+                texts += [line for line in file if '"hands":[]' not in line.replace(" ", "")]
+    return texts
+
+
+def simulated_texts(count: int) -> list[str]:
+    """Returns frames of the simulated service with a hand that draws circles."""
+    playback = Playback(Person(Script()))
+    texts = (playback.next().text for _ in itertools.count())
+    return list(itertools.islice((text for text in texts if '"hands":[]' not in text), count))
+
+
+def _size(texts: list[str]) -> str:
+    return f"{np.median([len(text) for text in texts]) / 1e3:.1f} kB in the median"
+
+
+def _serialised(human: Human) -> bytes:
+    buffer = io.BytesIO()
+    human.serialize(buffer)
+    return buffer.getvalue()
+
+
+def _arm_teleop() -> arm_teleop.Teleop:
+    kuka = _config(RealTimeConfig, "kuka_control", "kuka_params_rt", "kuka")
+    arm = ArmConfig(kuka.center_line, kuka.z_lower_limit, kuka.tool_length, Rig.of(kuka).home.centre)
+    return arm_teleop.Teleop(_config(LeapConfig, "leap_kuka", "leap_params", "leap"), arm)
+
+
+def _config(schema, package: str, file: str, prefix: str):
+    values = yaml.safe_load((SRC / package / "config" / f"{file}.yaml").read_text())
+    return parse(schema, values, f"{prefix}/")
