@@ -119,4 +119,4 @@ def test_the_arrangement_is_that_of_the_original(panel):
     right = gripper.mapTo(panel, gripper.rect().center())
     below = emergency.mapTo(panel, emergency.rect().center())
     assert left.x() < right.x() and right.y() < below.y() and below.x() > left.x()
-    assert "#c62828" in emergency.styleSheet()
+    assert kuka.parentWidget().height() > gripper.parentWidget().height() + emergency.parentWidget().height()

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 SCALING_MIN = 0.1
 SCALING_MAX = 1.5
 SCALING_DEFAULT = 1.0
 ABSENT_S = 1.5
 """Without a status for so long the controller counts as absent."""
+
+
+class Tone(Enum):
+    """How a sentence of the panel is meant."""
+
+    NORMAL = "normal"
+    WARNING = "warning"
+    FAULT = "fault"
 
 
 @dataclass(frozen=True)
@@ -27,6 +36,21 @@ class ControllerStatus:
 
 
 @dataclass(frozen=True)
+class Surroundings:
+    """What the panel knows besides the status.
+
+    Attributes:
+        master: address of the ROS master.
+        master_lost: it does not answer.
+        runs: whether the controller's process runs, None if it is on another machine.
+    """
+
+    master: str = ""
+    master_lost: bool = False
+    runs: bool | None = None
+
+
+@dataclass(frozen=True)
 class PanelState:
     """What the widgets show."""
 
@@ -36,22 +60,39 @@ class PanelState:
     scaling_factor: float
     scaling_enabled: bool
     status_line: str
+    tone: Tone = Tone.NORMAL
 
 
-def panel_state(status: ControllerStatus | None, now: float) -> PanelState:
+NOTHING_SPECIAL = Surroundings()
+
+
+def panel_state(status: ControllerStatus | None, now: float, around: Surroundings = NOTHING_SPECIAL) -> PanelState:
     """Returns what the panel shows at time `now` [s]; nothing is shown as on that was not said to be on just now."""
     if status is None:
-        return PanelState(False, False, False, SCALING_DEFAULT, False, "Waiting for the controller of the arm.")
+        if around.master_lost:
+            return _absent(SCALING_DEFAULT, f"Waiting for the ROS master at {around.master}.", Tone.WARNING)
+        return _absent(SCALING_DEFAULT, "Waiting for the controller of the arm.", Tone.NORMAL)
+    if around.runs is False:
+        line = f"The controller has ended. Its last state was {_sentence(status)}"
+        return _absent(status.scaling_factor, line, Tone.WARNING)
     silence = now - status.received
     if silence > ABSENT_S:
-        line = f"The controller has been silent for {silence:.0f} s: it ended or hangs."
-        return PanelState(False, False, False, status.scaling_factor, False, line)
-    limited = f" (limited by: {', '.join(status.limited_by)})" if status.limited_by else ""
+        why = "it hangs" if around.runs else "it ended, hangs, or is out of reach"
+        line = f"The controller has been silent for {silence:.0f} s: {why}."
+        return _absent(status.scaling_factor, line, Tone.FAULT)
+    line, tone = _sentence(status), Tone.FAULT if status.mode == "stopped" else Tone.NORMAL
+    if around.master_lost:
+        line = f"{line}\nThe ROS master at {around.master} does not answer; this controller still does."
+        tone = Tone.WARNING if tone is Tone.NORMAL else tone
     return PanelState(
-        True,
-        status.control_on,
-        status.gripper_on,
-        status.scaling_factor,
-        not status.control_on,
-        f"{status.mode}: {status.reason}{limited}",
+        True, status.control_on, status.gripper_on, status.scaling_factor, not status.control_on, line, tone
     )
+
+
+def _absent(scaling_factor: float, line: str, tone: Tone) -> PanelState:
+    return PanelState(False, False, False, scaling_factor, False, line, tone)
+
+
+def _sentence(status: ControllerStatus) -> str:
+    limited = f" (limited by: {', '.join(status.limited_by)})" if status.limited_by else ""
+    return f"{status.mode}: {status.reason}{limited}"

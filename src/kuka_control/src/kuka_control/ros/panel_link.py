@@ -1,54 +1,161 @@
-"""Connects the control panel to the controller: status in, service calls out, none of them in the GUI's thread."""
+"""Connects the control panel to the controller: status in, service calls out, none of them in Qt's thread.
+
+Three kinds of threads: rospy's brings the status, one watches the master and keeps the services' addresses, and every
+request runs in one of its own. They leave what they know in attributes and in a queue; a timer in Qt's thread shows it.
+"""
 
 from __future__ import annotations
 
-import os
-import signal
 import socket
 import threading
 import time
+from dataclasses import replace
+from queue import SimpleQueue
 
+import rosgraph
 import rospy
-from python_qt_binding.QtCore import QObject, QTimer, Signal
+from python_qt_binding.QtCore import QObject, QTimer
 
 from kuka_control.gui.panel import ControlPanel
-from kuka_control.gui.panel_state import ControllerStatus, panel_state
-from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
+from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelState, Surroundings, Tone, panel_state
+from kuka_control.ros import controller_process, emergency
+from kuka_control.ros.controller_process import ControllerProcess
+from kuka_control.ros.service_caller import CallFailed, MasterLost, ServiceCaller, ask_master
+from kuka_msgs.srv import exitApp, setGripperControl, setKukaControl, setScalingFactor
 from rig_msgs.msg import KukaStatus
 
-REFRESH_MS = 100
+REFRESH_MS = 50
+WATCH_S = 1.0
 CALL_TIMEOUT_S = 3.0
-EMERGENCY_TIMEOUT_S = 0.5
+SETTLE_S = 1.0
+"""How long the slider waits for a status with the scaling factor that was accepted."""
+
+CONTROL, GRIPPER = "kuka/kuka_control", "kuka/gripper_control"
+SCALING, EXIT = "kuka/scaling_factor", "kuka/exit_app"
+KINDS = {CONTROL: setKukaControl, GRIPPER: setGripperControl, SCALING: setScalingFactor, EXIT: exitApp}
 
 
 class PanelLink(QObject):
-    """Feeds the panel with kuka/status and carries the person's requests to the services."""
-
-    answered = Signal(str)
+    """Feeds the panel with kuka/status and carries the person's requests to the services; made in Qt's thread."""
 
     def __init__(self, panel: ControlPanel) -> None:
         super().__init__(panel)
         self._panel = panel
         self._status: ControllerStatus | None = None
-        self._pending: set[str] = set()
-        panel.control_requested.connect(lambda on: self._ask("kuka/kuka_control", setKukaControl, on))
-        panel.gripper_requested.connect(lambda on: self._ask("kuka/gripper_control", setGripperControl, on))
-        panel.scaling_requested.connect(lambda factor: self._ask("kuka/scaling_factor", setScalingFactor, factor))
-        panel.exit_requested.connect(lambda: self._ask("kuka/exit_app", exitApp))
-        panel.emergency_requested.connect(self._emergency)
-        self.answered.connect(panel.show_answer)
-        self._subscriber = rospy.Subscriber("kuka/status", KukaStatus, self._take, queue_size=1)
+        self._process: ControllerProcess | None = None
+        self._master_lost = False
+        self._caller = ServiceCaller([emergency.SERVICE, *KINDS])
+        self._answers: SimpleQueue[tuple[str, bool, str]] = SimpleQueue()
+        self._running: set[str] = set()
+        self._next: dict[str, tuple] = {}
+        self._asked_scaling: tuple[float, float] | None = None
+        panel.control_requested.connect(lambda on: self._ask(CONTROL, on))
+        panel.gripper_requested.connect(lambda on: self._ask(GRIPPER, on))
+        panel.scaling_requested.connect(self._ask_scaling)
+        panel.exit_requested.connect(lambda: self._ask(EXIT))
+        panel.emergency_requested.connect(self._ask_emergency)
+        self._closed = threading.Event()
+        threading.Thread(target=self._watch, name="watch", daemon=True).start()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._refresh)
         self._timer.start(REFRESH_MS)
         self._refresh()
 
     def close(self) -> None:
-        """Stops listening."""
+        """Stops listening; what still runs ends by its time-outs and touches the panel no more."""
         self._timer.stop()
-        self._subscriber.unregister()
+        self._closed.set()
+
+    def _refresh(self) -> None:
+        while not self._answers.empty():
+            self._show_answer(*self._answers.get())
+        status = self._status
+        runs = None if self._process is None else controller_process.runs(self._process)
+        around = Surroundings(rosgraph.get_master_uri(), self._master_lost, runs)
+        self._panel.show_state(self._with_asked_scaling(panel_state(status, time.monotonic(), around)))
+
+    def _with_asked_scaling(self, state: PanelState) -> PanelState:
+        """Shows the scaling factor that was asked for until the controller has taken or refused it."""
+        if self._asked_scaling is None:
+            return state
+        factor, until = self._asked_scaling
+        if time.monotonic() > until or abs(state.scaling_factor - factor) < 1e-3 or not state.scaling_enabled:
+            self._asked_scaling = None
+            return state
+        return replace(state, scaling_factor=factor)
+
+    def _show_answer(self, name: str, accepted: bool, sentence: str) -> None:
+        self._running.discard(name)
+        if name in self._next:
+            self._ask(name, *self._next.pop(name))
+            return  # the answer to the newest request counts
+        if name == SCALING and not accepted:
+            self._asked_scaling = None
+        text = f"{time.strftime('%H:%M:%S')}  {sentence}"
+        self._panel.show_answer(text, Tone.NORMAL if accepted else Tone.WARNING)
+
+    def _ask_scaling(self, factor: float) -> None:
+        self._asked_scaling = factor, time.monotonic() + CALL_TIMEOUT_S + SETTLE_S
+        self._ask(SCALING, factor)
+
+    def _ask(self, name: str, *request) -> None:
+        """Calls a service, one call at a time so that requests stay in order; of those that wait, the newest counts."""
+        if name in self._running:
+            self._next[name] = request
+            return
+        self._running.add(name)
+        threading.Thread(target=self._call, args=(name, request), name=name, daemon=True).start()
+
+    def _call(self, name: str, request) -> None:
+        try:
+            answer = self._caller.call(name, KINDS[name], *request, timeout=CALL_TIMEOUT_S)
+            self._answers.put((name, answer.success, answer.message))
+        except CallFailed as error:
+            self._answers.put((name, False, str(error)))
+
+    def _ask_emergency(self) -> None:
+        if emergency.SERVICE not in self._running:
+            self._running.add(emergency.SERVICE)
+            threading.Thread(target=self._stop, name="emergency", daemon=True).start()
+
+    def _stop(self) -> None:
+        status = self._status
+        ended, sentence = emergency.stop(self._caller, self._process, status.host if status else "")
+        self._answers.put((emergency.SERVICE, ended, sentence))
+
+    def _watch(self) -> None:
+        """Subscribes once there is a node to do it, keeps addresses, and subscribes anew at a master that forgot us."""
+        while not rospy.core.is_initialized():
+            self._master_lost = True
+            if self._closed.wait(REFRESH_MS * 1e-3):
+                return
+        subscriber = self._subscribe()
+        while not self._closed.is_set():
+            try:
+                self._caller.refresh()
+                forgotten = ask_master("lookupNode", rospy.get_name()) is None
+                self._master_lost = False
+            except MasterLost:
+                self._master_lost, forgotten = True, False
+            # A connection that still brings a status is kept: the new master does not know its other end.
+            if forgotten and not self._hears():
+                subscriber.unregister()
+                subscriber = self._subscribe()
+            self._closed.wait(WATCH_S)
+        subscriber.unregister()
+
+    def _hears(self) -> bool:
+        status = self._status
+        return status is not None and time.monotonic() - status.received < ABSENT_S
+
+    def _subscribe(self) -> rospy.Subscriber:
+        return rospy.Subscriber("kuka/status", KukaStatus, self._take, queue_size=1)
 
     def _take(self, message: KukaStatus) -> None:
+        process = controller_process.find(message.pid) if message.host == socket.gethostname() else None
+        known = self._process
+        if process is not None or known is None or known.pid != message.pid:  # else it has just ended
+            self._process = process
         self._status = ControllerStatus(
             time.monotonic(),
             message.control_on,
@@ -60,48 +167,3 @@ class PanelLink(QObject):
             message.host,
             message.pid,
         )
-
-    def _refresh(self) -> None:
-        self._panel.show_state(panel_state(self._status, time.monotonic()))
-
-    def _ask(self, name: str, kind, *request) -> None:
-        if name in self._pending:
-            self.answered.emit(f"{name} has not answered yet.")
-            return
-        self._pending.add(name)
-        threading.Thread(target=self._call, args=(name, kind, request), daemon=True).start()
-
-    def _call(self, name: str, kind, request) -> None:
-        try:
-            rospy.wait_for_service(name, CALL_TIMEOUT_S)
-            self.answered.emit(rospy.ServiceProxy(name, kind)(*request).message)
-        except (rospy.ROSException, rospy.ServiceException) as error:
-            self.answered.emit(f"{name} did not answer: {error}")
-        finally:
-            self._pending.discard(name)
-
-    def _emergency(self) -> None:
-        """Asks the controller to end at once, and ends its process if it does not within half a second."""
-        status = self._status
-        threading.Thread(target=self._call_emergency, daemon=True).start()
-        if status is not None:
-            QTimer.singleShot(round(EMERGENCY_TIMEOUT_S * 1e3), lambda: self._kill(status))
-
-    def _call_emergency(self) -> None:
-        try:
-            rospy.ServiceProxy("kuka/exit_app_emergency", exitAppEmergency)()
-        except (rospy.ROSException, rospy.ServiceException) as error:
-            # The controller may end before its answer is out, which is what was asked for.
-            self.answered.emit(f"Emergency stop: {error}")
-
-    def _kill(self, status: ControllerStatus) -> None:
-        if status.host != socket.gethostname() or status.pid <= 0:
-            self.answered.emit(f"Emergency stop asked for; the controller runs on {status.host}, watch the arm.")
-            return
-        try:
-            os.kill(status.pid, signal.SIGKILL)
-            self.answered.emit("Emergency stop: the controller hung and its process was ended.")
-        except ProcessLookupError:
-            self.answered.emit("Emergency stop: the controller has ended.")
-        except PermissionError:
-            self.answered.emit(f"Emergency stop: process {status.pid} belongs to another user, end it by hand.")

@@ -1,0 +1,62 @@
+"""The Emergency Stop of the control panel: asks the controller to end at once, and ends its process if it hangs."""
+
+from __future__ import annotations
+
+import time
+
+from kuka_control.ros import controller_process
+from kuka_control.ros.controller_process import ControllerProcess
+from kuka_control.ros.service_caller import CallFailed, NotThere, ServiceCaller
+from kuka_msgs.srv import exitAppEmergency
+
+SERVICE = "kuka/exit_app_emergency"
+PATIENCE_S = 0.5
+"""How long the controller may take to end by itself."""
+KILL_S = 1.0
+POLL_S = 0.01
+SMARTPAD = "Watch the arm and press the red button of the smartPad."
+
+
+def stop(caller: ServiceCaller, process: ControllerProcess | None, host: str) -> tuple[bool, str]:
+    """Ends the controller; returns after about half a second at most whether it is known to have ended, and a sentence.
+
+    Args:
+        caller: knows where the service is.
+        process: the controller's process if it runs on this machine and was verified.
+        host: name of the machine on which it runs, empty if it was never heard of.
+    """
+    deadline = time.monotonic() + PATIENCE_S
+    answer, failure = "", None
+    try:
+        answer = caller.call(SERVICE, exitAppEmergency, timeout=PATIENCE_S).message
+    except CallFailed as error:
+        failure = error
+    if process is not None:
+        return _end(process, deadline if failure is None else 0.0)
+    if failure is None:
+        return True, f"Emergency Stop: {answer}"
+    if not host and isinstance(failure, NotThere):
+        return False, f"Emergency Stop: there is no controller to end. {failure}"
+    where = f" on {host}" if host else ""
+    return False, f"Emergency Stop: the controller{where} did not confirm it. {SMARTPAD}"
+
+
+def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
+    if _ended(process, deadline):
+        return True, "Emergency Stop: the controller has ended, the robot holds its last goal."
+    try:
+        controller_process.kill(process)
+    except PermissionError:
+        return False, f"Emergency Stop: process {process.pid} belongs to another user. {SMARTPAD}"
+    if _ended(process, time.monotonic() + KILL_S):
+        return True, "Emergency Stop: the controller hung and its process was ended; the robot holds its last goal."
+    return False, f"Emergency Stop: process {process.pid} cannot be ended. {SMARTPAD}"
+
+
+def _ended(process: ControllerProcess, deadline: float) -> bool:
+    """Waits until the process has ended, at most until the deadline."""
+    while controller_process.runs(process):
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(POLL_S)
+    return True
