@@ -79,7 +79,7 @@ def _call_rows(client: KstClient, name: str, paced: int, fast: int) -> list[Row]
     rate = fast / (time.perf_counter() - begin)
     return [
         *table,
-        number(f"kst {name}: highest rate", rate, "1/s", f"{fast} goals without pause; the simulation counts"),
+        number(f"kst {name}: highest rate", rate, "1/s", f"{fast} goals without pause; the simulation is a part of it"),
     ]
 
 
