@@ -260,20 +260,19 @@ def test_far_from_home_the_frame_is_picked_up_by_a_fast_motion():
 
 
 def test_servo_follows_every_new_frame_without_lag_when_nothing_is_limited():
-    def slow_circle(t):
-        return shifted(0.03 * np.sin(t), 0.0, 0.03 * (1.0 - np.cos(t)))
+    """At 0.36 m/s, more than what is allowed while the arm catches up."""
+
+    def circle(t):
+        return shifted(0.03 * np.sin(12.0 * t), 0.0, 0.03 * (1.0 - np.cos(12.0 * t)))
 
     world = World().following()
-    world.run(1.0, slow_circle)  # it has caught up with the start of the circle by then
     sent = []
-    for _ in range(50):
-        world.run(DT, slow_circle(1.0))
-        command = world.steps[-1].command
-        if command.stamp is not None:
-            sent.append(
-                np.linalg.norm(world.rig.kinematics.forward(command.q)[:3, 3] - world.newest.T_base_tool[:3, 3])
-            )
-    assert len(sent) > 10 and max(sent) < 1e-6
+    for i in range(250):
+        world.run(DT, circle(i * DT))
+        goal = world.steps[-1].command
+        tool = world.rig.kinematics.forward(goal.q)[:3, 3]
+        sent.append(np.linalg.norm(tool - world.newest.T_base_tool[:3, 3]))
+    assert max(sent) < 1e-6 and world.steps[-1].limited_by == ()
 
 
 def test_the_stamp_of_a_frame_goes_out_once_with_its_goal():
@@ -377,7 +376,7 @@ def test_a_hand_that_moved_on_during_the_pick_up_is_caught_up_with_slowly():
     first = len(world.arm.goals)
     world.run(2.0, shifted(0.0, 0.0, 0.15))
     tool = np.array([world.rig.kinematics.forward(q)[:3, 3] for q in world.arm.goals[first:]])
-    assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() <= 1.1 * 0.25 * 0.02
+    assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() <= 1.02 * 0.6 / 3.0 * DT
     assert reached(world, shifted(0.0, 0.0, 0.15))
     assert [t[0] for t in world.arm.told] == ["ptp", "start_servo"]
 
@@ -488,8 +487,8 @@ def test_a_refused_motion_to_zero_ends_the_controller_with_a_fault():
 def test_a_motion_that_does_not_end_is_said_and_exit_still_ends_the_controller():
     world = World()
     world.arm.held = True
-    world.run(40.0)
-    assert world.mode == "homing" and sum("overdue" in e for e in world.events) == 1
+    world.run(3.0)
+    assert world.mode == "homing" and sum("does not go on" in e for e in world.events) == 1
     world.exit_requested = True
     world.run(1.0)
     assert "does not end" in world.steps[-1].command.fault
@@ -500,7 +499,7 @@ def test_a_pick_up_that_a_safety_stop_held_does_not_go_on_into_servo_mode():
     world.control_on = True
     world.run(0.05, shifted(0.1, 0.0, 0.0))
     world.arm.held = True
-    world.run(20.0, shifted(0.1, 0.0, 0.0))
+    world.run(3.0, shifted(0.1, 0.0, 0.0))
     world.arm.held = False
     world.run(2.0, shifted(0.1, 0.0, 0.0))
     assert world.mode == "stopped" and [t[0] for t in world.arm.told] == ["ptp"]
@@ -513,13 +512,14 @@ def test_a_lost_connection_ends_the_cycle():
         world.run(DT, shifted(0.0, 0.0, 0.0))
 
 
-def test_single_answers_may_be_missed_but_not_many():
+def test_single_answers_may_be_missed_but_not_many_in_a_row():
     world = World().following()
-    world.arm.fail = ReplyTimeout("late")
-    world.run((MAX_MISSED - 1) * DT, shifted(0.0, 0.0, 0.0))
-    world.arm.fail = None
-    world.run(0.1, shifted(0.0, 0.0, 0.0))
-    assert world.mode == "servo" and world.controller.missed == MAX_MISSED - 1
+    for _ in range(3):
+        world.arm.fail = ReplyTimeout("late")
+        world.run((MAX_MISSED - 1) * DT, shifted(0.0, 0.0, 0.0))
+        world.arm.fail = None
+        world.run(0.1, shifted(0.0, 0.0, 0.0))
+    assert world.mode == "servo" and world.controller.missed == 3 * (MAX_MISSED - 1)
     world.arm.fail = ReplyTimeout("late")
     with pytest.raises(ReplyTimeout):
         world.run(1.0, shifted(0.0, 0.0, 0.0))

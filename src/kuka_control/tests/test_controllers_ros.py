@@ -112,12 +112,13 @@ class Hand:
         from common.ros.conversions import stamped_transform
 
         self.T = T
+        self.delay = rospy.Duration(0.0)
         self._stop = threading.Event()
         broadcaster = tf2_ros.TransformBroadcaster()
 
         def publish():
             while not self._stop.wait(0.01):
-                now = rospy.Time.now()
+                now = rospy.Time.now() + self.delay
                 if parent_chain:
                     half = pose(p=self.T[:3, 3] / 2.0)
                     rest = pose(self.T[:3, :3], self.T[:3, 3] / 2.0)
@@ -241,6 +242,7 @@ def test_the_life_of_the_real_time_controller(ros, robot, start, hand, wait_unti
     for name in ("joint_states", "kuka/joint_positions", "kuka/joint_torques_external", "kuka/joint_torques_measured"):
         heard[name].wait(10)
     heard["kuka/flange_force"].wait(10)
+    heard["kuka/flange_torque"].wait(10)
     assert all(m.source == "kuka_control" for m in heard["rig/stage_times"].wait(10))
     assert heard["joint_states"][-1].name == [f"kuka/joint_{i}" for i in range(1, 8)]
     np.testing.assert_allclose(heard["joint_states"][-1].position, robot.joints, atol=0.01)
@@ -287,6 +289,52 @@ def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released(robot,
     node.wait_for_mode("servo")
     wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
     assert robot.ask()["stops"] == 1
+
+
+def test_a_motion_that_a_safety_stop_holds_is_said_and_goes_on_when_it_is_released(ros, robot, start, wait_until):
+    from rosgraph_msgs.msg import Log
+
+    said = ros.record("/rosout", Log)
+    node = start()
+    node.wait_for_mode("homing")
+    robot.ask("set_external_torque", value=[0, 30, 0, 0, 0, 0, 0])
+    wait_until(lambda: any("does not go on" in m.msg for m in said), 20.0, "the sentence")
+    robot.ask("set_external_torque", value=[0] * 7)
+    robot.ask("release")
+    node.wait_for_mode("home")
+
+
+def test_frames_that_are_no_numbers_or_old_do_not_move_the_arm(ros, robot, start, hand, wait_until):
+    import rospy
+    from rosgraph_msgs.msg import Log
+
+    said = ros.record("/rosout", Log)
+    node = start()
+    node.wait_for_mode("home")
+    assert node.control(True).success
+    at_home = robot.joints
+    shown = hand(shifted(home_tool(), float("nan"), 0.0, 0.0))
+    wait_until(lambda: any("not finite" in m.msg for m in said), 10.0, "the refusal of NaN")
+    shown.T, shown.delay = shifted(home_tool(), 0.1, 0.0, 0.0), rospy.Duration(-2.0)
+    wait_until(lambda: any("behind this machine's clock" in m.msg for m in said), 10.0, "the refusal of old stamps")
+    np.testing.assert_allclose(robot.joints, at_home, atol=1e-9)
+    shown.delay = rospy.Duration(0.0)
+    node.wait_for_mode("servo")
+
+
+def test_the_services_work_as_they_are_typed(processes, robot, start):
+    node = start()
+    node.wait_for_mode("home")
+    for name, value, answer in (
+        ("kuka/scaling_factor", "0.7", "The scaling factor is 0.7."),
+        ("kuka/scaling_factor", "0.05", "success: False"),
+        ("kuka/kuka_control", "true", "success: True"),
+        ("kuka/kuka_control", "false", "success: True"),
+        ("kuka/gripper_control", "true", "success: True"),
+    ):
+        process = processes.start("rosservice", "call", name, value)
+        assert process.wait(30.0) == 0
+        assert answer in process.log_path.read_text()
 
 
 def test_a_jump_is_picked_up_anew(robot, start, hand, wait_until):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kuka_control.jump import LOST_S, TOLERANCE_RAD, is_jump
-from kuka_control.motion_limits import LEAD_RAD, SAVED_S, MotionLimits, SpeedLimits
+from kuka_control.motion_limits import CARRIED_S, LEAD_RAD, SAVED_S, MotionLimits, SpeedLimits
 
 SPEEDS = np.radians([98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0])
 TCP_SPEED = 0.75
@@ -76,6 +76,19 @@ def test_ticks_between_targets_do_not_use_up_the_time():
             step = follower.step(q, q, 0.003)
             assert step.limited_by is None
             np.testing.assert_array_equal(step.q, q)
+
+
+def test_slow_moments_do_not_pay_for_fast_ones():
+    follower = limits()
+    q = np.zeros(7)
+    for _ in range(100):
+        q = q + np.array([0, 0, 0, 0, 0, 0, 0.1 * SPEEDS[6] * 0.004])
+        follower.step(q, q, 0.004)
+    start = q[6]
+    for i in range(1, 51):
+        q = q + np.array([0, 0, 0, 0, 0, 0, 1.2 * SPEEDS[6] * 0.004])
+        goal = follower.step(q, q, 0.004).q[6]
+        assert goal - start <= SPEEDS[6] * (i * 0.004 + CARRIED_S) + 1e-9
 
 
 def test_the_result_names_the_limit():

@@ -7,6 +7,7 @@ errors (kst.errors, all DeviceError) pass through: a lost connection ends the co
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +27,7 @@ class ArmState:
         torques_measured: at the joint sensors, shape (7,) [Nm].
         T_base_tool: tool point as the controller sees it, shape (4, 4) [m].
         force: at the tool point, in its axes, shape (3,) [N].
-        moment: likewise, shape (3,) [Nm]; the toolbox cannot tell it in servo mode.
+        moment: likewise, shape (3,) [Nm].
     """
 
     joints: np.ndarray | None = None
@@ -104,8 +105,11 @@ class KstArm(Arm):
     A server that stands in a safety stop answers no more than joints; then `read` asks it for nothing else until it has
     taken the next motion.
 
+    The toolbox does not tell the moment in servo mode; then it is estimated whenever external torques come.
+
     Args:
         client: connected to the server.
+        moment: the moment at the tool point, shape (3,) [Nm], from joints and external torques, shape (7,) each.
     """
 
     SERVO_TURN = (
@@ -114,8 +118,9 @@ class KstArm(Arm):
     )
     REST_TURN = ("torques_external", "torques_measured", "T_base_tool", "force", "moment")
 
-    def __init__(self, client: KstClient) -> None:
+    def __init__(self, client: KstClient, moment: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
         self._client = client
+        self._moment = moment
         self._turn = 0
         self._at_rest = True
         self._servo_calls = {
@@ -164,6 +169,8 @@ class KstArm(Arm):
     def servo(self, q: np.ndarray) -> None:
         kind = self._next(self.SERVO_TURN)
         self._take(kind, self._servo_calls[kind](q))
+        if kind == "torques_external":
+            self._take("moment", self._moment(self.state.joints, self.state.torques_external))
 
     def stop_servo(self) -> None:
         self._client.stop_joint_servo()

@@ -31,6 +31,15 @@ Q_ZERO = read_only(np.zeros(7))
 PTP_MARGIN_S = 5.0
 """What a motion may take beyond twice its time at constant speed [s]."""
 
+STANDING_S = 2.0
+"""An arm that stands still for so long during a motion is held by something [s]."""
+
+STANDING_RAD = float(np.radians(0.02))
+"""Joints that moved less than this stand still."""
+
+COUNTED = ("goals_sent", "workspace_clips", "ik_failures", "pickups", "homes", "ptp_motions", "jumps", "faults")
+"""What is counted, among others; these are there from the start."""
+
 
 @dataclass(frozen=True)
 class LoopSettings:
@@ -65,7 +74,7 @@ class ControlLoop(ABC):
     """The shared half; a subclass says how a new target is followed."""
 
     def __init__(self, settings: LoopSettings, chain: TargetChain) -> None:
-        self.counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self.stopped_because: str | None = None
         self._settings = settings
         self._chain = chain
@@ -76,6 +85,7 @@ class ControlLoop(ABC):
         self._limited_by: tuple[str, ...] = ()
         self._events: list[Event] = []
         self._motion: _Motion | None = None
+        self._stands: tuple[np.ndarray, float] | None = None
         self._overdue = False
         self._at_home = False
         self._home_at: float | None = None
@@ -140,19 +150,19 @@ class ControlLoop(ABC):
         motion = self._motion
         if seen.arrived:
             if self._overdue and motion.then not in (self._home, self._zero):
-                return self._latch(f"The motion to {motion.name} took far too long.")
+                return self._latch(f"Something held the arm on its way to {motion.name}.")
             self._state = motion.then
             return motion.then(seen, None, now)
         if self._overdue and self._leaving(seen):
             return self._end(f"The arm cannot go to zero because its motion to {motion.name} does not end.")
-        if not self._overdue and now > motion.deadline:
+        if not self._overdue and (now > motion.deadline or self._standing(seen.joints, now)):
             self._overdue = True
             left = np.degrees(np.max(np.abs(motion.q - seen.joints)))
-            self._say(
-                "error",
-                f"The motion to {motion.name} is overdue with {left:.1f} deg to go; if a safety stop holds the arm, "
-                "free the arm and press run on the smartPad.",
+            self._reason = (
+                f"The motion to {motion.name} does not go on, {left:.1f} deg are left; if a safety stop holds the arm, "
+                "free the arm and press run on the smartPad."
             )
+            self._say("error", self._reason)
         return Wait()
 
     def _latched(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
@@ -175,6 +185,7 @@ class ControlLoop(ABC):
         way = np.max(np.abs(q - seen.joints) / self._settings.joint_speeds)
         self._motion = _Motion(name, q, then, now + 2.0 * float(way) / velocity + PTP_MARGIN_S)
         self._overdue = self._at_home = False
+        self._stands = None
         why = f"{self._because} " if self._because else ""
         self._because = ""
         self._enter(mode, self._moving, f"{why}The arm moves to {name} at {velocity:g} of the full joint speed.")
@@ -186,6 +197,12 @@ class ControlLoop(ABC):
     def _go_to_zero(self, seen: Observation, now: float) -> Command:
         velocity = self._settings.velocity_home
         return self._ptp(seen, "the zero position", Q_ZERO, velocity, "zero", self._zero, now)
+
+    def _standing(self, q: np.ndarray, now: float) -> bool:
+        """Returns whether the arm has been standing for `STANDING_S` now."""
+        if self._stands is None or np.max(np.abs(q - self._stands[0])) > STANDING_RAD:
+            self._stands = (q, now)
+        return now - self._stands[1] > STANDING_S
 
     def _give_up(self, refused: str) -> Command:
         """The robot's controller refused the last command, or ended servo mode by itself."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -27,6 +28,7 @@ from kuka_control.ros.services import Services
 from kuka_control.ros.state_publisher import Snapshot, StatePublisher
 from kuka_control.ros.workspace_markers import publish_workspace
 from kuka_control.switches import Switches
+from kuka_control.wrench import moment_at_tool
 
 SWITCH_INTERVAL_S = 5e-4
 """How long the control loop waits at most for another thread of this process [s]."""
@@ -59,7 +61,8 @@ def _run(schema: type[ArmConfig], make_loop: Callable[[ArmConfig, Rig], ControlL
 def _connect(config: ArmConfig, rig: Rig) -> KstArm:
     rospy.loginfo("Connecting to the robot at %s:%d.", config.ip, config.port)
     try:
-        return KstArm(KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool))
+        client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool)
+        return KstArm(client, partial(moment_at_tool, rig.kinematics))
     except DeviceError as error:
         raise DeviceError(f"There is no connection to the robot at {config.ip}:{config.port}: {error}.") from error
 
