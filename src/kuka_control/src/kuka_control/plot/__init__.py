@@ -1,0 +1,1 @@
+"""Pictures of the workspace, with matplotlib; no ROS here."""

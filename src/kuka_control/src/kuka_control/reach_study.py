@@ -1,0 +1,102 @@
+"""How much of the workspace the arm can reach: a study over positions in it and attitudes of the tool.
+
+The tool points straight down as at the calculated home position, or is turned from there by yaw, pitch and roll within
+the tolerances to which the hand's attitude is clipped. A pose counts as reached if any joints within their ranges
+bring the tool there, however the arm is folded; collisions of the arm with itself, the table or the hand are not
+looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.poses import pose, read_only
+from common.rotations import rotation_about, rotation_from_zyx
+from kuka_control.kinematics import IkFailure, Kinematics
+from kuka_control.workspace import Workspace
+
+
+@dataclass(frozen=True, eq=False)
+class ReachStudy:
+    """What was found.
+
+    Attributes:
+        positions: of the tool, shape (n, 3) [m].
+        down: whether the tool gets there pointing straight down, shape (n,) of bool.
+        share: how much of the attitudes within the tolerances it gets there with, shape (n,), 0 to 1.
+        failures: how often each reason kept the tool that points straight down from a position.
+    """
+
+    positions: np.ndarray
+    down: np.ndarray
+    share: np.ndarray
+    failures: dict[IkFailure, int]
+
+    @property
+    def percent_down(self) -> float:
+        """Percentage of the positions that the tool reaches pointing straight down."""
+        return 100.0 * float(np.mean(self.down))
+
+    @property
+    def percent_within(self) -> float:
+        """Percentage of the pairs of a position and an attitude within the tolerances that the tool reaches."""
+        return 100.0 * float(np.mean(self.share))
+
+    @property
+    def percent_always(self) -> float:
+        """Percentage of the positions that the tool reaches straight down and with every attitude that was tried."""
+        return 100.0 * float(np.mean(self.down & (self.share == 1.0)))
+
+
+def tool_attitude(workspace: Workspace, yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """Returns R_base_tool, shape (3, 3), for a hand's attitude [rad]; at zero that of the calculated home position.
+
+    The reference hand has its x axis along center_line and z down; the tool is turned to its back, by 180 deg about z,
+    where center_line.x >= 0.
+    """
+    R_base_reference = rotation_about(2, workspace.heading) @ rotation_about(0, math.pi)
+    turn = math.pi if workspace.center_line[0] >= 0.0 else 0.0
+    return R_base_reference @ rotation_from_zyx(yaw, pitch, roll) @ rotation_about(2, turn)
+
+
+def study_reach(
+    kinematics: Kinematics,
+    workspace: Workspace,
+    q_home: np.ndarray,
+    positions: np.ndarray,
+    tolerances: tuple[float, float, float],
+    attitudes: int,
+    random: np.random.Generator,
+) -> ReachStudy:
+    """Returns which of the positions the arm reaches.
+
+    Args:
+        kinematics: of the arm with its tool.
+        workspace: whose home attitude the tool is turned from.
+        q_home: joints that the search starts from, shape (7,) [rad].
+        positions: of the tool, shape (n, 3) [m], n > 0.
+        tolerances: greatest yaw, pitch and roll either way [rad].
+        attitudes: how many attitudes are drawn at each position, at least 1.
+        random: where the random numbers come from.
+
+    Raises:
+        ValueError: there is nothing to study.
+    """
+    if len(positions) < 1 or attitudes < 1:
+        raise ValueError(f"a study needs positions and attitudes, not {len(positions)} and {attitudes}")
+    limits = np.asarray(tolerances, dtype=float)
+    R_down = tool_attitude(workspace, 0.0, 0.0, 0.0)
+    down, share, failures = [], [], Counter()
+    for position in positions:
+        straight = kinematics.inverse(pose(R_down, position), near=q_home)
+        down.append(straight.failure is None)
+        if straight.failure is not None:
+            failures[straight.failure] += 1
+        drawn = random.uniform(-limits, limits, (attitudes, 3))
+        poses = (pose(tool_attitude(workspace, *angles), position) for angles in drawn)
+        share.append(np.mean([kinematics.inverse(T, near=q_home).failure is None for T in poses]))
+    return ReachStudy(read_only(positions), np.array(down), read_only(share), dict(failures))

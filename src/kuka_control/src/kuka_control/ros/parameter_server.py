@@ -1,0 +1,78 @@
+"""Parameters for programs that may also run without a ROS master: asked for once, never waited for."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+from urllib.parse import urlparse
+
+import rosgraph
+import rospkg
+import yaml
+
+from common.errors import RigError
+
+ANSWER_S = 3.0
+"""Longest wait for the master to answer [s]."""
+
+
+class NoMaster(RigError):
+    """No ROS master runs where ROS_MASTER_URI says."""
+
+
+class NoParameters(RigError):
+    """The parameter server has nothing under a name."""
+
+
+def parameters(namespace: str) -> dict:
+    """Returns what the parameter server has under `namespace`.
+
+    Raises:
+        NoMaster: there is no master.
+        NoParameters: it has nothing there.
+    """
+    master = master_of_this_graph()
+    try:
+        values = master.getParam(f"/{namespace}")
+    except rosgraph.MasterError:
+        values = None
+    except OSError as error:
+        raise NoMaster(f"The ROS master does not answer: {error}.") from error
+    if not isinstance(values, dict) or not values:
+        raise NoParameters(f"The parameter server has no parameters under {namespace}/.")
+    return values
+
+
+def master_of_this_graph() -> rosgraph.Master:
+    """Returns the master that ROS_MASTER_URI names, after a look whether somebody listens there.
+
+    Raises:
+        NoMaster: nobody does.
+    """
+    uri = os.environ.get("ROS_MASTER_URI", "")
+    address = urlparse(uri)
+    try:
+        with socket.create_connection((address.hostname, address.port), ANSWER_S):
+            return rosgraph.Master("/leap_rig_program")
+    except (OSError, TypeError, ValueError) as error:
+        raise NoMaster(f"There is no ROS master at {uri or 'ROS_MASTER_URI, which is not set'}.") from error
+
+
+def read_yaml(path: Path) -> object:
+    """Returns what a yaml file holds.
+
+    Raises:
+        RigError: the file cannot be read, or is not yaml.
+    """
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RigError(f"{path} cannot be read: {error.strerror}.") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise RigError(f"{path} is not yaml: {' '.join(str(error).split())}.") from error
+
+
+def shipped(name: str) -> Path:
+    """Returns the path of a file in this package's folder config."""
+    return Path(rospkg.RosPack().get_path("kuka_control")) / "config" / name

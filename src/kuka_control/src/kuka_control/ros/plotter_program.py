@@ -1,0 +1,159 @@
+"""The workspace plotter: parameters from a file or the server -> study -> sentences and a picture."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import rospy
+from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from common.errors import ConfigError, RigError
+from kuka_control import workspace_report
+from kuka_control.plot.figure import SIZE_INCH, draw
+from kuka_control.plot.picture import Picture
+from kuka_control.reach_study import study_reach
+from kuka_control.ros.parameter_server import NoMaster, NoParameters, parameters, read_yaml, shipped
+from kuka_control.workspace_check import checked_rig
+from kuka_control.workspace_samples import constrained_samples, volume_samples
+
+NAME = "workspace_plotter"
+DEFAULT_PARAMS = "kuka_params_rt.yaml"
+TOLERANCES_DEG = (25.0, 25.0, 25.0)
+"""Where neither an option nor the parameter server says otherwise [deg]."""
+
+
+def main() -> None:
+    """Runs the program and exits the process: 0, or 1 after sentences that say what is wrong."""
+    options = _parser().parse_args(rospy.myargv()[1:])
+    try:
+        _run(options)
+    except RigError as error:
+        for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
+            print(f"{NAME}: {sentence}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _run(options: argparse.Namespace) -> None:
+    if options.save is None:
+        _check_window()
+    else:
+        _check_picture_name(options.save)
+    config, rig = checked_rig(*_values(options))
+    tolerances = tuple(options.tolerances or (_server_tolerances() if options.from_server else TOLERANCES_DEG))
+    random = np.random.default_rng(options.seed)
+    positions = volume_samples(rig.workspace, options.samples, random)
+    study = study_reach(
+        rig.kinematics, rig.workspace, rig.home.q, positions, np.radians(tolerances), options.attitudes, random
+    )
+    notes = workspace_report.sentences(config, rig, study, tolerances)
+    print(workspace_report.title(config))
+    print("\n".join(notes), flush=True)
+    samples = constrained_samples(rig.workspace, options.constrained, random)
+    picture = Picture(workspace_report.title(config), tuple(notes[:5]), rig, samples, study)
+    if options.save is not None:
+        _save(picture, options.save)
+    else:
+        _show(picture)
+
+
+def _values(options: argparse.Namespace) -> tuple[dict, str]:
+    """Returns the parameters, and what stands before their keys in messages."""
+    if not options.from_server:
+        return read_yaml(options.params or shipped(DEFAULT_PARAMS)), ""
+    try:
+        return parameters("kuka"), "kuka/"
+    except NoParameters as error:
+        raise RigError(f"{error} Load them first: roslaunch kuka_control kuka_params_rt.launch") from error
+
+
+def _server_tolerances() -> tuple[float, ...]:
+    try:
+        leap = parameters("leap")
+        return tuple(float(leap[f"run_tol_{angle}"]) for angle in ("yaw", "pitch", "roll"))
+    except (NoMaster, NoParameters, KeyError, TypeError, ValueError):
+        return TOLERANCES_DEG
+
+
+def _check_picture_name(path: Path) -> None:
+    kinds = sorted(FigureCanvasAgg.get_supported_filetypes())
+    if path.suffix[1:].lower() not in kinds:
+        raise RigError(f"{path} is no name of a picture: it must end in one of .{', .'.join(kinds)}.")
+    if not path.parent.is_dir():
+        raise RigError(f"There is no folder {path.parent} to save the picture in.")
+
+
+def _save(picture: Picture, path: Path) -> None:
+    figure = Figure(figsize=SIZE_INCH)
+    FigureCanvasAgg(figure)
+    draw(figure, picture)
+    try:
+        figure.savefig(path, dpi=100)
+    except OSError as error:
+        raise RigError(f"The picture cannot be saved as {path}: {error.strerror}.") from error
+    print(f"The picture is saved as {path}.")
+
+
+def _check_window() -> None:
+    try:
+        pyplot.switch_backend("QtAgg")
+    except ImportError as error:
+        raise RigError("There is no display to open a window on; use --save FILE.png.") from error
+
+
+def _show(picture: Picture) -> None:
+    draw(pyplot.figure(figsize=SIZE_INCH, num="Leap Rig: workspace"), picture)
+    pyplot.show()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=f"{NAME}.py",
+        description="Shows the workspace of the tool with the arm at home, how desired positions are constrained to "
+        "it, and how much of it the arm reaches; says what is wrong with parameters that make no workspace.",
+    )
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--params", type=Path, metavar="FILE.yaml", help=f"parameters of a controller; default: the {DEFAULT_PARAMS}"
+    )
+    source.add_argument("--from-server", action="store_true", help="take the parameters under kuka/ of the ROS master")
+    parser.add_argument("--save", type=Path, metavar="FILE.png", help="save the picture instead of opening a window")
+    parser.add_argument(
+        "--tolerances",
+        type=_angle,
+        nargs=3,
+        metavar=("YAW", "PITCH", "ROLL"),
+        help="how far the tool may turn from straight down, deg; default: run_tol_* of leap_params on the server "
+        "(with --from-server), else 25 25 25",
+    )
+    parser.add_argument("--samples", type=_count, default=1000, help="positions of the study (default: %(default)s)")
+    parser.add_argument(
+        "--attitudes", type=_count, default=12, help="attitudes tried at each position (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--constrained", type=_count, default=350, help="positions shown as constrained (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the random numbers (default: %(default)s)")
+    return parser
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 100_000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 100000")
+    return int(text)
+
+
+def _angle(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 <= value <= 90.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an angle from 0 to 90 deg")
+    return value

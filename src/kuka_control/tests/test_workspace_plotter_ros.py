@@ -1,0 +1,118 @@
+"""The workspace plotter as a program."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("matplotlib")
+
+CONFIG = Path(__file__).parents[1] / "config"
+QUICK = ("--samples", "60", "--attitudes", "2", "--constrained", "40")
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def plotter(*arguments, **env):
+    """Runs the program without a display."""
+    inherited = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    return subprocess.run(
+        ["rosrun", "kuka_control", "workspace_plotter.py", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        env={**inherited, **env},
+    )
+
+
+def params_file(tmp_path, **changes):
+    values = yaml.safe_load((CONFIG / "kuka_params_ptp.yaml").read_text())
+    path = tmp_path / "params.yaml"
+    path.write_text(yaml.safe_dump({**values, **changes}))
+    return path
+
+
+def test_saves_a_picture_without_a_display_and_says_both_figures(tmp_path):
+    picture = tmp_path / "workspace.png"
+    done = plotter("--save", picture, *QUICK)
+    assert done.returncode == 0, done.stderr
+    assert picture.read_bytes().startswith(PNG) and picture.stat().st_size > 50_000
+    assert "Reached with the tool straight down:" in done.stdout and "25 deg:" in done.stdout
+    assert done.stderr == ""
+
+
+def test_a_custom_home_and_other_tolerances(tmp_path):
+    path = params_file(tmp_path, use_home_pos=True, home_pos=[-45, 20, 0, -100, 0, 40, 0], center_line=[1, -0.9, 0])
+    done = plotter("--params", path, "--tolerances", 10, 20, 30, "--save", tmp_path / "w.svg", *QUICK)
+    assert done.returncode == 0, done.stderr
+    assert "(home_pos)" in done.stdout and "+-10, +-20, +-30 deg" in done.stdout
+    assert "<svg" in (tmp_path / "w.svg").read_text()
+
+
+def test_equal_seeds_say_the_same(tmp_path):
+    first, again, other = (plotter("--save", tmp_path / "w.png", *QUICK, "--seed", seed).stdout for seed in (1, 1, 2))
+    assert first == again != other
+
+
+def test_all_faults_of_a_bad_workspace_are_said(tmp_path):
+    path = params_file(tmp_path, center_line=[0, 0, 1], z_lower_limit=0.9, time_out=-1.0)
+    done = plotter("--params", path, "--save", tmp_path / "w.png", *QUICK)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 3
+    assert all(key in done.stderr for key in ("center_line", "z_lower_limit", "time_out"))
+    assert not (tmp_path / "w.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--params", "/no/such.yaml", "--save", "w.png"], "/no/such.yaml cannot be read"),
+        (["--save", "w.xyz"], "w.xyz is no name of a picture"),
+        (["--save", "/no/folder/w.png"], "There is no folder /no/folder"),
+        ([], "There is no display"),
+    ],
+)
+def test_what_does_not_work_is_said_in_one_sentence(arguments, sentence):
+    done = plotter(*arguments, *QUICK)
+    assert done.returncode == 1
+    assert sentence in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--samples", "0"], ["--tolerances", "1", "2", "100"], ["--params", "a", "--from-server"]]
+)
+def test_bad_options_are_refused(arguments):
+    done = plotter(*arguments)
+    assert done.returncode == 2 and "error:" in done.stderr
+
+
+def test_text_that_is_no_yaml_is_refused(tmp_path):
+    (tmp_path / "params.yaml").write_text("a: [1\nb: }")
+    done = plotter("--params", tmp_path / "params.yaml", "--save", tmp_path / "w.png")
+    assert done.returncode == 1 and "is not yaml" in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+def test_takes_the_parameters_from_the_server(ros, tmp_path):
+    import rospy
+
+    empty = plotter("--from-server", "--save", tmp_path / "w.png", *QUICK)
+    assert empty.returncode == 1 and "no parameters under kuka/" in empty.stderr
+    rospy.set_param("kuka", {**yaml.safe_load((CONFIG / "kuka_params_rt.yaml").read_text()), "opening_angle": 80.0})
+    rospy.set_param("leap", {"run_tol_yaw": 15.0, "run_tol_pitch": 16, "run_tol_roll": 17.0})
+    done = plotter("--from-server", "--save", tmp_path / "w.png", *QUICK)
+    assert done.returncode == 0, done.stderr
+    assert "80 deg" in done.stdout and "+-15, +-16, +-17 deg" in done.stdout
+    rospy.set_param("kuka/inner_sphere_limit", 0.9)
+    bad = plotter("--from-server", "--save", tmp_path / "w.png", *QUICK)
+    assert bad.returncode == 1 and "kuka/inner_sphere_limit" in bad.stderr
+
+
+def test_says_that_there_is_no_master(tmp_path, free_port):
+    uri = f"http://localhost:{free_port()}"
+    done = plotter("--from-server", "--save", tmp_path / "w.png", ROS_MASTER_URI=uri)
+    assert done.returncode == 1
+    assert f"There is no ROS master at {uri}" in done.stderr and len(done.stderr.splitlines()) == 1
