@@ -24,7 +24,7 @@ ROS = {"rospy", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "rospkg", "geome
        "reflex_msgs", "rig_msgs"}  # fmt: skip
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files of a device module: they may hold sockets, clocks and threads.
-EDGES = {"transport", "client"}
+EDGES = {"transport", "session", "client"}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
 STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
 
