@@ -432,6 +432,27 @@ def test_zero_pose_takes_the_pose_and_lets_the_tendons_out(bench):
     assert b.zeros is not None
 
 
+def test_zero_pose_of_a_loaded_hand_is_not_relieved_by_the_old_zeros(bench):
+    b = bench()
+    b.device.set_load(0, 700)
+    b.run(0.3)
+    b.take(b.driver.zero_pose(b.now))
+    b.run(1.0)
+    assert b.device.state()["angles"][0] > -0.5
+
+
+def test_torque_stays_off_while_a_servo_is_missing(bench):
+    b = bench().calibrated()
+    b.take(b.driver.disable_torque())
+    b.device.unplug_servo(1, True)
+    b.run(0.1)
+    assert "f2 (0) cannot be right" in b.take(b.driver.set_speed((3, 3, 3, 2), b.now)).refusal
+    assert b.device.state()["torque"] == [False] * 4
+    b.device.unplug_servo(1, False)
+    b.run(0.1)
+    assert not b.take(b.driver.set_speed((3, 3, 3, 2), b.now)).refusal
+
+
 def test_zero_pose_without_torque_only_counts_anew(bench):
     b = bench()
     b.run(0.3)
