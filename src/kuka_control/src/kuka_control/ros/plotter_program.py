@@ -56,7 +56,7 @@ def _run(options: argparse.Namespace) -> None:
     print(workspace_report.title(config))
     print("\n".join(notes), flush=True)
     samples = constrained_samples(rig.workspace, options.constrained, random)
-    picture = Picture(workspace_report.title(config), tuple(notes[:5]), rig, samples, study)
+    picture = Picture(workspace_report.title(config), tuple(notes[:6]), rig, samples, study)
     if options.save is not None:
         _save(picture, options.save)
     else:
