@@ -16,7 +16,10 @@ def run(name: str, main: Callable[[], None]) -> None:
     The exit code is 0 when main returns or ROS shuts down, 1 after a RigError: its sentence goes to the log and to the
     standard error stream. Any other exception is a defect of the program and keeps its traceback.
     """
-    rospy.init_node(name)
+    try:
+        rospy.init_node(name)
+    except rospy.exceptions.ROSInitException:
+        sys.exit(1)  # interrupted before it began
     try:
         main()
     except rospy.ROSInterruptException:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -101,6 +102,7 @@ def _save(picture: Picture, path: Path) -> None:
 
 
 def _check_window() -> None:
+    os.environ["QT_API"] = "pyqt5"  # python_qt_binding leaves a name here that matplotlib does not know
     try:
         pyplot.switch_backend("QtAgg")
     except ImportError as error:
