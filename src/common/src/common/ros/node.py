@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import rospy
 
@@ -29,3 +30,13 @@ def run(name: str, main: Callable[[], None]) -> None:
             rospy.logfatal("%s: %s", rospy.get_name(), sentence)
         rospy.signal_shutdown("fault")
         sys.exit(1)
+
+
+@contextlib.contextmanager
+def while_running() -> Iterator[None]:
+    """For callbacks: a message that is published while ROS shuts down meets a closed topic, which is no fault."""
+    try:
+        yield
+    except rospy.ROSException:
+        if not rospy.is_shutdown():
+            raise
