@@ -162,8 +162,16 @@ class Recording(list):
         return self
 
 
+PATIENCE = 3.0
+"""Waits are this many times longer than a quiet machine needs: a busy one must not fail a test."""
+
+
 def wait_until(condition, timeout: float, what: str, poll: float = 0.02):
-    """Waits until the condition returns something true, and returns that; fails the test after `timeout` seconds."""
+    """Waits until the condition returns something true, and returns that.
+
+    Fails the test after PATIENCE times `timeout` seconds.
+    """
+    timeout *= PATIENCE
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
         result = condition()
