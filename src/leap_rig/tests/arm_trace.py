@@ -1,4 +1,4 @@
-"""The truth about the simulated arm, sampled at about 100 Hz from its control port."""
+"""The truth about the simulated arm, sampled at about 50 Hz from its control port."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from common.errors import DeviceError
 from common.poses import translation
 from rig_simulation.control_port import ControlClient
 
-PERIOD_S = 0.01
+PERIOD_S = 0.02
 T_FLANGE_TOOL = translation(0.0, 0.0, 0.106)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One answer of the control port: time [s], joints [rad] and their speeds [rad/s], tool pose and its speed [m/s]."""
+    """One answer of the control port: time [s], joints [rad], their speeds [rad/s], tool pose and its speed [m/s]."""
 
     time: float
     q: np.ndarray
@@ -59,8 +59,8 @@ class ArmTrace:
         """Returns the samples from a time of the arm's clock on."""
         return [sample for sample in list(self.samples) if sample.time >= time]
 
-    def way(self, since: float) -> float:
-        """Returns how far a joint was from where it stood at that time, at most [rad]."""
+    def way(self, since: float = 0.0) -> float:
+        """Returns how far a joint was, at most, from where it stood at that time, or when the trace began [rad]."""
         q = np.array([sample.q for sample in self.since(since)])
         return float(np.max(np.abs(q - q[0])))
 

@@ -1,17 +1,29 @@
-"""A hand over the simulated Leap service that does what a test tells it, frame by frame and without noise."""
+#!/usr/bin/env python3
+"""The simulated Leap service with a hand that does what a test tells it, frame by frame and without noise.
+
+Run as a program it prints the ports on which it listens: that of the service, its control port, and the port on which
+the calls of `HandPuppet` are taken. A process of its own, because the frames must not wait for the tests.
+"""
 
 from __future__ import annotations
 
+import signal
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
+from rig_simulation.control_port import ControlClient, ControlPort
 from rig_simulation.leap import wire
 from rig_simulation.leap.hand_model import HandModel, HandPose, extended, fingers_for, grab_strength, pinch_strength
+from rig_simulation.leap.playback import Playback
 from rig_simulation.leap.sensing import ReportedHand
+from rig_simulation.leap.server import LeapService
 from rig_simulation.leap.sources import PERIOD_S
+
+HOST = "127.0.0.1"
 
 BOX_CENTRE_MM = np.array([0.0, 350.0, 0.0])
 """Centre of the interaction box with the parameters as shipped, in Leap axes."""
@@ -32,14 +44,10 @@ class Hand:
 
 
 class HandPuppet:
-    """A source of the simulated service. Every call of `show` brings another hand, with a new id.
-
-    Attributes:
-        seen: how many frames with a hand were given to the service so far.
-    """
+    """A source of the simulated service. Every call of `show` brings another hand, with a new id."""
 
     def __init__(self) -> None:
-        self.seen = 0
+        self._seen = 0
         self._lock = threading.Lock()
         self._model = HandModel("right")
         self._hand: Hand | None = None
@@ -73,23 +81,15 @@ class HandPuppet:
         with self._lock:
             self._glitch = replace(self._hand, **to)
 
-    @property
-    def still(self) -> bool:
-        """Whether the last movement is over."""
+    def state(self) -> dict:
+        """Returns how many frames with a hand were made so far, and whether the last movement goes on."""
         with self._lock:
-            return not self._moving
-
-    @property
-    def glitched(self) -> bool:
-        """Whether the last glitch was sent."""
-        with self._lock:
-            return self._glitch is None
+            return {"seen": self._seen, "moving": self._moving}
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
         """Yields (interval, frame) for ever; called by the service."""
         while True:
             hand, number = self._next()
-            self.seen += hand is not None
             yield PERIOD_S, wire.frame([] if hand is None else [self._report(hand, number)], 1.0 / PERIOD_S, "2.x")
 
     def _follow(self, path: Iterator[Hand | None], new: bool = False) -> None:
@@ -104,6 +104,7 @@ class HandPuppet:
             except StopIteration:
                 self._moving = False
             glitch, self._glitch = self._glitch, None
+            self._seen += self._hand is not None
             return glitch or self._hand, self._id
 
     def _report(self, hand: Hand, number: int) -> ReportedHand:
@@ -132,6 +133,44 @@ class HandPuppet:
         )
 
 
+class PuppetClient:
+    """The calls of a HandPuppet that runs as a program, for the test's process."""
+
+    def __init__(self, port: int) -> None:
+        self._client = ControlClient(HOST, port)
+
+    def show(self, **at: float) -> None:
+        self._client.ask("show", at=at)
+
+    def flash(self, frames: int, **at: float) -> None:
+        self._client.ask("flash", frames=frames, at=at)
+
+    def hide(self) -> None:
+        self._client.ask("hide")
+
+    def glide(self, seconds: float, **to: float) -> None:
+        self._client.ask("glide", seconds=seconds, to=to)
+
+    def sway(self, seconds: float, **to: float) -> None:
+        self._client.ask("sway", seconds=seconds, to=to)
+
+    def glitch(self, **to: float) -> None:
+        self._client.ask("glitch", to=to)
+
+    @property
+    def seen(self) -> int:
+        """How many frames with a hand were made so far."""
+        return self._client.ask("state")["seen"]
+
+    @property
+    def still(self) -> bool:
+        """Whether the last movement is over."""
+        return not self._client.ask("state")["moving"]
+
+    def close(self) -> None:
+        self._client.close()
+
+
 def _glide(start: Hand, end: Hand, seconds: float) -> Iterator[Hand]:
     """Yields the hands of a minimum-jerk move, one a frame."""
     a, b = np.array(astuple(start)), np.array(astuple(end))
@@ -145,3 +184,26 @@ def _sway(start: Hand, end: Hand, seconds: float) -> Iterator[Hand]:
     while True:
         yield from _glide(start, end, seconds)
         yield from _glide(end, start, seconds)
+
+
+def main() -> None:
+    puppet = HandPuppet()
+    service = LeapService(Playback(puppet), HOST, 0, 0)
+    calls = {
+        "show": lambda at: puppet.show(**at),
+        "flash": lambda frames, at: puppet.flash(frames, **at),
+        "hide": puppet.hide,
+        "glide": lambda seconds, to: puppet.glide(seconds, **to),
+        "sway": lambda seconds, to: puppet.sway(seconds, **to),
+        "glitch": lambda to: puppet.glitch(**to),
+        "state": puppet.state,
+    }
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: service.stop())
+    with ControlPort(calls) as port:
+        print("ready", service.port, service.control_port, port.port, flush=True)
+        service.run()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -7,7 +7,7 @@ import os
 import re
 import signal
 import socket
-import threading
+import sys
 import xmlrpc.client
 from pathlib import Path
 
@@ -15,16 +15,15 @@ import rosgraph
 import rospy
 from arm_trace import ArmTrace
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from hand_puppet import HandPuppet
+from hand_puppet import PuppetClient
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from common.ros.conversions import pose_from_transform
 from kuka_msgs.srv import setGripperControl, setKukaControl
+from leap_motion.msg import Human
 from rig_msgs.msg import KukaStatus
 from rig_simulation.control_port import ControlClient
-from rig_simulation.leap.playback import Playback
-from rig_simulation.leap.server import LeapService
 
 CONTROLLER, DRIVER, TELEOP = "kuka_real_time_node", "leap_driver", "leap_kuka_node"
 PROGRAMS = {
@@ -32,11 +31,14 @@ PROGRAMS = {
     DRIVER: ("leap_motion", "leap_driver.py"),
     TELEOP: ("leap_kuka", "leap_kuka_node.py"),
 }
-START_S, MOVE_S, SOON_S = 90.0, 40.0, 10.0
-"""Longest waits [s]: for the rig to start, for a motion, for a message. The machine may be busy."""
+START_S, MOVE_S, SOON_S = 60.0, 15.0, 5.0
+"""Longest waits [s]: for the rig to start, for a motion, for a message."""
 
-HOMING_SPEED = 0.3
-"""Share of the full joint speed to home and zero for controllers that are started again, so that tests take less time."""
+SAFETY_SPEED = 0.7
+"""Tool speed of the simulated safety stop [m/s]: not the real one, 0.8 m/s, because below that the controller stays."""
+
+STANDING = 2e-3
+"""A servo goal is approached ever more slowly: at this speed [rad/s] a joint is 0.1 deg away from it."""
 
 
 class RigUnderTest:
@@ -57,7 +59,6 @@ class RigUnderTest:
         self._processes = shared.Processes(folder)
         self._started = {}
         self._counts: dict[str, dict[str, str]] = {}
-        self.hand = HandPuppet()
         self.mode = ""
         self.status: KukaStatus | None = None
         self.modes: list[str] = []
@@ -68,9 +69,11 @@ class RigUnderTest:
 
     def bring_up(self) -> None:
         """Starts everything; waits until the arm is at home and the robot hand is steered."""
-        self._leap = LeapService(Playback(self.hand), "127.0.0.1", 0, 0)
-        self._leap_thread = threading.Thread(target=self._leap.run, daemon=True)
-        self._leap_thread.start()
+        leap = self._processes.start(sys.executable, str(Path(__file__).with_name("hand_puppet.py")))
+        ready = self.wait(
+            lambda: re.match(r"ready (\d+) (\d+) (\d+)\n", leap.log_path.read_text()), "the Leap service", START_S
+        )
+        self.hand = PuppetClient(int(ready[3]))
         self._subscribers = [
             rospy.Subscriber(topic, kind, take, queue_size=1000, tcp_nodelay=True)
             for topic, kind, take in (
@@ -87,8 +90,9 @@ class RigUnderTest:
             **{"robot_port": self._shared.free_port(), "robot_control_port": robot},
             **{"hand_port": self._shared.free_port(socket.SOCK_DGRAM), "hand_control_port": hand},
             # The rig's own Leap service stands aside on other ports: driver and operator are to find the test's.
-            **{"leap_port": self._leap.port, "leap_control_port": self._leap.control_port},
+            **{"leap_port": ready[1], "leap_control_port": ready[2]},
             "leap_args": "--port 0 --control-port 0",
+            "robot_args": f"--safety-speed {SAFETY_SPEED}",
         }
         self._launch = self._processes.start(
             "roslaunch", "--wait", "leap_rig", "demo.launch", *(f"{k}:={v}" for k, v in arguments.items())
@@ -97,7 +101,6 @@ class RigUnderTest:
         self.robot_hand = ControlClient("127.0.0.1", hand)
         self.wait(lambda: self.mode == "home", "the arm at home", START_S)
         self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", START_S)
-        rospy.set_param("kuka/velocity_ptp_slow", HOMING_SPEED)
 
     def end(self) -> None:
         """Ends everything and clears the parameters."""
@@ -105,8 +108,8 @@ class RigUnderTest:
             subscriber.unregister()
         self._processes.end_all()
         self.arm.close()
-        self._leap.stop()
-        self._leap_thread.join(SOON_S)
+        self.hand.close()
+        self.robot_hand.close()
         for name in rospy.get_param_names():
             if not name.startswith(("/ros", "/run_id")):
                 with contextlib.suppress(KeyError):
@@ -137,11 +140,15 @@ class RigUnderTest:
 
     def start(self, name: str, **parameters) -> None:
         """Starts a node again that has ended; `parameters` are those under kuka/ that are changed first."""
-        for key, value in parameters.items():
-            rospy.set_param(f"kuka/{key}", value)
+        self.set(**parameters)
         if name == CONTROLLER:
             self.mode = ""
         self._started[name] = self._processes.start("rosrun", *PROGRAMS[name], f"__name:={name}")
+
+    def set(self, **parameters) -> None:
+        """Changes parameters under kuka/, for controllers that are started later."""
+        for key, value in parameters.items():
+            rospy.set_param(f"kuka/{key}", value)
 
     def pid(self, name: str) -> int | None:
         """Returns the process of a node, None if it does not run."""
@@ -158,7 +165,7 @@ class RigUnderTest:
     def exit_code(self, name: str) -> int:
         """Waits until a node ends and returns its exit code."""
         if name in self._started:
-            process = self._started.pop(name)
+            process = self._started[name]
             self.wait(lambda: process.poll() is not None, f"the end of {name}", MOVE_S)
             return process.returncode
         pattern = rf"\[{name}-\d+\] process has (?:finished (cleanly)|died \[pid \d+, exit code (-?\d+))"
@@ -174,9 +181,23 @@ class RigUnderTest:
         until = self.arm.now.time + seconds
         self.wait(lambda: self.arm.now.time >= until, f"{seconds} s on the arm's clock", seconds + SOON_S)
 
+    @property
+    def stream_broke(self) -> bool:
+        """Whether a stream ended because frames came too late, as on a machine that is too busy."""
+        return any(state == "waiting" and ("no tracking frame" in why or "jumped" in why) for state, why in self.stream)
+
     def wait_for_mode(self, *modes: str) -> None:
         """Waits until the controller is in one of these modes."""
         self.wait(lambda: self.mode in modes, f"mode {' or '.join(modes)} instead of {self.mode}", MOVE_S)
+
+    def wait_for_modes(self, *sequence: str) -> None:
+        """Waits until the controller went through these modes in this order, perhaps with others between them."""
+
+        def went_through():
+            modes = iter(list(self.modes))
+            return all(mode in modes for mode in sequence)
+
+        self.wait(went_through, f"the modes {sequence} in {self.modes}", MOVE_S)
 
     def follow(self, **at: float) -> None:
         """Shows a hand, switches control on and waits until the arm stands where the hand has sent it."""
@@ -186,15 +207,33 @@ class RigUnderTest:
         self.settle()
 
     def settle(self) -> None:
-        """Waits until the hand, its mean and the arm stand still."""
+        """Waits until the hand, its mean and the arm in servo mode stand still."""
         self.wait(lambda: self.hand.still, "the hand to stand still", MOVE_S)
         self.see(20)
-        self.wait(lambda: self.arm.now.speed < 1e-4, "the arm to stand still", MOVE_S)
+        # Half a second, because the arm also stands while servo mode starts.
+        self.wait(
+            lambda: self.mode == "servo" and max(s.speed for s in self.arm.since(self.arm.now.time - 0.5)) < STANDING,
+            "the arm to stand still in servo mode",
+            MOVE_S,
+        )
 
     def see(self, frames: int) -> None:
         """Waits until so many more frames with a hand have gone to the Leap driver."""
         until = self.hand.seen + frames
         self.wait(lambda: self.hand.seen >= until, f"{frames} frames with a hand")
+
+    def listen_to_hands(self) -> list[Human]:
+        """Returns a list that grows by every message on leap_motion/leap_device with a hand in it."""
+        heard = []
+
+        def take(human: Human) -> None:
+            if human.nr_of_hands:
+                heard.append(human)
+
+        subscriber = rospy.Subscriber("leap_motion/leap_device", Human, take, queue_size=1000)
+        self._subscribers.append(subscriber)
+        self.wait(lambda: subscriber.get_num_connections() > 0, "the Leap driver")
+        return heard
 
     def control(self, on: bool):
         """Switches control of the arm."""

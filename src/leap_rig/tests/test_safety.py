@@ -1,14 +1,67 @@
 """The safety features of the rig, each on the whole simulated rig: hand on the Leap's wire, arm behind the toolbox's.
 
-Nothing here looks into a node. The arm's motion is the simulated arm's own, sampled on its control port.
+Nothing here looks into a node. How the arm moves is the simulated arm's own word, sampled on its control port.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
+import signal
+import socket
+
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.ros, pytest.mark.rig]
+
+CONTROLLER, DRIVER, TELEOP = "kuka_real_time_node", "leap_driver", "leap_kuka_node"
+AHEAD = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+LEFT = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+"""The centre line of the parameters as shipped, and the horizontal direction to its left."""
+
+FULL_SPEED = np.radians([98, 98, 100, 130, 140, 180, 180])
+"""Joint speeds of the 7 R800 [rad/s]."""
+
+STILL = 1e-5
+"""What a standing arm may move [rad]: the end of the motion before."""
+
+ATTEMPTS = 3
+
+
+def on_an_unbroken_stream(test):
+    """Repeats a failed test if its stream broke because the machine was too busy to bring the frames in time."""
+
+    @functools.wraps(test)
+    def run(rig, **others):
+        for _ in range(ATTEMPTS - 1):
+            try:
+                return test(rig=rig, **others)
+            except (AssertionError, pytest.fail.Exception):
+                if not rig.stream_broke:
+                    raise
+            rig.calm()
+        return test(rig=rig, **others)
+
+    return run
+
+
+def axes_turned(R_from, R_to) -> np.ndarray:
+    """Returns the size of the rotation vector between two attitudes, axis by axis [deg]."""
+    return np.degrees(np.abs(pin.log3(R_from.T @ R_to)))
+
+
+def outside(position) -> float:
+    """Returns by how much a tool position is outside of the workspace as shipped [m], 0 inside."""
+    along, left, z = position @ AHEAD, position @ LEFT, position[2]
+    r = np.linalg.norm(position - [0.0, 0.0, 0.34])
+    beyond_plane = np.cos(np.radians(25.0)) * abs(left) - np.sin(np.radians(25.0)) * along
+    return max(0.0, 0.2 - z, z - 0.6, 0.5 - r, r - 0.7, beyond_plane)
+
+
+def highest_share_of_joint_speed(samples) -> float:
+    return max(float(np.max(np.abs(sample.v) / FULL_SPEED)) for sample in samples)
 
 
 def test_control_is_off_until_it_is_switched_on(rig):
@@ -16,12 +69,295 @@ def test_control_is_off_until_it_is_switched_on(rig):
     angles = np.array(rig.robot_hand.ask("state")["angles"])
     rig.hand.show(right=0.06, curl=0.9)
     rig.wait(lambda: len(rig.desired) > 100, "a stream of desired tool frames")
-    assert rig.arm.way(0.0) == 0.0 and rig.arm.now.goals == goals and rig.mode == "home"
+    assert rig.arm.way() < STILL and rig.arm.now.goals == goals and rig.mode == "home"
     np.testing.assert_allclose(rig.robot_hand.ask("state")["angles"], angles, atol=0.02)
 
     assert rig.gripper(True).success
-    rig.wait(lambda: max(rig.robot_hand.ask("state")["angles"]) > 0.5, "the robot hand to close", 20.0)
-    assert rig.arm.way(0.0) == 0.0, "the arm stands while only the gripper is on"
+    rig.wait(lambda: max(rig.robot_hand.ask("state")["angles"]) > 0.5, "the robot hand to close")
+    assert rig.arm.way() < STILL, "the arm stands while only the gripper is on"
     assert rig.control(True).success
     rig.wait_for_mode("servo")
-    rig.wait(lambda: rig.arm.way(0.0) > 0.05, "the arm to move")
+    rig.wait(lambda: rig.arm.way() > 0.05, "the arm to move")
+
+
+def test_a_hand_starts_only_inside_the_box_level_and_well_seen(rig):
+    assert rig.control(True).success
+    for at, reason in (
+        ({"right": 0.15}, "the palm is 50 mm right of the box"),
+        ({"up": -0.12}, "the palm is 20 mm below the box"),
+        ({"back": 0.11}, "the palm is 10 mm in front of the box"),
+        ({"pitch": 22.0}, "the pitch is 22.0 deg and must be within 20 deg"),
+        ({"roll": -22.0}, "22.0 deg and must be within 20 deg"),
+        ({"confidence": 0.02}, "the confidence is 0.02 and must be above 0.05"),
+    ):
+        rig.hand.show(**at)
+        rig.wait(lambda reason=reason: any(reason in said for _, said in rig.stream), reason)
+        rig.see(30)
+        assert {state for state, _ in rig.stream} == {"waiting"} and not rig.desired
+    assert rig.mode == "home" and rig.arm.way() < STILL
+
+    rig.hand.show(right=0.09, pitch=18.0, roll=-18.0, confidence=0.1)
+    rig.wait(lambda: rig.desired, "the stream of a hand just inside the box")
+    rig.hand.glide(0.1, confidence=0.02)
+    rig.wait(lambda: rig.stream_state == "waiting", "the end of the stream of a badly seen hand")
+
+
+def test_nothing_is_published_before_the_mean_is_full(rig):
+    humans = rig.listen_to_hands()
+    for _ in range(3):
+        rig.hand.flash(9)
+        rig.wait(lambda: rig.hand.still, "the end of the hand")
+    rig.wait(lambda: len(humans) >= 15, "the frames with a hand on leap_motion/leap_device")
+    assert not rig.desired and not any("followed" in said for _, said in rig.stream)
+    rig.hand.flash(60)
+    rig.wait(lambda: rig.desired, "the desired tool frames of a hand that stays")
+
+
+@on_an_unbroken_stream
+def test_an_outlier_of_a_single_frame_makes_no_step(rig):
+    rig.follow(right=-0.05)
+    left_out = rig.count("leap_kuka", "samples_left_out")
+    since, tool = rig.arm.now.time, rig.arm.now.T_base_tool[:3, 3]
+    outliers = itertools.cycle(({"right": 0.15}, {"up": -0.2}, {"back": 0.2}))
+    rig.desired.clear()
+
+    def outliers_were_left_out():
+        rig.hand.glitch(**next(outliers))
+        rig.see(40)
+        return rig.count("leap_kuka", "samples_left_out") >= left_out + 3
+
+    rig.wait(outliers_were_left_out, "three outliers, which may be among the frames that are left behind")
+    assert rig.modes == ["pick_up", "servo"], rig.stream
+    desired = np.array(rig.desired)[:, :3, 3]
+    assert np.max(np.linalg.norm(desired - desired[0], axis=1)) < 2e-3
+    assert max(np.linalg.norm(s.T_base_tool[:3, 3] - tool) for s in rig.arm.since(since)) < 2e-3
+    assert rig.modes.count("servo") == 1 and rig.mode == "servo"
+
+
+@on_an_unbroken_stream
+def test_yaw_pitch_and_roll_are_clipped_one_by_one(rig):
+    rig.follow(right=0.01)
+    R_level = rig.desired[-1][:3, :3]
+    T_home = rig.arm.now.T_base_tool
+    for k, angle in ((2, "yaw"), (1, "pitch"), (0, "roll")):
+        for degrees, reached in ((20.0, 20.0), (50.0, 25.0)):
+            rig.hand.glide(0.7, **{"yaw": 0.0, "pitch": 0.0, "roll": 0.0, angle: degrees})
+            rig.settle()
+            expected = np.zeros(3)
+            expected[k] = reached
+            np.testing.assert_allclose(axes_turned(R_level, rig.desired[-1][:3, :3]), expected, atol=0.3)
+            np.testing.assert_allclose(axes_turned(T_home[:3, :3], rig.arm.now.T_base_tool[:3, :3]), expected, atol=0.5)
+        assert f"{angle} at the limit" in rig.stream[-1][1]
+
+
+@on_an_unbroken_stream
+def test_a_hand_that_comes_in_turned_starts_unclipped(rig):
+    T_home = rig.arm.now.T_base_tool
+    rig.follow(yaw=60.0)
+    np.testing.assert_allclose(rig.desired[-1], T_home, atol=2e-3)
+    np.testing.assert_allclose(rig.arm.now.T_base_tool, T_home, atol=2e-3)
+    assert not any("at the limit" in said for _, said in rig.stream)
+    rig.hand.glide(0.5, yaw=45.0)
+    rig.settle()
+    np.testing.assert_allclose(axes_turned(T_home[:3, :3], rig.desired[-1][:3, :3]), [0, 0, 15], atol=0.3)
+
+
+@pytest.mark.parametrize("way", ["service", "panel", "panel, hanging controller"])
+@on_an_unbroken_stream
+def test_the_emergency_button_ends_the_controller_and_the_arm_stands(rig, way):
+    from kuka_control.ros import controller_process, emergency
+    from kuka_control.ros.service_caller import ServiceCaller
+    from kuka_msgs.srv import exitAppEmergency
+
+    rig.follow(right=-0.06)
+    rig.hand.sway(1.0, right=0.06)
+    rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
+    pressed = rig.arm.now.time
+    if way == "service":
+        assert rig.call("kuka/exit_app_emergency", exitAppEmergency).success
+        assert rig.exit_code(CONTROLLER) == 2
+    else:
+        process = controller_process.find(rig.status.pid)
+        if "hanging" in way:
+            rig.signal(CONTROLLER, signal.SIGSTOP)
+        ended, sentence = emergency.stop(ServiceCaller([emergency.SERVICE]), process, socket.gethostname())
+        assert ended, sentence
+        assert rig.exit_code(CONTROLLER) == (-signal.SIGKILL if "hanging" in way else 2)
+    rig.wait(lambda: rig.arm.now.speed == 0.0, "the arm to stand")
+    stands = rig.arm.now.time
+    rig.watch(1.0)
+    assert rig.arm.way(stands) < STILL and rig.arm.way(pressed) < 0.5
+    assert (rig.arm.now.mode, rig.arm.now.connected, rig.arm.now.safety_stop) == ("idle", False, None)
+
+
+FAR_OUT = [
+    {"right": 0.35, "up": -0.3, "back": -0.25},
+    {"right": -0.35, "up": 0.3, "back": 0.3},
+    {"right": 0.0, "up": 0.3, "back": -0.3},
+]
+"""Beyond side plane, lower limit and outer sphere; side plane, upper limit and inner sphere; and where the workspace
+goes further than the arm reaches."""
+
+
+@on_an_unbroken_stream
+def test_the_tool_stays_in_the_workspace_and_comes_back_without_a_lurch(rig):
+    rig.follow()
+    start, stops, clips = rig.arm.now.time, rig.arm.now.stops, rig.count("kuka_control", "workspace_clips")
+    for corner in FAR_OUT:
+        rig.hand.glide(2.0, **corner)
+        rig.wait(lambda: rig.hand.still, "the hand far out")
+        rig.see(20)
+        assert outside(rig.desired[-1][:3, 3]) > 0.1
+        rig.hand.glide(2.0, right=0.0, up=0.0, back=0.0)
+        rig.settle()
+        np.testing.assert_allclose(rig.arm.now.T_base_tool[:3, 3], rig.desired[-1][:3, 3], atol=2e-3)
+    assert max(outside(T[:3, 3]) for T in rig.commanded) < 1e-6
+    samples = rig.arm.since(start)
+    assert max(outside(sample.T_base_tool[:3, 3]) for sample in samples) < 0.01
+    assert rig.arm.now.stops == stops and highest_share_of_joint_speed(samples) < 0.9
+    rig.wait(lambda: rig.count("kuka_control", "workspace_clips") >= clips + 2, "the clips to be counted")
+
+
+@pytest.mark.parametrize(
+    "to, reason",
+    [({"up": -0.45}, "it lies below the foot of the base"), ({"back": 0.65}, "it lies behind the base")],
+    ids=["below the base", "behind the base"],
+)
+@on_an_unbroken_stream
+def test_an_infeasible_position_shuts_the_controller_down(rig, to, reason):
+    rig.follow()
+    rig.hand.glide(3.0, **to)
+    assert rig.exit_code(CONTROLLER) == 1
+    np.testing.assert_allclose(rig.arm.now.q, np.zeros(7), atol=1e-3)
+    assert "The controller shuts down because of the desired tool frame" in rig.log and reason in rig.log
+    assert "zero" in rig.modes and rig.modes[-1] == "stopped"
+    assert not rig.arm.now.connected and max(outside(T[:3, 3]) for T in rig.commanded) < 1e-6
+
+
+def push_the_arm(rig):
+    rig.hand.sway(1.0, right=0.08)
+    rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
+    rig.arm.ask("set_external_torque", value=[0.0, -25.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def move_too_fast(rig):
+    rig.hand.sway(0.55, right=0.12)
+
+
+@pytest.fixture
+def fast_controller(rig):
+    """A controller that lets the tool go as fast as parameters allow, and a hand that moves it further than itself."""
+    from kuka_msgs.srv import setScalingFactor
+
+    def end_controller():
+        rig.signal(CONTROLLER, signal.SIGINT)
+        assert rig.exit_code(CONTROLLER) == 0
+
+    end_controller()
+    rig.set(tcp_speed=0.79)
+    rig.calm()
+    assert rig.call("kuka/scaling_factor", setScalingFactor, 1.5).success
+    yield
+    end_controller()
+    rig.set(tcp_speed=0.6)
+
+
+@on_an_unbroken_stream
+def test_the_safety_stop_at_25_nm(rig):
+    stop_and_recover(rig, push_the_arm, "The external torque of joint 2 is 25.5 Nm (limit 25).")
+
+
+@on_an_unbroken_stream
+def test_the_safety_stop_of_a_fast_tool(rig, fast_controller):
+    stop_and_recover(rig, move_too_fast, "m/s (limit 0.7).")
+
+
+def stop_and_recover(rig, provoke, cause):
+    from std_srvs.srv import Trigger
+
+    rig.follow(right=-0.08)
+    stops = rig.arm.now.stops
+    provoke(rig)
+    rig.wait(lambda: rig.arm.now.safety_stop, "the safety stop")
+    assert cause in rig.arm.now.safety_stop
+    rig.wait(lambda: rig.mode == "stopped", "the controller to notice")
+    rig.wait(lambda: "does not follow, perhaps because of a safety stop" in rig.status.reason, "the reason")
+    rig.wait(lambda: rig.arm.now.speed == 0.0, "the arm to stand")
+    stands = rig.arm.now.time
+
+    if "torque" in cause:
+        assert not rig.call("simulation/release", Trigger).success, "the cause persists"
+        rig.arm.ask("set_external_torque", value=[0.0] * 7)
+    rig.hand.sway(2.0, right=0.08)
+    assert rig.call("simulation/release", Trigger).success
+    rig.watch(1.0)
+    assert not rig.control(True).success, "off and on again is asked for"
+    assert rig.control(False).success
+    rig.watch(0.5)
+    assert rig.arm.way(stands) < STILL and rig.mode == "stopped"
+
+    released = rig.arm.now.time
+    rig.modes.clear()
+    assert rig.control(True).success
+    rig.wait_for_modes("homing", "home", "servo")
+    rig.hand.glide(1.0, right=0.0)
+    rig.settle()
+    np.testing.assert_allclose(rig.arm.now.T_base_tool[:3, 3], rig.commanded[-1][:3, 3], atol=2e-3)
+    assert highest_share_of_joint_speed(rig.arm.since(released)) < 0.3
+    assert rig.arm.now.stops == stops + 1
+
+
+@on_an_unbroken_stream
+def test_a_lost_hand_sends_the_arm_home_and_another_one_is_picked_up_without_a_jump(rig):
+    home = rig.arm.now.q
+    rig.follow(right=-0.08)
+    rig.hand.hide()
+    rig.wait_for_modes("returning", "home")
+    np.testing.assert_allclose(rig.arm.now.q, home, atol=1e-3)
+    assert any(state == "waiting" and "was lost" in said for state, said in rig.stream)
+
+    rig.modes.clear()
+    since = rig.arm.now.time
+    rig.hand.show(right=0.09, up=0.05)
+    rig.wait_for_mode("servo")
+    rig.settle()
+    rig.hand.show(right=-0.09, up=-0.05)
+    rig.wait(lambda: rig.modes.count("pick_up") == 2, "the next hand to be picked up")
+    rig.wait_for_mode("servo")
+    rig.settle()
+    np.testing.assert_allclose(rig.arm.now.T_base_tool[:3, 3], rig.desired[-1][:3, 3], atol=2e-3)
+    assert rig.modes == ["pick_up", "servo", "pick_up", "servo"]
+    assert highest_share_of_joint_speed(rig.arm.since(since)) < 0.3, "pick-up motions run at a quarter of full speed"
+
+
+@on_an_unbroken_stream
+def test_interrupted_the_controller_leaves_servo_mode_and_says_goodbye(rig):
+    rig.follow(right=-0.06)
+    rig.hand.sway(1.0, right=0.06)
+    rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
+    assert (rig.arm.now.mode, rig.arm.now.connected) == ("servo", True)
+    goodbyes = rig.log.count("the client ended the application")
+    rig.signal(CONTROLLER, signal.SIGINT)
+    assert rig.exit_code(CONTROLLER) == 0
+    rig.wait(lambda: not rig.arm.now.connected and rig.arm.now.speed == 0.0, "the end of connection and motion")
+    stands = rig.arm.now.time
+    rig.watch(0.5)
+    assert rig.arm.way(stands) < STILL and rig.arm.now.mode == "idle"
+    assert rig.log.count("the client ended the application") == goodbyes + 1, "`end` was sent"
+    assert "Traceback" not in rig.log
+
+
+@pytest.mark.parametrize("node", [DRIVER, TELEOP])
+def test_a_node_that_is_killed_in_a_stream_sends_the_arm_home(rig, node):
+    home = rig.arm.now.q
+    rig.follow(right=-0.06)
+    rig.hand.sway(1.0, right=0.06)
+    rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
+    rig.signal(node, signal.SIGKILL)
+    rig.wait_for_modes("returning", "home")
+    np.testing.assert_allclose(rig.arm.now.q, home, atol=1e-3)
+    assert "No new desired tool frame came" in rig.log
+    if node == DRIVER:
+        assert rig.stream[-1] == ("waiting", "no tracking frames come in")
+    rig.start(node)
+    rig.wait_for_mode("servo")
