@@ -10,7 +10,7 @@ from common.poses import inverse, translation
 from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig
 from kuka_control.home_pose import Home, custom_home, home_pose
 from kuka_control.kinematics import Kinematics
-from kuka_control.motion_limits import MotionLimits, SpeedLimits
+from kuka_control.motion_limits import MotionLimits, ShapeLimits, SpeedLimits, Unlimited
 from kuka_control.ptp_loop import PtpLoop, PtpSettings
 from kuka_control.real_time_loop import RealTimeLoop, RealTimeSettings
 from kuka_control.robot_model import RobotModel, robot_model
@@ -71,16 +71,29 @@ class Rig:
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     """Returns the real-time control loop."""
-    limits = SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed)
+    limits = motion_limits(config, rig)
     settings = RealTimeSettings(
         q_home=rig.home.q,
         time_out=config.time_out,
         joint_speeds=rig.model.max_speed,
         velocity_home=config.velocity_ptp_slow,
         velocity_return=config.velocity_ptp_fast,
-        servo_joint_speeds=limits.joints,
+        servo_joint_speeds=config.joint_speed * rig.model.max_speed,
+        servo_law=config.servo_law,
+        shaped=config.shaping != "none",
+        lower=rig.model.lower,
+        upper=rig.model.upper,
     )
-    return RealTimeLoop(settings, rig.chain, MotionLimits(limits, lambda q: rig.kinematics.forward(q)[:3, 3]))
+    return RealTimeLoop(settings, rig.chain, limits if settings.shaped else Unlimited())
+
+
+def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
+    """Returns the limits of the stream of servo goals."""
+    return MotionLimits(
+        SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed),
+        ShapeLimits(config.joint_acceleration, config.joint_jerk),
+        lambda q: rig.kinematics.forward(q)[:3, 3],
+    )
 
 
 def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
