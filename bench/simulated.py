@@ -12,7 +12,7 @@ from common.config import parse
 from common.poses import read_only
 from kuka_control import assembly
 from kuka_control.arm import Arm, ArmState
-from kuka_control.commands import End
+from kuka_control.commands import End, Servo
 from kuka_control.config import RealTimeConfig
 from kuka_control.controller import Controller, Inputs
 from kuka_control.stream import Desired
@@ -139,7 +139,7 @@ class SimulatedRig:
         inputs = Inputs(self.newest, CLOCK_S + self.now, control_on, int(control_on))
         self.step = self.controller.cycle(inputs, self.now)
         self.events += [event.sentence for event in self.step.events]
-        if self.controller.in_servo and self.step.mode == "servo":
+        if isinstance(self.step.command, Servo) and self.step.mode == "servo":
             self.times.append(self.now - self.start)
             self.goals.append(self.loop.goal)
             self.sent.append(self.arm.sent)

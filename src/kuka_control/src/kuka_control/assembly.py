@@ -88,10 +88,11 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
 
 
 def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
-    """Returns the limits of the stream of servo goals."""
+    """Returns the limits of the stream of servo goals; faster joints change their speed more quickly in proportion."""
+    pace = rig.model.max_speed / np.min(rig.model.max_speed)
     return MotionLimits(
         SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed),
-        ShapeLimits(config.joint_acceleration, config.joint_jerk),
+        ShapeLimits(config.joint_acceleration * pace, config.joint_jerk * pace),
         lambda q: rig.kinematics.forward(q)[:3, 3],
     )
 

@@ -28,16 +28,22 @@ GAIN_PER_S = 40.0
 EVEN_S = 0.016
 """A change of speed is spread over this time, if the limits do not ask for more [s]."""
 
+LATE_S = 0.04
+"""A change of speed that takes longer than this is held back by the limits of acceleration and jerk [s]."""
+
 BRAKING_SHARE = 0.4
 """Braking before the target is planned with this share of the acceleration; the rest is for what jerk limits cost."""
 
 MAX_CYCLE_S = 0.012
 """No cycle counts for longer, so that a stall of the loop is not made up for [s]."""
 
-LEAD_RAD = (0.06, 0.12)
-"""The goal waits for an arm that falls behind: slower from the first distance to the measured joint on, not further at
-the second [rad]. The servo law of the toolbox goes no faster for a goal that is further away than about 0.1 rad
-(reference: kst.md, 2.5), and an arm with such a way to make up for is too fast when its target slows down."""
+ARM_S = 0.03
+"""An arm with drives of 40 ms is about this far behind its goal [s]."""
+
+LEAD_RAD = (0.015, 0.055)
+"""The goal waits for an arm that falls behind more than that: slower from the first distance on, not further at the
+second [rad]. The servo law of the toolbox goes hardly faster for a goal that is further away (kst.md, 2.5), and an arm
+with such a way to make up for is too fast when its target slows down."""
 
 LOOK_AHEAD_S = 0.005
 """The speed of the tool is taken over the way of this time [s]."""
@@ -57,10 +63,10 @@ class SpeedLimits:
 
 @dataclass(frozen=True)
 class ShapeLimits:
-    """How quickly the stream may change its speed: each joint's acceleration [rad/s^2] and jerk [rad/s^3]."""
+    """How quickly each joint may change its speed, shape (7,): acceleration [rad/s^2] and jerk [rad/s^3]."""
 
-    acceleration: float
-    jerk: float
+    acceleration: np.ndarray
+    jerk: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -98,8 +104,8 @@ class MotionLimits:
         self._trajectory = Trajectory(7)
         self._input = InputParameter(7)
         self._input.control_interface = ControlInterface.Velocity
-        self._input.max_acceleration = [shape.acceleration] * 7
-        self._input.max_jerk = [shape.jerk] * 7
+        self._input.max_acceleration = shape.acceleration.tolist()
+        self._input.max_jerk = shape.jerk.tolist()
         self._input.target_acceleration = [0.0] * 7
         self._input.minimum_duration = EVEN_S
         self.reset(np.zeros(7))
@@ -140,31 +146,33 @@ class MotionLimits:
 
     def _wish(self, error: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, str | None]:
         """Returns the speed at which the target is met, and "joint acceleration" if braking in time holds it down."""
-        far = float(np.max(np.abs(error)))
-        linear = self._braking / GAIN_PER_S**2
+        # In units of what each joint brakes with, distances are squares of times.
+        far = float(np.max(np.abs(error) / self._braking))
+        linear = 1.0 / GAIN_PER_S**2
         if far <= linear:
             return speed + GAIN_PER_S * error, None
-        return speed + (np.sqrt(2.0 * self._braking * (far - 0.5 * linear)) / far) * error, "joint acceleration"
+        return speed + (np.sqrt(2.0 * far - linear) / far) * error, "joint acceleration"
 
     def _allowed(self, wish: np.ndarray, measured: np.ndarray, share: float) -> tuple[np.ndarray, str | None]:
         """Returns the wish slowed down to the limits, and the limit that slows it down most."""
         way = self._tool_position(self._q + LOOK_AHEAD_S * wish) - self._tool_position(self._q)
         fastest = float(np.max(np.abs(wish) / self._speeds.joints)) / share
         tool = float(np.linalg.norm(way)) / (LOOK_AHEAD_S * self._speeds.tool * share)
-        begin, end = LEAD_RAD
-        lead = np.where(wish != 0.0, np.sign(wish) * (self._q - measured), 0.0)
-        room = (end - float(np.max(lead))) / (end - begin)
         factor, limited_by = min(
             (1.0, None),
             (1.0 / max(fastest, 1.0), "joint speed"),
             (1.0 / max(tool, 1.0), "tool speed"),
-            (min(max(room, 0.0), 1.0), "lag of the arm"),
             key=lambda candidate: candidate[0],
         )
-        return factor * wish, limited_by
+        begin, end = LEAD_RAD
+        behind = np.sign(wish) * (self._q - measured) - ARM_S * factor * np.abs(wish)
+        room = (end - float(np.max(behind[wish != 0.0], initial=0.0))) / (end - begin)
+        if room >= 1.0:
+            return factor * wish, limited_by
+        return max(room, 0.0) * factor * wish, "lag of the arm"
 
     def _approach(self, wish: np.ndarray, dt: float) -> bool:
-        """Moves on for dt [s] towards a speed; returns whether acceleration or jerk limits make that take longer."""
+        """Moves on for dt [s] towards a speed; returns whether acceleration or jerk limits hold that back."""
         state = self._input
         state.current_position, state.current_velocity = self._q.tolist(), self._v.tolist()
         state.current_acceleration, state.target_velocity = self._a.tolist(), wish.tolist()
@@ -173,7 +181,7 @@ class MotionLimits:
             raise ArithmeticError(f"no motion from speed {self._v} and acceleration {self._a} to speed {wish}: {result}")
         q, v, a = self._trajectory.at_time(dt)
         self._q, self._v, self._a = read_only(q), np.array(v), np.array(a)
-        return self._trajectory.duration > EVEN_S + 1e-9
+        return self._trajectory.duration > LATE_S
 
 
 class Unlimited:

@@ -24,6 +24,9 @@ from kuka_control.tracking import TrackingMonitor
 CATCH_UP_SHARE = 1.0 / 3.0
 """Share of the speed limits until the arm has caught up with a hand that moved on while the pick-up motion ran."""
 
+CATCH_UP_S = 1.0
+"""From then on the full limits count, also for a hand that does not let itself be caught up with [s]."""
+
 
 @dataclass(frozen=True)
 class RealTimeSettings(LoopSettings):
@@ -58,7 +61,7 @@ class RealTimeLoop(ControlLoop):
         self._monitor = TrackingMonitor()
         self._target_stamp: float | None = None
         self._catching_up = True
-        self._servo_time = 0.0
+        self._servo_time = self._joined = 0.0
         self._fault = ""
         self._refusal: str | None = None
 
@@ -134,7 +137,7 @@ class RealTimeLoop(ControlLoop):
         self._for_lts.reset()
         self._target_stamp = None
         self._catching_up = True
-        self._servo_time = now
+        self._servo_time = self._joined = now
         self._state = self._servoing
         return self._servoing(seen, fresh, now)
 
@@ -171,8 +174,8 @@ class RealTimeLoop(ControlLoop):
         if limited.limited_by is not None:
             self.counts["limited_goals"] += 1
             self._limited_by = (limited.limited_by,)
-        elif self._target_stamp is not None:
-            self._catching_up = False
+        caught_up = limited.limited_by is None and self._target_stamp is not None
+        self._catching_up &= not caught_up and now - self._joined < CATCH_UP_S
         return limited
 
     def _leave_servo(self) -> Command:

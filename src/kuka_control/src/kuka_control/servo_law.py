@@ -6,7 +6,7 @@ distances are worked off ever more slowly. Whoever sends measured joint + f^-1(w
 wanted one. (Source: kst.md, 2.5.)
 
 The joints that are known here are some milliseconds old while the loop uses those of the moment. They are carried on at
-the speed of the goal. What remains is of second order: near the goal f is flat, so an error in them is weakened.
+the speed that the goal had a moment ago. What remains is of second order: near the goal f is flat, so an error in them is weakened.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ NOISE_RAD = 2e-5
 
 CARRIED_S = 0.02
 """Joints are carried on for no longer than this [s]."""
+
+ARM_S = 0.03
+"""The arm is taken to have the speed that its goal had this long ago, on average [s]; for drives of 40 ms."""
 
 
 def lts(error: np.ndarray) -> np.ndarray:
@@ -62,6 +65,7 @@ class LtsGoals:
         """Starts anew, as after a start of servo mode."""
         self._measured: np.ndarray | None = None
         self._age = 0.0
+        self._speed = np.zeros(7)
 
     def step(self, wanted: np.ndarray, speed: np.ndarray, measured: np.ndarray, dt: float) -> np.ndarray:
         """Returns the goal to send, shape (7,) [rad].
@@ -75,5 +79,6 @@ class LtsGoals:
         if measured is not self._measured:
             self._measured, self._age = measured, 0.0
         self._age = min(self._age + max(dt, 0.0), CARRIED_S)
-        carried = measured + np.clip(self._age * speed, -STEP_RAD, STEP_RAD)
+        self._speed = self._speed + (speed - self._speed) * min(max(dt, 0.0) / ARM_S, 1.0)
+        carried = measured + np.clip(self._age * self._speed, -STEP_RAD, STEP_RAD)
         return read_only(np.clip(carried + lts_inverse(wanted - carried), self._lower, self._upper))
