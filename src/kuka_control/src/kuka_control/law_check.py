@@ -74,10 +74,10 @@ class LawCheck:
         self._disturbed |= bool(np.max(np.abs(measured - self._rest)[:6]) > ELSEWHERE_RAD)
         if self._back_at is None:
             return self._outwards(left, now)
-        home = 1.0 - left <= 0.125
-        if home or now - self._back_at > PATIENCE_S:
+        back = now - self._back_at
+        if (back > 2.0 * RAMP_S and 1.0 - left <= 0.125) or back > PATIENCE_S:
             return Checked(self._rest, True, *self._answer())
-        return self._at(1.0 - min((now - self._back_at) / RAMP_S, 1.0))
+        return self._at(1.0 - min(back / RAMP_S, 1.0))
 
     def _outwards(self, left: float, now: float) -> Checked:
         if left <= 0.5 and self._half_at is None:

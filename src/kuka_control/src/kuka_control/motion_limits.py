@@ -25,7 +25,7 @@ from common.poses import read_only
 GAIN_PER_S = 40.0
 """The goal makes up for a small distance to its target with this share of it per second."""
 
-EVEN_S = 0.016
+EVEN_S = 0.012
 """A change of speed is spread over this time, if the limits do not ask for more [s]."""
 
 LATE_S = 0.04
