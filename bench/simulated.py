@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -115,15 +116,16 @@ class SimulatedRig:
         tool: Callable[[float], np.ndarray],
         rate: float = 74.0,
         jitter: Callable[[], float] | None = None,
+        frames_for: float = math.inf,
     ) -> SimulatedRig:
         """Follows a tool frame, shape (4, 4) [m], that is a function of time [s], in frames at `rate` [Hz].
 
-        `jitter` returns how late each frame comes [s].
+        `jitter` returns how late each frame comes [s]; no frames come after `frames_for` [s].
         """
         self._clear()
         self.start = self.now
         frames = []
-        for i in range(int(seconds * rate) + 1):
+        for i in range(int(min(seconds, frames_for) * rate) + 1):
             frames.append((i / rate + (jitter() if jitter else 0.0), i / rate))
         while self.now - self.start < seconds:
             while frames and frames[0][0] <= self.now - self.start + 1e-9:

@@ -40,7 +40,7 @@ MAX_CYCLE_S = 0.012
 ARM_S = 0.03
 """An arm with drives of 40 ms is about this far behind its goal [s]."""
 
-LEAD_RAD = (0.015, 0.055)
+LEAD_RAD = (0.025, 0.055)
 """The goal waits for an arm that falls behind more than that: slower from the first distance on, not further at the
 second [rad]. The servo law of the toolbox goes hardly faster for a goal that is further away (kst.md, 2.5), and an arm
 with such a way to make up for is too fast when its target slows down."""
