@@ -14,6 +14,7 @@ SPEEDS = np.radians([98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0])
 ACCELERATION = 12.0 * SPEEDS / SPEEDS[0]
 JERK = 1000.0 * SPEEDS / SPEEDS[0]
 TCP_SPEED = 0.7
+RANGE = np.full(7, 2.2)
 REST = np.zeros(7)
 WRIST = np.array([0, 0, 0, 0, 0, 0, 1.0])
 DT = 0.004
@@ -29,7 +30,7 @@ def tool_position(q):
 
 
 def limits(start=REST):
-    result = MotionLimits(SpeedLimits(SPEEDS, TCP_SPEED), ShapeLimits(ACCELERATION, JERK), tool_position)
+    result = MotionLimits(SpeedLimits(SPEEDS, TCP_SPEED), ShapeLimits(ACCELERATION, JERK), -RANGE, RANGE, tool_position)
     result.reset(start)
     return result
 
@@ -89,11 +90,11 @@ def test_uneven_cycles_do_not_count_for_longer_than_they_may(dts):
         before = q
 
 
-@given(st.floats(-0.9, 0.9), st.floats(0.002, 0.008))
+@given(st.floats(-0.6, 0.6), st.floats(0.002, 0.006))
 def test_a_steady_target_within_the_limits_is_met_without_lag(share, dt):
     v = share * SPEEDS * WRIST
     follower = limits()
-    for i in range(1, 500):
+    for i in range(-170, 171):
         step = follower.step(v * i * dt, follower.goal, dt, 1.0, v)
     assert step.limited_by is None
     np.testing.assert_allclose(step.q, v * i * dt, atol=1e-5)
@@ -147,6 +148,19 @@ def test_a_goal_that_comes_back_to_the_arm_is_not_held():
 def test_a_share_of_the_limits():
     v = speeds(run(limits(), 2.0 * WRIST, 1.0, share=0.5))
     assert np.max(v[:, 6]) == pytest.approx(0.5 * SPEEDS[6])
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.lists(st.tuples(joints, st.floats(-3.0, 3.0), st.integers(1, 60)), min_size=1, max_size=6))
+def test_no_goal_leaves_the_joint_ranges_also_when_the_target_rushes_at_them(targets):
+    follower = limits()
+    goals = np.concatenate([
+        run(follower, lambda t, q=q, v=v: (np.clip(1.1 * q + v * t, -RANGE, RANGE), np.full(7, v)), n * DT)
+        for q, v, n in targets
+    ])  # fmt: skip
+    assert np.all(np.abs(goals) <= RANGE)
+    v = speeds(goals[np.concatenate([[True], np.any(np.diff(goals, axis=0) != 0.0, axis=1)])])
+    assert np.all(np.abs(np.diff(v, axis=0)) / DT <= 1.01 * ACCELERATION)
 
 
 def test_without_limits_every_target_is_the_goal():

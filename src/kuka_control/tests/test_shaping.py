@@ -39,9 +39,11 @@ def moved(T, shift, turn=None):
     return result
 
 
-def about_x(angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+def about(axis, angle):
+    """The rotation, shape (3, 3), about an axis of the tool; in the home pose y is across the plane of the arm."""
+    x, y, z = np.eye(3)["xyz".index(axis)]
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
 
 
 def darting_hand(T, speed, seed):
@@ -108,7 +110,7 @@ def test_uneven_frames_do_not_shake_the_goal(simulated):
     late = np.random.default_rng(2)
     r.follow(4.0, circle(home(r), 0.06, 0.5), 74.0, lambda: late.uniform(0.0, 0.008))
     acceleration = np.diff(goal_speeds(r), axis=0) / DT
-    assert np.max(np.abs(acceleration[350:])) < 10.0
+    assert np.max(np.abs(acceleration[350:])) < 12.0
 
 
 @pytest.mark.parametrize("hertz", [0.25, 0.5])
@@ -145,44 +147,48 @@ def test_when_frames_stop_the_goal_comes_to_rest_soon(simulated):
     np.testing.assert_array_equal(r.goals[-1], r.goals[-100])
 
 
-def out_and_back(T, way, turn=None, seconds=4.0):
+def out_and_back(T, way, axis, degrees, seconds=4.0):
     """A tool frame that goes a long way out, straight or turning, waits, and comes back."""
 
     def tool(t):
         s = 0.5 - 0.5 * np.cos(np.pi * np.clip(t / seconds, 0.0, 1.0))
         s -= 0.5 - 0.5 * np.cos(np.pi * np.clip((t - seconds - 1.0) / seconds, 0.0, 1.0))
-        return moved(T, s * np.array(way), None if turn is None else about_x(s * turn))
+        return moved(T, s * np.array(way), about(axis, s * np.radians(degrees)))
 
     return tool
 
 
 HARD = {
-    "wrist stretched": ([0.0, 0.0, 0.0], np.radians(-95.0)),
-    "wrist bent over its limit": ([0.0, 0.0, 0.0], np.radians(95.0)),
-    "far out and high": ([0.3, -0.3, 0.2], np.radians(40.0)),
-    "near the shoulder": ([-0.25, 0.25, 0.1], None),
-    "beside the base": ([0.0, 0.5, 0.0], None),
-    "low": ([0.1, 0.1, -0.3], np.radians(-30.0)),
+    "wrist bent to its limit": ([0.0, 0.0, 0.0], "y", 95.0),
+    "wrist bent to its limit, and aside": ([0.0, 0.02, 0.0], "y", 95.0),
+    "wrist and shoulder stretched": ([0.0, 0.0, 0.0], "y", -60.0),
+    "hand turned to its limit": ([0.0, 0.0, 0.0], "z", 170.0),
+    "elbow stretched": ([0.3, -0.3, 0.2], "x", 40.0),
+    "over the shoulder": ([-0.3, 0.3, 0.25], "y", 0.0),
+    "close to the shoulder": ([-0.25, 0.25, 0.1], "x", 0.0),
+    "beside the base": ([0.0, 0.5, 0.0], "x", 0.0),
+    "low": ([0.1, 0.1, -0.3], "x", -30.0),
 }
 
 
 @pytest.mark.parametrize("where", HARD)
 @pytest.mark.parametrize("servo_law", ["none", "lts"])
 def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(simulated, where, servo_law):
-    r = rig(simulated, servo_law=servo_law, opening_angle=170.0, z_lower_limit=0.11, time_out=1.0)
+    wide = dict(opening_angle=170.0, z_lower_limit=0.11, z_upper_limit=0.9, inner_sphere_limit=0.41)
+    home_pos = np.degrees(rig(simulated).rig.home.q).tolist()
+    r = rig(simulated, servo_law=servo_law, time_out=1.0, use_home_pos=True, home_pos=home_pos, **wide)
     T = home(r)
     r.follow(11.0, out_and_back(T, *HARD[where]))
     assert r.step.mode == "servo" and r.joints.stops == 0, r.events[-3:]
     limit = r.config.joint_speed * r.rig.model.max_speed
-    moving = goal_speeds(r)
-    if not r.loop.counts["jumps"]:
-        assert np.all(np.abs(moving) <= 1.01 * limit)
+    unbroken = np.diff(r.times) < 1.5 * DT
+    assert np.all(np.abs(goal_speeds(r)[unbroken]) <= 1.01 * limit)
     assert np.all(np.abs(r.q) <= r.rig.model.upper)
     # No oscillation: while the target waits in its extreme pose the arm rests, and so it does at the end.
     for moment in (4.9, 10.9):
         around = np.abs(r.times - moment) < 0.05
-        assert np.max(np.abs(r.v[around])) < 0.01
-    np.testing.assert_allclose(r.rig.kinematics.forward(r.q[-1])[:3, 3], T[:3, 3], atol=2e-3)
+        assert np.max(np.abs(r.v[around]), initial=0.0) < 0.01
+    np.testing.assert_allclose(r.rig.kinematics.forward(r.q[-1]), T, atol=3e-3)
     turns = np.sum(np.diff(np.sign(np.where(np.abs(r.v) < 0.02, 0.0, r.v)), axis=0) != 0.0, axis=0)
     assert np.max(turns) < 24
 

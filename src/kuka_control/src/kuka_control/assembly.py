@@ -17,6 +17,9 @@ from kuka_control.robot_model import RobotModel, robot_model
 from kuka_control.target import TargetChain
 from kuka_control.workspace import Workspace
 
+RANGE_MARGIN_RAD = float(np.radians(0.1))
+"""Servo goals keep this distance to the ends of the joint ranges, where the robot's controller would end servo mode."""
+
 
 @dataclass(frozen=True)
 class Rig:
@@ -81,8 +84,8 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
         servo_joint_speeds=config.joint_speed * rig.model.max_speed,
         servo_law=config.servo_law,
         shaped=config.shaping != "none",
-        lower=rig.model.lower,
-        upper=rig.model.upper,
+        lower=rig.model.lower + RANGE_MARGIN_RAD,
+        upper=rig.model.upper - RANGE_MARGIN_RAD,
     )
     return RealTimeLoop(settings, rig.chain, limits if settings.shaped else Unlimited())
 
@@ -93,6 +96,8 @@ def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
     return MotionLimits(
         SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed),
         ShapeLimits(config.joint_acceleration * pace, config.joint_jerk * pace),
+        rig.model.lower + RANGE_MARGIN_RAD,
+        rig.model.upper - RANGE_MARGIN_RAD,
         lambda q: rig.kinematics.forward(q)[:3, 3],
     )
 

@@ -76,8 +76,8 @@ class Limited:
     Attributes:
         q: the goal, shape (7,) [rad].
         v: its speed, shape (7,) [rad/s].
-        limited_by: "joint speed", "tool speed", "joint acceleration" or "lag of the arm", what holds the goal back;
-            None while it meets its target as it wishes.
+        limited_by: "joint speed", "tool speed", "joint acceleration", "joint limit" or "lag of the arm", what holds
+            the goal back; None while it meets its target as it wishes.
     """
 
     q: np.ndarray
@@ -91,13 +91,21 @@ class MotionLimits:
     Args:
         speeds: the speed limits.
         shape: limits of acceleration and jerk.
+        lower, upper: joint ranges, shape (7,) [rad], that no goal leaves.
         tool_position: position of the tool point [m], shape (3,), at joints q.
     """
 
     def __init__(
-        self, speeds: SpeedLimits, shape: ShapeLimits, tool_position: Callable[[np.ndarray], np.ndarray]
+        self,
+        speeds: SpeedLimits,
+        shape: ShapeLimits,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        tool_position: Callable[[np.ndarray], np.ndarray],
     ) -> None:
         self._speeds = speeds
+        self._lower = lower
+        self._upper = upper
         self._braking = BRAKING_SHARE * shape.acceleration
         self._tool_position = tool_position
         self._ruckig = Ruckig(7)
@@ -141,8 +149,18 @@ class MotionLimits:
             return Limited(self._q, read_only(self._v), None)
         wish, held_by = self._wish(error, speed)
         allowed, limited_by = self._allowed(wish, measured, share)
-        late = self._approach(allowed, dt)
+        within = np.clip(allowed, -self._speed_within(self._q - self._lower), self._speed_within(self._upper - self._q))
+        if np.max(np.abs(within - allowed)) > AT_REST_RAD_S:
+            limited_by = limited_by or "joint limit"
+        late = self._approach(within, dt)
         return Limited(self._q, read_only(self._v), limited_by or held_by or ("joint acceleration" if late else None))
+
+    def _speed_within(self, room: np.ndarray) -> np.ndarray:
+        """Returns the speeds that can be braked within a room, shape (7,) [rad]."""
+        room = np.maximum(room, 0.0)
+        linear = self._braking / GAIN_PER_S**2
+        fast = np.sqrt(2.0 * self._braking * np.maximum(room - 0.5 * linear, 0.0))
+        return np.where(room <= linear, GAIN_PER_S * room, fast)
 
     def _wish(self, error: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, str | None]:
         """Returns the speed at which the target is met, and "joint acceleration" if braking in time holds it down."""
@@ -180,7 +198,9 @@ class MotionLimits:
         if result not in (Result.Working, Result.Finished):
             raise ArithmeticError(f"no motion from speed {self._v} and acceleration {self._a} to speed {wish}: {result}")
         q, v, a = self._trajectory.at_time(dt)
-        self._q, self._v, self._a = read_only(q), np.array(v), np.array(a)
+        self._q = read_only(np.clip(q, self._lower, self._upper))
+        inside = self._q == q
+        self._v, self._a = np.where(inside, v, 0.0), np.where(inside, a, 0.0)
         return self._trajectory.duration > LATE_S
 
 

@@ -36,8 +36,8 @@ class RealTimeSettings(LoopSettings):
         servo_joint_speeds: limits of the stream of goals, shape (7,) [rad/s].
         servo_law: law of the robot's servo loop that the goals are made for, "lts" or "none".
         shaped: whether the stream of goals is shaped; if not, every target is a goal as it is.
-        lower: least joint angles, shape (7,) [rad].
-        upper: greatest joint angles, shape (7,) [rad].
+        lower: least joint angles of a goal, shape (7,) [rad].
+        upper: greatest joint angles of a goal, shape (7,) [rad].
     """
 
     servo_joint_speeds: np.ndarray
