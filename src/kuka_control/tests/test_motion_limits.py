@@ -112,7 +112,9 @@ def test_a_sine_within_the_limits_is_followed_closely():
 def test_the_result_names_the_limit():
     def named(target, measured=None):
         follower = limits()
-        return {follower.step(target, follower.goal if measured is None else measured, DT).limited_by for _ in range(60)}
+        return {
+            follower.step(target, follower.goal if measured is None else measured, DT).limited_by for _ in range(60)
+        }
 
     assert "joint speed" in named(2.0 * WRIST)
     assert "tool speed" in named(np.array([1.0, 0, 0, 0, 0, 0, 0]))

@@ -40,7 +40,7 @@ MAX_CYCLE_S = 0.012
 ARM_S = 0.03
 """An arm with drives of 40 ms is about this far behind its goal [s]."""
 
-LEAD_RAD = (0.025, 0.055)
+LEAD_RAD = (0.035, 0.065)
 """The goal waits for an arm that falls behind more than that: slower from the first distance on, not further at the
 second [rad]. The servo law of the toolbox goes hardly faster for a goal that is further away (kst.md, 2.5), and an arm
 with such a way to make up for is too fast when its target slows down."""
@@ -196,7 +196,9 @@ class MotionLimits:
         state.current_acceleration, state.target_velocity = self._a.tolist(), wish.tolist()
         result = self._ruckig.calculate(state, self._trajectory)
         if result not in (Result.Working, Result.Finished):
-            raise ArithmeticError(f"no motion from speed {self._v} and acceleration {self._a} to speed {wish}: {result}")
+            raise ArithmeticError(
+                f"no motion from speed {self._v} and acceleration {self._a} to speed {wish}: {result}"
+            )
         q, v, a = self._trajectory.at_time(dt)
         self._q = read_only(np.clip(q, self._lower, self._upper))
         inside = self._q == q

@@ -98,8 +98,11 @@ class RealTimeLoop(ControlLoop):
         elif wanted == checked.law:
             self._say("info", f"The servo law of the robot's controller is {wanted}, as set: {checked.seen}.")
         elif wanted == "none":
-            self._say("info", f"The robot's controller shows the servo law lts ({checked.seen}); with the parameter "
-                              "servo_law: lts the arm would follow closer.")
+            self._say(
+                "info",
+                f"The robot's controller shows the servo law lts ({checked.seen}); with the parameter "
+                "servo_law: lts the arm would follow closer.",
+            )
         else:
             self._refusal = (
                 f"The parameter servo_law is lts, but the robot's controller goes straight for its goals "
