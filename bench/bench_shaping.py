@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from bench.measure import Row, number, row
@@ -42,10 +45,11 @@ def _circle(rate: float, hertz: float, seconds: float) -> list[Row]:
     for shaping in ("ruckig", "none"):
         rig = SimulatedRig(shaping=shaping).at_home()
         home = rig.rig.kinematics.forward(rig.rig.home.q)
-        rig.follow(seconds, lambda t: on_circle(home, hertz, t), rate)
+        tool = partial(on_circle, home, hertz)
+        rig.follow(seconds, tool, rate)
         settled = rig.times > SETTLED_S
         goals = np.array([rig.rig.kinematics.forward(q)[:3, 3] for q in rig.goals[settled]])
-        behind = 1e3 * path_lag(goals, rig.times[settled], lambda t: on_circle(home, hertz, t)[:3, 3], speed)
+        behind = 1e3 * path_lag(goals, rig.times[settled], tool, speed)
         table.append(row(f"lag of the goals, shaping {shaping}", behind, "ms", how))
         jolts = np.abs(np.diff(rig.goals[settled], n=2, axis=0)) / (CYCLES_PER_GOAL * CYCLE_S) ** 2
         table.append(number(f"largest joint acceleration, shaping {shaping}", jolts.max(), "rad/s^2", how))
@@ -53,18 +57,18 @@ def _circle(rate: float, hertz: float, seconds: float) -> list[Row]:
     return [number("lag added by shaping", added, "ms", f"{how}; median, negative: less than without"), *table]
 
 
-def path_lag(points: np.ndarray, times: np.ndarray, wanted, speed: float) -> np.ndarray:
+def path_lag(points: np.ndarray, times: np.ndarray, tool: Callable[[float], np.ndarray], speed: float) -> np.ndarray:
     """Returns how long ago each point was wanted [s]: its distance behind, along the way, by the speed.
 
     Args:
         points: shape (n, 3) [m].
         times: of the points, shape (n,) [s].
-        wanted: position, shape (3,) [m], at a time [s].
+        tool: the tool frame that was wanted, shape (4, 4) [m], at a time [s].
         speed: along the way [m/s].
     """
-    along = np.array([wanted(t + 1e-4) - wanted(t - 1e-4) for t in times])
+    along = np.array([tool(t + 1e-4)[:3, 3] - tool(t - 1e-4)[:3, 3] for t in times])
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return np.sum((np.array([wanted(t) for t in times]) - points) * along, axis=1) / speed
+    return np.sum((np.array([tool(t)[:3, 3] for t in times]) - points) * along, axis=1) / speed
 
 
 def on_circle(home: np.ndarray, hertz: float, t: float) -> np.ndarray:

@@ -40,7 +40,7 @@ def test_noise_is_not_blown_up():
 
 
 def run(wanted, seconds, noise=0.0, late=2):
-    """An arm whose server has the law and whose joints are known `late` cycles late; returns its joints, what was sent."""
+    """An arm whose server has the law and whose joints are known `late` cycles late; returns joints and goals."""
     random = np.random.default_rng(5)
     goals = LtsGoals(-RANGE, RANGE)
     q, readings, joints, sent = np.zeros(7), [np.zeros(7)] * (late + 1), [], []

@@ -75,6 +75,10 @@ def circle(T, radius, hertz):
     return tool
 
 
+def stopping(tool, at):
+    return lambda t: tool(min(t, at))
+
+
 def goal_speeds(rig):
     return np.diff(rig.goals, axis=0) / DT
 
@@ -219,10 +223,10 @@ def test_goals_for_the_lts_law_bring_the_arm_closer_and_rest_with_it(simulated, 
     behind = {}
     for servo_law in ("none", "lts"):
         r = rig(simulated, "lts", servo_law=servo_law)
-        tool = circle(home(r), 0.06, hertz)
-        r.follow(4.0, lambda t: tool(min(t, 3.0)))
+        tool = stopping(circle(home(r), 0.06, hertz), 3.0)
+        r.follow(4.0, tool)
         arm = np.array([r.rig.kinematics.forward(q)[:3, 3] for q in r.q])
-        wanted = np.array([tool(min(t, 3.0))[:3, 3] for t in r.times])
+        wanted = np.array([tool(t)[:3, 3] for t in r.times])
         error = np.linalg.norm(arm - wanted, axis=1)
         behind[servo_law] = np.sqrt(np.mean(error[250:750] ** 2))
         assert np.max(np.abs(r.v[-10:])) < 0.02

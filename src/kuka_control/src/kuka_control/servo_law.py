@@ -6,7 +6,8 @@ distances are worked off ever more slowly. Whoever sends measured joint + f^-1(w
 wanted one. (Source: kst.md, 2.5.)
 
 The joints that are known here are some milliseconds old while the loop uses those of the moment. They are carried on at
-the speed that the goal had a moment ago. What remains is of second order: near the goal f is flat, so an error in them is weakened.
+the speed that the goal had a moment ago. What remains is of second order: near the goal f is flat, so an error in them
+is weakened.
 """
 
 from __future__ import annotations
