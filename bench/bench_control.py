@@ -13,7 +13,6 @@ from kuka_control.arm import Arm, ArmState
 from kuka_control.commands import Servo
 from kuka_control.config import RealTimeConfig
 from kuka_control.controller import Controller, Inputs
-from kuka_control.motion_limits import MotionLimits, SpeedLimits
 from kuka_control.stream import Desired
 
 CLOCK_S = 1.7e9
@@ -82,8 +81,7 @@ def rows(quick: bool) -> list[Row]:
     times, targets = timed(resolve, [(T,) for T in circle])
     table = [row("kuka_control: target chain", times, "us", f"scaling, workspace, IK; {settings}")]
 
-    speeds = SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed)
-    limits = MotionLimits(speeds, lambda q: rig.kinematics.forward(q)[:3, 3])
+    limits = assembly.motion_limits(config, rig)
     limits.reset(rig.home.q)
     times, _ = timed(lambda q: limits.step(q, limits.goal, FRAME_S), [(target.q,) for target in targets])
     table.append(row("kuka_control: motion limits", times, "us", settings))

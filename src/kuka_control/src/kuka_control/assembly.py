@@ -10,12 +10,15 @@ from common.poses import inverse, translation
 from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig
 from kuka_control.home_pose import Home, custom_home, home_pose
 from kuka_control.kinematics import Kinematics
-from kuka_control.motion_limits import MotionLimits, SpeedLimits
+from kuka_control.motion_limits import MotionLimits, ShapeLimits, SpeedLimits, Unlimited
 from kuka_control.ptp_loop import PtpLoop, PtpSettings
 from kuka_control.real_time_loop import RealTimeLoop, RealTimeSettings
 from kuka_control.robot_model import RobotModel, robot_model
 from kuka_control.target import TargetChain
 from kuka_control.workspace import Workspace
+
+RANGE_MARGIN_RAD = float(np.radians(0.1))
+"""Servo goals keep this distance to the ends of the joint ranges, where the robot's controller would end servo mode."""
 
 
 @dataclass(frozen=True)
@@ -71,16 +74,32 @@ class Rig:
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     """Returns the real-time control loop."""
-    limits = SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed)
+    limits = motion_limits(config, rig)
     settings = RealTimeSettings(
         q_home=rig.home.q,
         time_out=config.time_out,
         joint_speeds=rig.model.max_speed,
         velocity_home=config.velocity_ptp_slow,
         velocity_return=config.velocity_ptp_fast,
-        servo_joint_speeds=limits.joints,
+        servo_joint_speeds=config.joint_speed * rig.model.max_speed,
+        servo_law=config.servo_law,
+        shaped=config.shaping != "none",
+        lower=rig.model.lower + RANGE_MARGIN_RAD,
+        upper=rig.model.upper - RANGE_MARGIN_RAD,
     )
-    return RealTimeLoop(settings, rig.chain, MotionLimits(limits, lambda q: rig.kinematics.forward(q)[:3, 3]))
+    return RealTimeLoop(settings, rig.chain, limits if settings.shaped else Unlimited())
+
+
+def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
+    """Returns the limits of the stream of servo goals; faster joints change their speed more quickly in proportion."""
+    pace = rig.model.max_speed / np.min(rig.model.max_speed)
+    return MotionLimits(
+        SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed),
+        ShapeLimits(config.joint_acceleration * pace, config.joint_jerk * pace),
+        rig.model.lower + RANGE_MARGIN_RAD,
+        rig.model.upper - RANGE_MARGIN_RAD,
+        lambda q: rig.kinematics.forward(q)[:3, 3],
+    )
 
 
 def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:

@@ -64,9 +64,13 @@ class RealTimeConfig(ArmConfig):
 
     velocity_ptp_slow: float = number(above=0.0, below=1.0, doc="share of the full joint speed to home and to zero")
     velocity_ptp_fast: float = number(above=0.0, below=1.0, doc="share of the full joint speed at pick-up, time-out")
-    rate_servo: float = number("Hz", low=50.0, high=1000.0, doc="servo goals per second between desired tool frames")
+    rate_servo: float = number("Hz", low=50.0, high=1000.0, doc="servo goals per second, whatever the frames' rate")
+    servo_law: str = choice("none", "lts", doc="law of the robot's servo loop that goals are made for")
+    shaping: str = choice("ruckig", "none", doc="whether the stream keeps the limits, or each target is a goal")
     joint_speed: float = number(above=0.0, high=1.0, doc="limit of the stream, share of the data sheet's joint speeds")
     tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of the stream; at 0.8 the robot stops the arm")
+    joint_acceleration: float = number("rad/s^2", low=1.0, high=16.0, doc="limit of the stream, slowest joint")
+    joint_jerk: float = number("rad/s^3", low=20.0, high=2000.0, doc="limit of the stream, slowest joint")
 
 
 @dataclass(frozen=True)

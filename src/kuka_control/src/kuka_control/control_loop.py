@@ -37,8 +37,11 @@ STANDING_S = 2.0
 STANDING_RAD = float(np.radians(0.02))
 """Joints that moved less than this stand still."""
 
-COUNTED = ("goals_sent", "workspace_clips", "ik_failures", "pickups", "homes", "ptp_motions", "jumps", "faults")
-"""What is counted, among others; these are there from the start."""
+COUNTED = (
+    *("goals_sent", "limited_goals", "workspace_clips", "ik_failures", "refused_frames"),
+    *("pickups", "homes", "ptp_motions", "jumps", "faults"),
+)
+"""What is counted; all are there from the start."""
 
 
 @dataclass(frozen=True)

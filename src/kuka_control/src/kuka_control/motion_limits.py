@@ -1,13 +1,15 @@
-"""Servo goals within the speed limits: how far the goal may go towards its target in one cycle.
+"""Servo goals within limits of speed, acceleration and jerk: where the goal goes in one cycle.
 
-The goal goes straight towards the target in joint space, as fast as the slowest of the limits lets it. A target that
-the limits allow becomes the goal at once, unchanged: then this step adds no lag. Accelerations are not looked at here.
+Two steps. A wish: the speed at which the goal meets its target, that of the target itself and what makes up for the
+distance, no faster than can be braked before the target. The whole wish, all joints by one factor, is slowed down to
+what the joints, the tool and the lag of the arm allow, so that the way stays straight. Then Ruckig turns the present
+speed into the wished one within the limits of acceleration and jerk; it does so evenly over a few cycles where it can.
 
-Targets come at uneven times, in between the target stands still. So a goal may use the time since the goal moved last,
-and a little of what was left over then, and a target that moves slowly enough is not held back for its uneven arrival.
+A target that moves steadily within the limits is met without lag. Since speeds go straight from one allowed wish to the
+next, the speed of the tool stays below its limit on the way too.
 
-The goal also waits for the arm: the servo law of the toolbox goes no faster for a goal that is further away than
-`LEAD_RAD`, and an arm with such a way to make up for is too fast when its target slows down.
+With a tool near a singular pose the joints would have to race; here the slowest joint sets the pace of all, and the
+way back out is as free as the way in.
 """
 
 from __future__ import annotations
@@ -16,18 +18,39 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
 
 from common.poses import read_only
 
-SAVED_S = 0.012
-"""The most time that a single goal may use up [s]; also what a stall of the loop cannot exceed."""
+GAIN_PER_S = 40.0
+"""The goal makes up for a small distance to its target with this share of it per second."""
 
-CARRIED_S = 0.005
-"""The most time that a goal may leave over for the next one [s]; more would let the tool be too fast for a while."""
+EVEN_S = 0.012
+"""A change of speed is spread over this time, if the limits do not ask for more [s]."""
 
-LEAD_RAD = 0.1
-"""How far a goal may be ahead of the measured joint [rad]: there the servo law has reached 97 % of its step
-(reference: kst.md, 2.5)."""
+LATE_S = 0.04
+"""A change of speed that takes longer than this is held back by the limits of acceleration and jerk [s]."""
+
+BRAKING_SHARE = 0.4
+"""Braking before the target is planned with this share of the acceleration; the rest is for what jerk limits cost."""
+
+MAX_CYCLE_S = 0.012
+"""No cycle counts for longer, so that a stall of the loop is not made up for [s]."""
+
+ARM_S = 0.03
+"""An arm with drives of 40 ms is about this far behind its goal [s]."""
+
+LEAD_RAD = (0.035, 0.065)
+"""The goal waits for an arm that falls behind more than that: slower from the first distance on, not further at the
+second [rad]. The servo law of the toolbox goes hardly faster for a goal that is further away (kst.md, 2.5), and an arm
+with such a way to make up for is too fast when its target slows down."""
+
+LOOK_AHEAD_S = 0.005
+"""The speed of the tool is taken over the way of this time [s]."""
+
+AT_REST_RAD = 1e-6
+AT_REST_RAD_S = 1e-4
+"""A goal this close to a target at rest, and this slow, stands on it."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +60,13 @@ class SpeedLimits:
     joints: np.ndarray
     tool: float
 
-    def scaled(self, share: float) -> SpeedLimits:
-        """Returns these limits times `share`."""
-        return SpeedLimits(self.joints * share, self.tool * share)
+
+@dataclass(frozen=True)
+class ShapeLimits:
+    """How quickly each joint may change its speed, shape (7,): acceleration [rad/s^2] and jerk [rad/s^3]."""
+
+    acceleration: np.ndarray
+    jerk: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -48,85 +75,155 @@ class Limited:
 
     Attributes:
         q: the goal, shape (7,) [rad].
-        limited_by: "joint speed", "tool speed" or "lag of the arm", what held the goal back; None when it is the
-            target itself.
+        v: its speed, shape (7,) [rad/s].
+        limited_by: "joint speed", "tool speed", "joint acceleration", "joint limit" or "lag of the arm", what holds
+            the goal back; None while it meets its target as it wishes.
     """
 
     q: np.ndarray
+    v: np.ndarray
     limited_by: str | None
 
 
 class MotionLimits:
-    """Follows a target with limited speed.
+    """Follows a moving target within the limits.
 
     Args:
-        limits: the speed limits.
+        speeds: the speed limits.
+        shape: limits of acceleration and jerk.
+        lower, upper: joint ranges, shape (7,) [rad], that no goal leaves.
         tool_position: position of the tool point [m], shape (3,), at joints q.
     """
 
-    def __init__(self, limits: SpeedLimits, tool_position: Callable[[np.ndarray], np.ndarray]) -> None:
-        self._limits = limits
+    def __init__(
+        self,
+        speeds: SpeedLimits,
+        shape: ShapeLimits,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        tool_position: Callable[[np.ndarray], np.ndarray],
+    ) -> None:
+        self._speeds = speeds
+        self._lower = lower
+        self._upper = upper
+        self._braking = BRAKING_SHARE * shape.acceleration
         self._tool_position = tool_position
-        self._goal = None
-        self._saved = 0.0
+        self._ruckig = Ruckig(7)
+        self._trajectory = Trajectory(7)
+        self._input = InputParameter(7)
+        self._input.control_interface = ControlInterface.Velocity
+        self._input.max_acceleration = shape.acceleration.tolist()
+        self._input.max_jerk = shape.jerk.tolist()
+        self._input.target_acceleration = [0.0] * 7
+        self._input.minimum_duration = EVEN_S
+        self.reset(np.zeros(7))
 
     def reset(self, q: np.ndarray) -> None:
         """Starts from the joints q, at rest."""
-        self._goal = read_only(q)
-        self._saved = 0.0
+        self._q = read_only(q)
+        self._v = self._a = np.zeros(7)
 
     @property
     def goal(self) -> np.ndarray:
         """The last goal, shape (7,) [rad]."""
-        return self._goal
+        return self._q
 
-    def step(self, target: np.ndarray, measured: np.ndarray, dt: float, share: float = 1.0) -> Limited:
+    def step(
+        self, target: np.ndarray, measured: np.ndarray, dt: float, share: float = 1.0, speed: np.ndarray | None = None
+    ) -> Limited:
         """Returns the goal after the next `dt` seconds.
 
         Args:
-            target: joints to reach, shape (7,) [rad].
+            target: joints to be met then, shape (7,) [rad].
             measured: joints of the arm, shape (7,) [rad].
             dt: time since the last call [s].
             share: of the speed limits that counts now, (0, 1].
+            speed: of the target, shape (7,) [rad/s]; at rest where left out.
         """
-        self._saved = min(self._saved + max(dt, 0.0), SAVED_S)
-        if np.array_equal(target, self._goal):
-            return Limited(self._goal, None)
-        limits = self._limits.scaled(share)
-        step = target - self._goal
-        needed = max(float(np.max(np.abs(step) / limits.joints)), self._way(target) / limits.tool)
-        part, limited_by = min(
-            (1.0, None) if needed <= self._saved else self._part(step, limits),
-            (self._room(step, measured), "lag of the arm"),
+        dt = min(max(dt, 0.0), MAX_CYCLE_S)
+        speed = np.zeros(7) if speed is None else speed
+        error = target - self._q - dt * self._v
+        at_rest = not np.any(speed) and np.max(np.abs(self._v)) < AT_REST_RAD_S
+        if at_rest and np.max(np.abs(target - self._q)) < AT_REST_RAD:
+            self.reset(target)
+            return Limited(self._q, read_only(self._v), None)
+        wish, held_by = self._wish(error, speed)
+        allowed, limited_by = self._allowed(wish, measured, share)
+        within = np.clip(allowed, -self._speed_within(self._q - self._lower), self._speed_within(self._upper - self._q))
+        if np.max(np.abs(within - allowed)) > AT_REST_RAD_S:
+            limited_by = limited_by or "joint limit"
+        late = self._approach(within, dt)
+        return Limited(self._q, read_only(self._v), limited_by or held_by or ("joint acceleration" if late else None))
+
+    def _speed_within(self, room: np.ndarray) -> np.ndarray:
+        """Returns the speeds that can be braked within a room, shape (7,) [rad]."""
+        room = np.maximum(room, 0.0)
+        linear = self._braking / GAIN_PER_S**2
+        fast = np.sqrt(2.0 * self._braking * np.maximum(room - 0.5 * linear, 0.0))
+        return np.where(room <= linear, GAIN_PER_S * room, fast)
+
+    def _wish(self, error: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, str | None]:
+        """Returns the speed at which the target is met, and "joint acceleration" if braking in time holds it down."""
+        # In units of what each joint brakes with, distances are squares of times.
+        far = float(np.max(np.abs(error) / self._braking))
+        linear = 1.0 / GAIN_PER_S**2
+        if far <= linear:
+            return speed + GAIN_PER_S * error, None
+        return speed + (np.sqrt(2.0 * far - linear) / far) * error, "joint acceleration"
+
+    def _allowed(self, wish: np.ndarray, measured: np.ndarray, share: float) -> tuple[np.ndarray, str | None]:
+        """Returns the wish slowed down to the limits, and the limit that slows it down most."""
+        way = self._tool_position(self._q + LOOK_AHEAD_S * wish) - self._tool_position(self._q)
+        fastest = float(np.max(np.abs(wish) / self._speeds.joints)) / share
+        tool = float(np.linalg.norm(way)) / (LOOK_AHEAD_S * self._speeds.tool * share)
+        factor, limited_by = min(
+            (1.0, None),
+            (1.0 / max(fastest, 1.0), "joint speed"),
+            (1.0 / max(tool, 1.0), "tool speed"),
             key=lambda candidate: candidate[0],
         )
-        if limited_by is None:
-            self._saved = min(self._saved - needed, CARRIED_S)
-            self._goal = read_only(target)
-        else:
-            self._saved = 0.0
-            self._goal = read_only(self._goal + part * step)
-        return Limited(self._goal, limited_by)
+        begin, end = LEAD_RAD
+        behind = np.sign(wish) * (self._q - measured) - ARM_S * factor * np.abs(wish)
+        room = (end - float(np.max(behind[wish != 0.0], initial=0.0))) / (end - begin)
+        if room >= 1.0:
+            return factor * wish, limited_by
+        return max(room, 0.0) * factor * wish, "lag of the arm"
 
-    def _part(self, step: np.ndarray, limits: SpeedLimits) -> tuple[float, str]:
-        """Returns the part of the step that the speed limits allow in the saved time, and which limit it was."""
-        if self._saved <= 0.0:
-            return 0.0, "joint speed"
-        part = min(self._saved / float(np.max(np.abs(step) / limits.joints)), 1.0)
-        excess = self._way(self._goal + part * step) / (limits.tool * self._saved)
-        if excess <= 1.0:
-            return part, "joint speed"
-        # The way of the tool is not quite proportional to that of the joints: a second look takes the rest back.
-        part /= excess
-        return part / max(self._way(self._goal + part * step) / (limits.tool * self._saved), 1.0), "tool speed"
+    def _approach(self, wish: np.ndarray, dt: float) -> bool:
+        """Moves on for dt [s] towards a speed; returns whether acceleration or jerk limits hold that back."""
+        state = self._input
+        state.current_position, state.current_velocity = self._q.tolist(), self._v.tolist()
+        state.current_acceleration, state.target_velocity = self._a.tolist(), wish.tolist()
+        result = self._ruckig.calculate(state, self._trajectory)
+        if result not in (Result.Working, Result.Finished):
+            raise ArithmeticError(
+                f"no motion from speed {self._v} and acceleration {self._a} to speed {wish}: {result}"
+            )
+        q, v, a = self._trajectory.at_time(dt)
+        self._q = read_only(np.clip(q, self._lower, self._upper))
+        inside = self._q == q
+        self._v, self._a = np.where(inside, v, 0.0), np.where(inside, a, 0.0)
+        return self._trajectory.duration > LATE_S
 
-    def _room(self, step: np.ndarray, measured: np.ndarray) -> float:
-        """Returns the part of the step after which the first joint is LEAD_RAD ahead of the arm."""
-        way = np.abs(step)
-        allowed = np.maximum(LEAD_RAD - np.sign(step) * (self._goal - measured), 0.0)
-        held = way > allowed
-        return float(np.min(allowed[held] / way[held])) if np.any(held) else 1.0
 
-    def _way(self, q: np.ndarray) -> float:
-        """Returns the distance [m] from the tool at the last goal to the tool at q."""
-        return float(np.linalg.norm(self._tool_position(q) - self._tool_position(self._goal)))
+class Unlimited:
+    """Passes every target on as it is, as the original did; the arm may be stopped for it."""
+
+    def __init__(self) -> None:
+        self.reset(np.zeros(7))
+
+    def reset(self, q: np.ndarray) -> None:
+        """Starts from the joints q."""
+        self._q = read_only(q)
+
+    @property
+    def goal(self) -> np.ndarray:
+        """The last goal, shape (7,) [rad]."""
+        return self._q
+
+    def step(
+        self, target: np.ndarray, measured: np.ndarray, dt: float, share: float = 1.0, speed: np.ndarray | None = None
+    ) -> Limited:
+        """Returns the target; the arguments are those of `MotionLimits.step`."""
+        self._q = read_only(target)
+        return Limited(self._q, np.zeros(7), None)

@@ -1,4 +1,8 @@
-"""The real-time algorithm: pick the desired tool frame up by a PTP motion, then follow it by servo goals."""
+"""The real-time algorithm: pick the desired tool frame up by a PTP motion, then follow it by servo goals.
+
+Before the first stream a small motion at home tells which servo law the robot's controller has (law_check.py). Goals
+that are meant for another law would be wrong by far, so then the controller ends without having followed anything.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +13,19 @@ import numpy as np
 from kuka_control.commands import Command, Observation, Servo, StartServo, StopServo
 from kuka_control.control_loop import ControlLoop, LoopSettings
 from kuka_control.jump import TOLERANCE_RAD, is_jump
-from kuka_control.motion_limits import MotionLimits
+from kuka_control.law_check import Checked, LawCheck
+from kuka_control.motion_limits import Limited, MotionLimits, Unlimited
+from kuka_control.servo_law import LtsGoals
 from kuka_control.stream import Desired
 from kuka_control.target import Target, TargetChain
+from kuka_control.target_motion import Moving, TargetMotion
 from kuka_control.tracking import TrackingMonitor
 
 CATCH_UP_SHARE = 1.0 / 3.0
 """Share of the speed limits until the arm has caught up with a hand that moved on while the pick-up motion ran."""
+
+CATCH_UP_S = 1.0
+"""From then on the full limits count, also for a hand that does not let itself be caught up with [s]."""
 
 
 @dataclass(frozen=True)
@@ -24,23 +34,85 @@ class RealTimeSettings(LoopSettings):
 
     Attributes:
         servo_joint_speeds: limits of the stream of goals, shape (7,) [rad/s].
+        servo_law: law of the robot's servo loop that the goals are made for, "lts" or "none".
+        shaped: whether the stream of goals is shaped; if not, every target is a goal as it is.
+        lower: least joint angles of a goal, shape (7,) [rad].
+        upper: greatest joint angles of a goal, shape (7,) [rad].
     """
 
     servo_joint_speeds: np.ndarray
+    servo_law: str
+    shaped: bool
+    lower: np.ndarray
+    upper: np.ndarray
 
 
 class RealTimeLoop(ControlLoop):
     """Follows the desired tool frame in servo mode."""
 
-    def __init__(self, settings: RealTimeSettings, chain: TargetChain, limits: MotionLimits) -> None:
+    def __init__(self, settings: RealTimeSettings, chain: TargetChain, limits: MotionLimits | Unlimited) -> None:
         super().__init__(settings, chain)
         self._limits = limits
+        self._motion_of_target = TargetMotion(settings.lower, settings.upper)
+        self._for_lts = LtsGoals(settings.lower, settings.upper)
+        self._lts = False
+        self._check: LawCheck | None = None
+        self._checked = False
         self._monitor = TrackingMonitor()
-        self._target: np.ndarray | None = None
         self._target_stamp: float | None = None
         self._catching_up = True
-        self._servo_time = 0.0
+        self._servo_time = self._joined = 0.0
         self._fault = ""
+        self._refusal: str | None = None
+
+    @property
+    def goal(self) -> np.ndarray:
+        """The joints where the stream is, shape (7,) [rad]; what is sent may differ for the servo law."""
+        return self._limits.goal
+
+    def _home(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
+        if self._checked or self._leaving(seen):
+            return super()._home(seen, fresh, now)
+        self._enter("homing", self._checking, "The arm is at home; a small motion of joint 7 shows its servo law.")
+        self._check = None
+        return StartServo()
+
+    def _checking(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
+        if self._check is None:
+            self._check = LawCheck(seen.joints)
+        checked = self._check.step(seen.joints, now)
+        if not (checked.done or self._leaving(seen)):
+            return Servo(checked.goal)
+        self._state = self._after_check
+        if checked.done:
+            self._judge(checked)
+        return StopServo()
+
+    def _judge(self, checked: Checked) -> None:
+        wanted = self._settings.servo_law
+        self._checked = True
+        self._lts = wanted == checked.law == "lts"
+        if checked.law is None:
+            without = " Goals are sent as for servo_law none." if wanted == "lts" else ""
+            self._say("warn", f"The servo law of the robot's controller is unclear: {checked.seen}.{without}")
+        elif wanted == checked.law:
+            self._say("info", f"The servo law of the robot's controller is {wanted}, as set: {checked.seen}.")
+        elif wanted == "none":
+            self._say(
+                "info",
+                f"The robot's controller shows the servo law lts ({checked.seen}); with the parameter "
+                "servo_law: lts the arm would follow closer.",
+            )
+        else:
+            self._refusal = (
+                f"The parameter servo_law is lts, but the robot's controller goes straight for its goals "
+                f"({checked.seen}); with lts they would be far too large. Set servo_law: none."
+            )
+
+    def _after_check(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
+        if self._refusal is not None:
+            return self._end(self._refusal)
+        return super()._home(seen, fresh, now)
 
     def _follow(self, seen: Observation, target: Target, now: float) -> Command:
         if np.max(np.abs(target.q - seen.joints)) <= TOLERANCE_RAD:
@@ -64,9 +136,11 @@ class RealTimeLoop(ControlLoop):
         """The first step in servo mode: everything starts from where the arm is."""
         self._limits.reset(seen.joints)
         self._monitor.reset()
-        self._target, self._target_stamp = seen.joints, None
+        self._motion_of_target.reset(seen.joints)
+        self._for_lts.reset()
+        self._target_stamp = None
         self._catching_up = True
-        self._servo_time = now
+        self._servo_time = self._joined = now
         self._state = self._servoing
         return self._servoing(seen, fresh, now)
 
@@ -80,25 +154,32 @@ class RealTimeLoop(ControlLoop):
             return Servo(seen.joints)
         stamp = None
         if fresh is not None:
-            target = self._resolve(seen, fresh, self._target)
+            target = self._resolve(seen, fresh, self._motion_of_target.q)
             if self._leaving(seen):
                 return self._leave_servo()
-            if target is not None:
-                if self._jumped(target.q, fresh.stamp):
-                    self.counts["jumps"] += 1
-                    self._because = "The desired tool frame jumped."
-                    return self._leave_servo()
-                self._target, self._target_stamp = target.q, fresh.stamp
-                stamp = fresh.stamp
+            if target is None:
+                self._motion_of_target.hold()
+            elif self._jumped(target.q, fresh.stamp):
+                self.counts["jumps"] += 1
+                self._because = "The desired tool frame jumped."
+                return self._leave_servo()
+            else:
+                self._motion_of_target.take(target.q, fresh.stamp, now)
+                stamp = self._target_stamp = fresh.stamp
+        dt, self._servo_time = now - self._servo_time, now
+        return self._goal(self._limited(seen, now, dt), seen, dt, stamp)
+
+    def _limited(self, seen: Observation, now: float, dt: float) -> Limited:
+        motion = self._motion_of_target
+        target = motion.at(now) if self._settings.shaped else Moving(motion.q, np.zeros(7))
         share = CATCH_UP_SHARE if self._catching_up else 1.0
-        limited = self._limits.step(self._target, seen.joints, now - self._servo_time, share)
-        self._servo_time = now
+        limited = self._limits.step(target.q, seen.joints, dt, share, target.v)
         if limited.limited_by is not None:
             self.counts["limited_goals"] += 1
             self._limited_by = (limited.limited_by,)
-        elif self._target_stamp is not None:
-            self._catching_up = False
-        return self._goal(limited.q, stamp)
+        caught_up = limited.limited_by is None and self._target_stamp is not None
+        self._catching_up &= not caught_up and now - self._joined < CATCH_UP_S
+        return limited
 
     def _leave_servo(self) -> Command:
         mode = "pick_up" if self._home_at is None else "returning"
@@ -113,8 +194,10 @@ class RealTimeLoop(ControlLoop):
     def _jumped(self, q: np.ndarray, stamp: float) -> bool:
         if self._target_stamp is None:
             return False
-        return is_jump(self._target, q, stamp - self._target_stamp, self._settings.servo_joint_speeds)
+        speeds = self._settings.servo_joint_speeds
+        return is_jump(self._motion_of_target.q, q, stamp - self._target_stamp, speeds)
 
-    def _goal(self, q: np.ndarray, stamp: float | None = None) -> Command:
+    def _goal(self, limited: Limited, seen: Observation, dt: float, stamp: float | None) -> Command:
         self.counts["goals_sent"] += 1
+        q = self._for_lts.step(limited.q, limited.v, seen.joints, dt) if self._lts else limited.q
         return Servo(q, stamp)

@@ -55,7 +55,7 @@ class TargetChain:
         if isinstance(constrained, Infeasible):
             return constrained
         T_base_tool = read_only(pose(T_base_desired[:3, :3], constrained.position))
-        result = self._kinematics.inverse(T_base_tool, near=near)
+        result = self._kinematics.inverse(T_base_tool, near=near, keep_branch=True)
         return Target(
             result.q,
             T_base_tool,

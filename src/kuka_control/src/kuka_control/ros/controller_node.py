@@ -37,6 +37,9 @@ CONNECT_RETRY_S = 0.5
 SWITCH_INTERVAL_S = 5e-4
 """How long the control loop waits at most for another thread of this process [s]."""
 
+SHUTDOWN_S = 0.5
+"""A lost connection is no fault if ROS is to shut down within this time [s]."""
+
 
 def real_time_main() -> None:
     """The node kuka_real_time_node."""
@@ -120,6 +123,9 @@ class _Node:
             if not rospy.core.is_shutdown_requested():  # then the topics close during a cycle
                 raise
         except DeviceError as error:
+            if _ends_soon():
+                rospy.loginfo("The robot's controller ended while this controller shut down: %s.", error)
+                return
             raise DeviceError(
                 f"The robot is out of reach: {error}. Start MatlabToolboxServer on the smartPad again, "
                 "then this controller."
@@ -160,10 +166,21 @@ class _Node:
 
     def _diagnosis(self):
         step = self._step
+        counts = {**self._loop.counts, "missed_answers": self._controller.missed}
         if step is None:
-            return DiagnosticStatus.OK, "starting", {}
+            return DiagnosticStatus.OK, "starting", {"mode": "starting", **counts}
         level = DiagnosticStatus.ERROR if self._loop.stopped_because else DiagnosticStatus.OK
-        return level, step.reason, {"mode": step.mode, **self._loop.counts, "missed_answers": self._controller.missed}
+        return level, step.reason, {"mode": step.mode, **counts}
+
+
+def _ends_soon() -> bool:
+    """Returns whether ROS shuts down: when all is ended at once, the robot's controller may be gone a moment before."""
+    deadline = time.monotonic() + SHUTDOWN_S
+    while not rospy.core.is_shutdown_requested() and not rospy.is_shutdown():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
 
 
 def _log(event: Event) -> None:

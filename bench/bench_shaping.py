@@ -1,0 +1,94 @@
+"""What shaping costs and what it spares, and how far the arm is behind. Simulated time: the same on every machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from bench.measure import Row, number, row
+from bench.simulated import CYCLES_PER_GOAL, SimulatedRig
+from common.poses import pose
+from kuka_control.servo_law import LtsGoals
+from rig_simulation.sunrise.arm import Arm, ArmSettings
+from rig_simulation.sunrise.description import read_urdf
+from rig_simulation.sunrise.robot import Robot
+from rig_simulation.sunrise.servo import CYCLE_S
+
+RAMPS_RAD_S = (0.02, 0.1, 0.5)
+RADIUS_M = 0.06
+SETTLED_S = 2.0
+RATES_HZ = (74.0, 115.0)
+
+
+def rows(quick: bool) -> list[Row]:
+    """Returns the lag that shaping adds, the largest acceleration of the goals, and the lag of the arm by servo law."""
+    seconds = 3.0 if quick else 6.0
+    table = []
+    for rate in RATES_HZ:
+        for hertz in (0.25, 0.5, 1.0):
+            table += _circle(rate, hertz, seconds)
+    robot = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
+    for speed in RAMPS_RAD_S:
+        for servo_law in ("none", "lts"):
+            behind = lag(Arm(robot, ArmSettings(servo_law="lts")), servo_law, speed, min(seconds, 4.0))
+            how = f"one joint, law lts in the controller, behind the ramp itself; {1e3 * np.median(behind):.2f} mrad"
+            table.append(row(f"lag behind {speed:g} rad/s, servo_law {servo_law}", 1e3 * behind / speed, "ms", how))
+    return table
+
+
+def _circle(rate: float, hertz: float, seconds: float) -> list[Row]:
+    speed = 2.0 * np.pi * hertz * RADIUS_M
+    how = f"circle at {speed:.2f} m/s, frames at {rate:g} Hz"
+    table = []
+    for shaping in ("ruckig", "none"):
+        rig = SimulatedRig(shaping=shaping).at_home()
+        home = rig.rig.kinematics.forward(rig.rig.home.q)
+        tool = partial(on_circle, home, hertz)
+        rig.follow(seconds, tool, rate)
+        settled = rig.times > SETTLED_S
+        goals = np.array([rig.rig.kinematics.forward(q)[:3, 3] for q in rig.goals[settled]])
+        behind = 1e3 * path_lag(goals, rig.times[settled], tool, speed)
+        table.append(row(f"lag of the goals, shaping {shaping}", behind, "ms", how))
+        jolts = np.abs(np.diff(rig.goals[settled], n=2, axis=0)) / (CYCLES_PER_GOAL * CYCLE_S) ** 2
+        table.append(number(f"largest joint acceleration, shaping {shaping}", jolts.max(), "rad/s^2", how))
+    added = table[0].median - table[2].median
+    return [number("lag added by shaping", added, "ms", f"{how}; median, negative: less than without"), *table]
+
+
+def path_lag(points: np.ndarray, times: np.ndarray, tool: Callable[[float], np.ndarray], speed: float) -> np.ndarray:
+    """Returns how long ago each point was wanted [s]: its distance behind, along the way, by the speed.
+
+    Args:
+        points: shape (n, 3) [m].
+        times: of the points, shape (n,) [s].
+        tool: the tool frame that was wanted, shape (4, 4) [m], at a time [s].
+        speed: along the way [m/s].
+    """
+    along = np.array([tool(t + 1e-4)[:3, 3] - tool(t - 1e-4)[:3, 3] for t in times])
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.sum((np.array([tool(t)[:3, 3] for t in times]) - points) * along, axis=1) / speed
+
+
+def on_circle(home: np.ndarray, hertz: float, t: float) -> np.ndarray:
+    """Returns the tool frame, shape (4, 4) [m], that starts at home, smoothly within the first second."""
+    angle = 2.0 * np.pi * hertz * (t if t > 1.0 else t * t * (2.0 - t))
+    return pose(home[:3, :3], home[:3, 3] + RADIUS_M * np.array([0.0, np.sin(angle), 1.0 - np.cos(angle)]))
+
+
+def lag(arm: Arm, servo_law: str, speed: float, seconds: float) -> np.ndarray:
+    """Returns how far joint 7 is behind its ramp after each cycle, once it has settled [rad]."""
+    arm.start_servo()
+    goals = LtsGoals(arm.robot.lower, arm.robot.upper)
+    measured, behind = arm.q, []
+    for cycle in range(round(seconds / CYCLE_S)):
+        if cycle % CYCLES_PER_GOAL == 0:
+            wanted, v = np.zeros(7), np.zeros(7)
+            wanted[6], v[6] = speed * cycle * CYCLE_S, speed
+            sent = goals.step(wanted, v, measured, CYCLES_PER_GOAL * CYCLE_S)
+            measured = arm.q
+            arm.goal = sent if servo_law == "lts" else wanted
+        arm.step(CYCLE_S)
+        behind.append(speed * (cycle + 1) * CYCLE_S - arm.q[6])
+    return np.array(behind[round(SETTLED_S / CYCLE_S) :])

@@ -1,0 +1,59 @@
+"""The small motion at home tells the two laws of the server apart, or says that it cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kuka_control.law_check import TURN_RAD, LawCheck
+from kuka_control.servo_law import lts
+
+HOME = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
+DT = 0.004
+
+
+def run(law, arm_s=0.027, home=HOME, noise=0.0, late=1, push=None):
+    random = np.random.default_rng(3)
+    check, q, readings, goals = LawCheck(home), home, [home] * (late + 1), []
+    for i in range(3000):
+        checked = check.step(readings[-1 - late], i * DT)
+        goals.append(checked.goal)
+        for _ in range(4):
+            q = q + 0.25 * DT / arm_s * law(checked.goal - q)
+        if push is not None:
+            q = q + push
+        readings.append(q + noise * random.uniform(-1.0, 1.0, 7))
+        if checked.done:
+            return checked, np.array(goals), q
+    raise AssertionError("the check does not end")
+
+
+@pytest.mark.parametrize("arm_s", [0.01, 0.02, 0.027, 0.04])
+@pytest.mark.parametrize("noise", [0.0, 5e-5])
+def test_both_laws_are_told_apart_with_fast_and_slow_drives(arm_s, noise):
+    assert run(lts, arm_s, noise=noise)[0].law == "lts"
+    assert run(lambda e: e, arm_s, noise=noise)[0].law == "none"
+
+
+@pytest.mark.parametrize("joint_7", [-3.0, 0.0, 3.0])
+def test_only_joint_7_moves_by_half_a_degree_away_from_its_limit_and_back(joint_7):
+    home = HOME.copy()
+    home[6] = joint_7
+    checked, goals, q = run(lts, home=home)
+    np.testing.assert_array_equal(goals[:, :6], np.tile(home[:6], (len(goals), 1)))
+    assert np.max(np.abs(goals[:, 6] - joint_7)) == pytest.approx(TURN_RAD)
+    assert np.all(np.abs(goals[:, 6]) <= abs(joint_7) + (TURN_RAD if joint_7 == 0.0 else 1e-12))
+    np.testing.assert_array_equal(goals[-1], home)
+    assert np.max(np.abs(q - home)) < np.radians(0.07)
+
+
+def test_an_arm_that_stands_or_is_pushed_gives_no_answer():
+    standing, _, _ = run(lambda e: 0.0 * e)
+    assert standing.law is None and "did not get through" in standing.seen
+    pushed, _, _ = run(lts, push=np.array([1e-4, 0, 0, 0, 0, 0, 0]))
+    assert pushed.law is None and "not to move" in pushed.seen
+
+
+def test_between_the_two_the_answer_is_unclear():
+    checked, _, _ = run(lambda e: 0.3 * e)
+    assert checked.law is None and "0.1" in checked.seen
