@@ -18,6 +18,7 @@ from kuka_control.workspace import Workspace
 
 MODELS = [robot_model("LBR7R800", "MF_elektrisch"), robot_model("LBR14R820", "MF_touch_pneumatisch")]
 TOOL_LENGTH = 0.106
+TOOL = translation(0.0, 0.0, TOOL_LENGTH)
 CUSTOM = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
 
 
@@ -58,7 +59,7 @@ def check(home, model, workspace, tool_length):
 @given(heading=st.floats(-math.pi, math.pi), tool_length=st.floats(0.0, 0.2), size=st.floats(0.01, 100.0))
 def test_every_direction_and_tool(model, heading, tool_length, size):
     workspace = workspace_of(model, [size * math.cos(heading), size * math.sin(heading), 0.0])
-    home = home_pose(model, workspace, tool_length)
+    home = home_pose(model, workspace, translation(0.0, 0.0, tool_length))
     check(home, model, workspace, tool_length)
     sign = 1.0 if workspace.center_line[0] >= 0.0 else -1.0
     assert np.array_equal(np.sign(home.q[[1, 3, 5]]), [sign, -sign, sign])
@@ -81,7 +82,7 @@ def test_every_direction_and_tool(model, heading, tool_length, size):
 )
 def test_which_way_joint_1_turns_and_the_arm_leans(model, center_line, joint_1, signs):
     workspace = workspace_of(model, np.array(center_line, dtype=float))
-    home = home_pose(model, workspace, TOOL_LENGTH)
+    home = home_pose(model, workspace, TOOL)
     check(home, model, workspace, TOOL_LENGTH)
     assert math.degrees(home.q[0]) == pytest.approx(joint_1, abs=1e-6)
     assert tuple(np.sign(home.q[[1, 3, 5]])) == signs
@@ -89,7 +90,7 @@ def test_which_way_joint_1_turns_and_the_arm_leans(model, center_line, joint_1, 
 
 def test_home_of_the_default_parameters():
     model = MODELS[0]
-    home = home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH)
+    home = home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL)
     np.testing.assert_allclose(np.degrees(home.q), (-45.0, 29.593, 0.0, -63.391, 0.0, 87.016, 0.0), atol=1e-3)
     np.testing.assert_allclose(home.centre, (0.42214, -0.42214, 0.4), atol=1e-5)
 
@@ -97,8 +98,8 @@ def test_home_of_the_default_parameters():
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 @pytest.mark.parametrize("center_line", [[1.0, -1.0, 0.0], [-1.0, 0.2, 0.0]])
 def test_inverse_kinematics_starts_from_home_without_a_step(model, center_line):
-    home = home_pose(model, workspace_of(model, center_line), TOOL_LENGTH)
-    arm = Kinematics(model, translation(0.0, 0.0, TOOL_LENGTH))
+    home = home_pose(model, workspace_of(model, center_line), TOOL)
+    arm = Kinematics(model, TOOL)
     result = arm.inverse(home.T_base_tool, home.q)
     np.testing.assert_allclose(result.q, home.q, atol=1e-9)
     assert result.arm_angle == pytest.approx(0.0, abs=1e-9)
@@ -107,7 +108,7 @@ def test_inverse_kinematics_starts_from_home_without_a_step(model, center_line):
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 def test_tool_that_is_too_long_is_named(model):
     with pytest.raises(HomeError, match=r"out of reach: with a tool of 0\.6 m .* probably the tool is too long"):
-        home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), 0.6)
+        home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), translation(0.0, 0.0, 0.6))
 
 
 def test_joint_out_of_range_is_named():
@@ -117,7 +118,7 @@ def test_joint_out_of_range_is_named():
     with pytest.raises(
         HomeError, match=r"needs joint 6 at 12\d\.\d deg \(range -120 to 120 deg\); probably the tool is"
     ):
-        home_pose(model, high, 0.16)
+        home_pose(model, high, translation(0.0, 0.0, 0.16))
 
 
 def test_settings_that_can_be_reached_lead_home_and_others_are_refused():
@@ -137,7 +138,7 @@ def test_settings_that_can_be_reached_lead_home_and_others_are_refused():
         )
         tool_length = rng.uniform(0.0, 0.4)
         try:
-            home = home_pose(model, workspace, tool_length)
+            home = home_pose(model, workspace, translation(0.0, 0.0, tool_length))
         except HomeError:
             refused += 1
             continue
@@ -150,7 +151,7 @@ def test_custom_home_is_where_its_joints_bring_the_tool():
     model = MODELS[0]
     workspace = workspace_of(model, [1.0, -1.0, 0.0])
     q = CUSTOM + np.radians([5.0, 5.0, 0.0, 5.0, 3.0, 0.0, 10.0])
-    home = custom_home(model, workspace, TOOL_LENGTH, q)
+    home = custom_home(model, workspace, TOOL, q)
     np.testing.assert_array_equal(home.q, q)
     np.testing.assert_array_equal(home.T_base_flange, forward(model, q))
     np.testing.assert_allclose(home.T_base_tool, home.T_base_flange @ translation(0.0, 0.0, TOOL_LENGTH), atol=1e-12)
@@ -159,7 +160,7 @@ def test_custom_home_is_where_its_joints_bring_the_tool():
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 def test_custom_home_of_the_default_parameters_is_accepted(model):
-    custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH, CUSTOM)
+    custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL, CUSTOM)
 
 
 @pytest.mark.parametrize(
@@ -176,4 +177,4 @@ def test_custom_home_of_the_default_parameters_is_accepted(model):
 def test_custom_home_that_cannot_be_is_refused(q, words):
     model = MODELS[0]
     with pytest.raises(HomeError, match=words):
-        custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH, q)
+        custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL, q)
