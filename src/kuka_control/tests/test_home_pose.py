@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.mounting import directions
 from common.poses import pose, translation
-from common.rotations import rotation_about
+from common.rotations import rotation_about, rotation_from_zyx
 from kuka_control.home_pose import HomeError, custom_home, home_pose
 from kuka_control.kinematics import Kinematics, forward
 from kuka_control.robot_model import robot_model
@@ -178,3 +180,117 @@ def test_custom_home_that_cannot_be_is_refused(q, words):
     model = MODELS[0]
     with pytest.raises(HomeError, match=words):
         custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL, q)
+
+
+degrees = st.floats(-180.0, 180.0)
+headings = st.floats(-math.pi, math.pi)
+
+
+def check_any(home, model, workspace, T_flange_tool, bearings):
+    """What holds for every home position that is calculated, with any tool on any arm."""
+    T_base_tool = pose(bearings.R_base_tool, workspace.centre)
+    np.testing.assert_allclose(home.T_base_tool, T_base_tool, atol=1e-9)
+    np.testing.assert_allclose(forward(model, home.q) @ T_flange_tool, T_base_tool, atol=1e-9)
+    np.testing.assert_allclose(home.T_base_flange @ T_flange_tool, T_base_tool, atol=1e-9)
+    assert np.all(model.lower <= home.q) and np.all(home.q <= model.upper)
+    assert home.q[2] == 0.0
+
+
+def roomy(model, heading, rng):
+    inner, z_lower = rng.uniform(0.45, 0.7), rng.uniform(0.15, 0.65)
+    return workspace_of(
+        model,
+        [math.cos(heading), math.sin(heading), 0.0],
+        z_lower=z_lower,
+        z_upper=z_lower + 0.2,
+        inner_sphere=inner,
+        outer_sphere=inner + 0.08,
+    )
+
+
+def test_any_tool_on_any_arm_has_the_pose_of_the_law_at_home_or_is_refused():
+    rng = np.random.default_rng(2)
+    found = 0
+    for _ in range(600):
+        model = MODELS[rng.integers(2)]
+        workspace = roomy(model, rng.uniform(-math.pi, math.pi), rng)
+        T = pose(rotation_from_zyx(*rng.uniform(-math.pi, math.pi, 3)), rng.uniform(-0.15, 0.15, 3))
+        bearings = directions(workspace.center_line, rng.uniform(-180.0, 180.0, 3))
+        try:
+            home = home_pose(model, workspace, T, bearings)
+        except HomeError as error:
+            assert re.search("out of reach|needs joint", str(error))
+            continue
+        check_any(home, model, workspace, T, bearings)
+        found += 1
+    assert found > 50
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@given(headings, st.floats(-1.0, 1.0), st.floats(-0.05, 0.05), st.floats(0.0, 0.1))
+def test_a_tool_within_the_arms_plane_leaves_joints_3_5_and_7_at_zero(model, heading, pitch, x, z):
+    workspace = workspace_of(model, [math.cos(heading), math.sin(heading), 0.0])
+    T = pose(rotation_about(1, pitch), (x, 0.0, z))
+    try:
+        home = home_pose(model, workspace, T)
+    except HomeError as error:
+        assert re.search("joint [46]|out of reach", str(error)), error
+        return
+    check_any(home, model, workspace, T, directions(workspace.center_line))
+    np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-7)
+
+
+@given(headings, st.floats(-2.9, 2.9), st.floats(0.0, 0.12))
+def test_a_tool_turned_about_the_flanges_axis_turns_joint_7_alone(heading, turn, length):
+    model = MODELS[0]
+    workspace = workspace_of(model, [math.cos(heading), math.sin(heading), 0.0])
+    plain = home_pose(model, workspace, translation(0.0, 0.0, length))
+    home = home_pose(model, workspace, pose(rotation_about(2, turn), (0.0, 0.0, length)))
+    check_any(home, model, workspace, pose(rotation_about(2, turn), (0, 0, length)), directions(workspace.center_line))
+    np.testing.assert_allclose(home.q - plain.q, [0, 0, 0, 0, 0, 0, -turn], atol=1e-9)
+
+
+def test_a_tool_whose_x_axis_points_back_along_the_flange_is_refused_with_the_cause():
+    with pytest.raises(
+        HomeError, match=r"needs joint [57] at -?180.0 deg .*; probably tool_transform turns the tool too"
+    ):
+        home_pose(MODELS[0], workspace_of(MODELS[0], [1.0, -1.0, 0.0]), pose(rotation_about(2, math.pi), (0, 0, 0.1)))
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@given(heading=headings, yaw=degrees)
+def test_on_a_ceiling_the_tool_points_away_from_the_base(model, heading, yaw):
+    workspace = workspace_of(
+        model,
+        [math.cos(heading), math.sin(heading), 0.0],
+        z_lower=0.7,
+        z_upper=1.1,
+        inner_sphere=0.6,
+        outer_sphere=0.79,
+    )
+    bearings = directions(workspace.center_line, (180.0, 0.0, yaw))
+    home = home_pose(model, workspace, TOOL, bearings)
+    check_any(home, model, workspace, TOOL, bearings)
+    np.testing.assert_allclose(home.T_base_tool[:3, 2], [0.0, 0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-9)
+    assert abs(home.q[0]) <= math.pi / 2 + 1e-9
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@pytest.mark.parametrize(("mounting", "line"), [((0, 90, 0), [1, 0, 0]), ((90, 0, 0), [0, -1, 0])])
+def test_on_a_wall_a_centre_line_that_points_down_keeps_the_arm_in_its_plane(model, mounting, line):
+    line = np.array(line, dtype=float)
+    workspace = workspace_of(model, line, z_lower=0.4, z_upper=0.8, inner_sphere=0.65, outer_sphere=0.79)
+    bearings = directions(line, mounting)
+    home = home_pose(model, workspace, TOOL, bearings)
+    check_any(home, model, workspace, TOOL, bearings)
+    np.testing.assert_allclose(home.T_base_tool[:3, 2], line, atol=1e-9)
+    np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-9)
+    with pytest.raises(HomeError, match="out of reach: .* on a wall with center_line down or sideways"):
+        home_pose(model, workspace, TOOL, directions(line, [-angle for angle in mounting]))
+
+
+def test_the_usual_workspace_on_a_ceiling_is_refused_with_the_cause():
+    workspace = workspace_of(MODELS[0], [1.0, -1.0, 0.0])
+    with pytest.raises(HomeError, match="needs joint 6 .* on a ceiling far from the base"):
+        home_pose(MODELS[0], workspace, TOOL, directions(workspace.center_line, (180.0, 0.0, 0.0)))

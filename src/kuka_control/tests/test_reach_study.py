@@ -100,5 +100,11 @@ def test_nothing_to_study_is_refused(count, attitudes):
     space = workspace()
     with pytest.raises(ValueError, match="a study needs"):
         study_reach(
-            Kinematics(MODEL), directions(space.center_line), np.zeros(7), np.zeros((count, 3)), WIDE, attitudes, np.random.default_rng()
+            Kinematics(MODEL),
+            directions(space.center_line),
+            np.zeros(7),
+            np.zeros((count, 3)),
+            WIDE,
+            attitudes,
+            np.random.default_rng(),
         )
