@@ -290,6 +290,16 @@ def test_on_a_wall_a_centre_line_that_points_down_keeps_the_arm_in_its_plane(mod
         home_pose(model, workspace, TOOL, directions(line, [-angle for angle in mounting]))
 
 
+def test_joint_1_stays_in_its_quarter_where_the_wrist_is_behind_the_base_axis():
+    model = MODELS[0]
+    workspace = workspace_of(model, [1.0, 0.1, 0.0], z_lower=0.9, z_upper=1.1, inner_sphere=0.6, outer_sphere=0.79)
+    bearings = directions([1.0, 0.1, 0.0], (0.0, 90.0, 0.0))
+    home = home_pose(model, workspace, TOOL, bearings)
+    check_any(home, model, workspace, TOOL, bearings)
+    wrist = home.T_base_flange[:3, 3] - model.wrist_flange * home.T_base_flange[:3, 2]
+    assert wrist[0] < 0.0 and abs(home.q[0]) < math.pi / 2
+
+
 def test_the_usual_workspace_on_a_ceiling_is_refused_with_the_cause():
     workspace = workspace_of(MODELS[0], [1.0, -1.0, 0.0])
     with pytest.raises(HomeError, match="needs joint 6 .* on a ceiling far from the base"):

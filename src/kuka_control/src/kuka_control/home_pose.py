@@ -1,10 +1,10 @@
-"""The home position: the tool in the workspace centre, its z axis down, the upper arm and forearm in one upright plane.
+"""The home position: the tool in the workspace centre, its z axis down, upper arm and forearm in one upright plane.
 
-Joint 3 is zero: shoulder, elbow and wrist lie in a plane through the base's z axis, the elbow above the line between the
-others. For a center_line with x >= 0 joint 1 turns that plane towards it and the tool's x axis points back to the base;
-else joint 1 turns the opposite direction there, the arm leans over backwards (the signs of joints 2, 4, 6 change), and
-the tool's x axis points along center_line. So joint 1 never turns further than a quarter. With a tool whose attitude
-fits into the plane, such as a mere length, joints 5 and 7 are zero too; else they turn as little as they can.
+Joint 3 is zero: shoulder, elbow and wrist lie in a plane through the base's z axis, the elbow above the line between
+the others. For a center_line with x >= 0 joint 1 turns that plane towards it and the tool's x axis points back to the
+base; else joint 1 turns the opposite direction there, the arm leans over backwards (the signs of joints 2, 4, 6
+change), and the tool's x axis points along center_line. So joint 1 turns no further than a quarter. With a tool whose
+attitude fits into the plane, such as a mere length, joints 5 and 7 are zero too; else they turn as little as they can.
 
 Where the arm does not stand upright, down is the world's (see common.mounting) and the plane contains the base's z
 axis, which the elbow is up along. Base frame, metres, radians.
@@ -70,7 +70,8 @@ def home_pose(
     bearings = directions(workspace.center_line) if bearings is None else bearings
     T_base_flange = pose(bearings.R_base_tool, workspace.centre) @ inverse(T_flange_tool)
     wrist = T_base_flange[:3, 3] - model.wrist_flange * T_base_flange[:3, 2]
-    out, up = math.hypot(wrist[0], wrist[1]), wrist[2] - model.base_shoulder
+    side = -1.0 if wrist[:2] @ workspace.center_line[:2] < 0.0 else 1.0  # a wrist behind the base axis counts as -out
+    out, up = side * math.hypot(wrist[0], wrist[1]), wrist[2] - model.base_shoulder
     reach = math.hypot(out, up)
     upper_arm, forearm = model.shoulder_elbow, model.elbow_wrist
     cause = _cause(up, T_flange_tool, bearings)
@@ -84,9 +85,7 @@ def home_pose(
     lift = math.atan2(forearm * math.sin(bend), upper_arm + forearm * math.cos(bend))
     lean = math.atan2(out, up) - lift
     sign = 1.0 if workspace.center_line[0] >= 0.0 else -1.0
-    if wrist[:2] @ workspace.center_line[:2] < 0.0:
-        sign = -sign  # the wrist is behind the base axis, and joint 1 stays within its quarter
-    turn = math.atan2(sign * wrist[1], sign * wrist[0])
+    turn = math.atan2(side * sign * wrist[1], side * sign * wrist[0])
     R_forearm_flange = rotation_about(1, -sign * (lean + bend)) @ rotation_about(2, -turn) @ T_base_flange[:3, :3]
     q = np.array([turn, sign * lean, 0.0, -sign * bend, *_wrist_joints(model, R_forearm_flange)])
     q[np.abs(q) < ROUNDING_RAD] = 0.0
@@ -167,8 +166,8 @@ def _cause(up: float, T_flange_tool: np.ndarray, bearings: Directions) -> str:
     """Returns what is probably wrong, as a part of a sentence; `up` is the height of wrist over shoulder [m]."""
     if bearings.up[2] < UPRIGHT_COSINE:
         return (
-            "an arm that is not mounted upright needs a workspace of its own: on a ceiling far from the base, on a wall "
-            "with center_line down or sideways"
+            "an arm that is not mounted upright needs a workspace of its own: on a ceiling far from the base, "
+            "on a wall with center_line down or sideways"
         )
     if np.abs(T_flange_tool[:3, :3] - np.eye(3)).max() > ROUNDING_RAD:
         return "probably tool_transform turns the tool too far, or the tool is too long"

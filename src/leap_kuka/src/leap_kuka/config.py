@@ -56,7 +56,8 @@ class ArmConfig(ToolConfig):
                 faults.append("z_upper_limit is missing; an arm that hangs needs it.")
             elif self.ws_center[2] >= self.z_upper_limit:
                 faults.append(
-                    f"ws_center has z {self.ws_center[2]:g} m, but must be below z_upper_limit {self.z_upper_limit:g} m."
+                    f"ws_center has z {self.ws_center[2]:g} m, but must be below z_upper_limit "
+                    f"{self.z_upper_limit:g} m."
                 )
         return faults
 
