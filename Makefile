@@ -23,6 +23,7 @@ help: ## this list
 	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, ARGS="name:=value ..." for the launch file.\n'
 
 setup: $(READY) ## installs what is missing and builds the workspace
+	@echo "The workspace is set up; in any terminal: source $(CURDIR)/devel/setup.bash"
 
 $(READY): $(MANIFESTS)
 	@tools/setup.sh
@@ -33,10 +34,10 @@ demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated
 	  $(if $(RECORDING),--recording "$(RECORDING)") $(if $(OFFSET),--offset $(OFFSET)) $(if $(REPORT),--report "$(REPORT)") -- $(ARGS)
 
 test: $(READY) ## all tests
-	@$(IN_WORKSPACE) python -m pytest
+	@$(IN_WORKSPACE) python -m pytest -n 4 --dist loadfile -m "not rig" && python -m pytest -m rig
 
 test-fast: $(READY) ## the tests that need no ROS, in seconds
-	@.venv/bin/python -m pytest -m "not ros"
+	@.venv/bin/python -m pytest -n 2 --dist loadfile -m "not ros"
 
 bench: $(READY) ## measures speed on this machine and prints a table
 	@$(IN_WORKSPACE) python bench/run.py

@@ -17,7 +17,8 @@ ROOT = Path(__file__).parent
 SHARED = ROOT.parent / "shared"
 
 # Behind everything else: in a sourced workspace the built packages, which also hold the messages, come first.
-sys.path.extend(str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup.py")))
+SOURCES = [str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup.py"))]
+sys.path.extend(SOURCES)
 
 
 def pytest_collection_modifyitems(config, items):
@@ -62,9 +63,11 @@ class Processes:
     def start(self, *command: str, env: dict[str, str] | None = None) -> subprocess.Popen:
         """Starts a command; its output goes to the file `process.log_path` of the process that is returned."""
         log_path = self._log_folder / f"{len(self._running)}-{Path(command[0]).name}.log"
+        paths = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *SOURCES]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **(env or {})}
         with open(log_path, "wb") as log:
             process = subprocess.Popen(
-                command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env={**os.environ, **(env or {})}
+                command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment
             )
         process.log_path = log_path
         self._running.append(process)
@@ -159,8 +162,16 @@ class Recording(list):
         return self
 
 
+PATIENCE = 3.0
+"""Waits are this many times longer than a quiet machine needs: a busy one must not fail a test."""
+
+
 def wait_until(condition, timeout: float, what: str, poll: float = 0.02):
-    """Waits until the condition returns something true, and returns that; fails the test after `timeout` seconds."""
+    """Waits until the condition returns something true, and returns that.
+
+    Fails the test after PATIENCE times `timeout` seconds.
+    """
+    timeout *= PATIENCE
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
         result = condition()

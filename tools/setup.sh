@@ -90,7 +90,7 @@ build_workspace() {
         build-failed) exit 1 ;;
       esac
     done || failed "The build failed."
-  finished "built; in any terminal: source $PWD/devel/setup.bash"
+  finished "built"
 }
 
 install_packages

@@ -464,8 +464,9 @@ def test_bad_parameters_are_refused_before_anything_is_connected(ros, robot, sta
 def test_without_a_robot_it_says_so_and_ends(ros, wait_until, free_port):
     set_params(REAL_TIME, ip="127.0.0.1", port=free_port())
     node = Node(ros.run("kuka_control", REAL_TIME), wait_until)
-    assert node.wait_for_end(30.0) == 1
-    assert "There is no connection to the robot" in node.log and "Traceback" not in node.log
+    assert node.wait_for_end(60.0) == 1
+    assert "Trying for" in node.log and "There is no connection to the robot" in node.log
+    assert "Traceback" not in node.log
 
 
 def test_it_waits_for_its_parameters_and_says_so(ros, wait_until):

@@ -110,7 +110,7 @@ def test_without_a_controller_only_the_emergency_stop_works(panel):
     click(panel.exit)
     click(panel.emergency)
     assert asked == [] and len(stopped) == 1
-    assert not panel.control.isEnabled() and panel.status.text() == "silent"
+    assert not panel.control.isEnabled() and panel.status.full == "silent"
 
 
 def test_the_arrangement_is_that_of_the_original(panel):
@@ -120,3 +120,94 @@ def test_the_arrangement_is_that_of_the_original(panel):
     below = emergency.mapTo(panel, emergency.rect().center())
     assert left.x() < right.x() and right.y() < below.y() and below.x() > left.x()
     assert kuka.parentWidget().height() > gripper.parentWidget().height() + emergency.parentWidget().height()
+
+
+def test_the_emergency_stop_acts_when_it_is_pressed(panel):
+    from python_qt_binding.QtCore import Qt
+    from python_qt_binding.QtTest import QTest
+
+    stopped = emitted(panel.emergency_requested)
+    QTest.mousePress(panel.emergency, Qt.LeftButton)
+    assert len(stopped) == 1
+    QTest.mouseRelease(panel.emergency, Qt.LeftButton)
+    assert len(stopped) == 1
+
+
+def test_clicks_leave_the_focus_on_the_emergency_stop(panel, application):
+    from python_qt_binding.QtCore import Qt
+
+    panel.activateWindow()
+    application.processEvents()
+    assert panel.focusWidget() is panel.emergency
+    for button in (panel.control, panel.gripper, panel.reset, panel.exit):
+        click(button)
+        assert panel.focusWidget() is panel.emergency
+    assert panel.scaling.focusPolicy() == Qt.TabFocus
+
+
+def test_tab_goes_through_all_controls(panel, application):
+    panel.activateWindow()
+    application.processEvents()
+    order = []
+    for _ in range(6):
+        order.append(panel.focusWidget())
+        panel.focusNextChild()
+    assert order == [panel.emergency, panel.control, panel.scaling, panel.reset, panel.gripper, panel.exit]
+    assert panel.focusWidget() is panel.emergency
+
+
+def test_escape_stops_wherever_the_focus_is(panel, application):
+    from python_qt_binding.QtCore import Qt
+    from python_qt_binding.QtTest import QTest
+
+    panel.activateWindow()
+    application.processEvents()
+    stopped = emitted(panel.emergency_requested)
+    for widget in (panel.emergency, panel.control, panel.scaling):
+        widget.setFocus()
+        QTest.keyClick(widget, Qt.Key_Escape)
+    assert len(stopped) == 3
+    assert "Esc" in panel.emergency.toolTip() and "smartPad" in panel.emergency.toolTip()
+
+
+def test_a_text_of_any_length_leaves_the_panel_as_it_is(panel, application):
+    size, smallest = panel.size(), panel.minimumSizeHint()
+    for text in ("a word " * 200, "x" * 5000, "line\n" * 50, "<b>no</b> & <img src=x>"):
+        panel.show_state(state(status_line=text))
+        panel.show_answer(text)
+        application.processEvents()
+        assert panel.size() == size and panel.minimumSizeHint() == smallest
+        for sentence in (panel.status, panel.answer):
+            assert sentence.full == text
+            assert text.startswith(sentence.text().rstrip("…").rstrip())
+            assert (sentence.text() == text) == (sentence.toolTip() == "")
+    assert panel.status.text() == "<b>no</b> & <img src=x>"
+
+
+def test_the_sentences_of_an_emergency_are_never_cut(panel, application):
+    from kuka_control.gui.panel_state import Tone
+
+    panel.resize(panel.minimumSizeHint())
+    longest = (
+        "23:59:59  Emergency Stop: the controller on a-long-name-of-a-computer did not confirm it. "
+        "Press the red button of the smartPad."
+    )
+    panel.show_answer(longest, Tone.WARNING)
+    application.processEvents()
+    assert panel.answer.text() == longest
+
+
+@pytest.mark.parametrize("checked, colour", [(True, "#2e9e44"), (False, "#e4e7eb")])
+def test_green_is_on_and_red_stops(panel, application, checked, colour):
+    panel.show_state(state(control_on=checked))
+    application.processEvents()
+    picture = panel.grab().toImage()
+
+    def colour_of(widget):
+        return picture.pixelColor(widget.mapTo(panel, widget.rect().topLeft()).x() + 10, middle(widget)).name()
+
+    def middle(widget):
+        return widget.mapTo(panel, widget.rect().center()).y()
+
+    assert colour_of(panel.control) == colour
+    assert colour_of(panel.emergency) == "#c62828"

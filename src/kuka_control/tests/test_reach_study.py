@@ -11,7 +11,7 @@ from common.mounting import directions
 from common.poses import translation
 from kuka_control.home_pose import home_pose
 from kuka_control.kinematics import IkFailure, Kinematics
-from kuka_control.reach_study import study_reach, tool_attitude
+from kuka_control.reach_study import ReachStudy, study_reach, tool_attitude
 from kuka_control.robot_model import robot_model
 from kuka_control.workspace import Workspace
 from kuka_control.workspace_samples import volume_samples
@@ -87,6 +87,12 @@ def test_a_low_workspace_is_reached_everywhere_and_with_a_long_tool_nowhere():
 def test_percentages_are_in_order(seed):
     found = study(seed=seed, count=60)
     assert 0.0 <= found.percent_always <= min(found.percent_down, found.percent_within) <= 100.0
+
+
+def test_always_also_means_straight_down():
+    down = np.array([True, True, False, False])
+    found = ReachStudy(np.zeros((4, 3)), down, np.array([1.0, 0.5, 1.0, 0.0]), {})
+    assert (found.percent_down, found.percent_within, found.percent_always) == (50.0, 62.5, 25.0)
 
 
 def test_equal_seeds_give_equal_studies():

@@ -48,7 +48,7 @@ def test_volume_samples_are_spread_evenly_over_the_volume():
     # In a slice, half of the samples lie outside of the radius that halves its area.
     slice_ = positions[np.abs(positions[:, 2] - 0.34) < 0.02]
     middle = math.sqrt((0.5**2 + 0.7**2) / 2.0)
-    assert np.mean(np.hypot(slice_[:, 0], slice_[:, 1]) > middle) == pytest.approx(0.5, abs=0.05)
+    assert np.mean(np.hypot(slice_[:, 0], slice_[:, 1]) > middle) == pytest.approx(0.5, abs=0.03)
     turns = np.arctan2(positions[:, 1], positions[:, 0]) - space.heading
     assert np.mean(turns > 0.0) == pytest.approx(0.5, abs=0.015)
 

@@ -9,7 +9,7 @@ import socket
 
 import pytest
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.rig]
 
 
 @pytest.fixture

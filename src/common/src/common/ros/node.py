@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import rospy
 
@@ -16,7 +17,10 @@ def run(name: str, main: Callable[[], None]) -> None:
     The exit code is 0 when main returns or ROS shuts down, 1 after a RigError: its sentence goes to the log and to the
     standard error stream. Any other exception is a defect of the program and keeps its traceback.
     """
-    rospy.init_node(name)
+    try:
+        rospy.init_node(name)
+    except rospy.exceptions.ROSInitException:
+        sys.exit(1)  # interrupted before it began
     try:
         main()
     except rospy.ROSInterruptException:
@@ -26,3 +30,13 @@ def run(name: str, main: Callable[[], None]) -> None:
             rospy.logfatal("%s: %s", rospy.get_name(), sentence)
         rospy.signal_shutdown("fault")
         sys.exit(1)
+
+
+@contextlib.contextmanager
+def while_running() -> Iterator[None]:
+    """For callbacks: a message that is published while ROS shuts down meets a closed topic, which is no fault."""
+    try:
+        yield
+    except rospy.ROSException:
+        if not rospy.is_shutdown():
+            raise

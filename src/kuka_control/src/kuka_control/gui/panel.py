@@ -68,7 +68,7 @@ class ControlPanel(QWidget):
         self.emergency.setObjectName("emergency")
         self.emergency.setToolTip(EMERGENCY_TIP)
         self.status = Sentence(lines=3)
-        self.answer = Sentence(lines=2)
+        self.answer = Sentence(lines=3)
         self._arrange()
         self._connect()
         self.emergency.setFocus()

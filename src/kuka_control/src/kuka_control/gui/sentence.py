@@ -16,7 +16,11 @@ UNBOUNDED_PX = 10_000
 
 
 class Sentence(QLabel):
-    """A sentence in a frame with room for `lines` lines; a longer one is cut, and whole in the tool tip."""
+    """A sentence in a frame with room for `lines` lines; a longer one is cut, and whole in the tool tip.
+
+    Attributes:
+        full: the whole sentence.
+    """
 
     def __init__(self, lines: int) -> None:
         super().__init__()
@@ -25,7 +29,7 @@ class Sentence(QLabel):
         self.setWordWrap(True)
         self.setAlignment(Qt.AlignTop | Qt.AlignLeft)
         self.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Fixed)
-        self._full = ""
+        self.full = ""
         self.show_text("", Tone.NORMAL)
 
     def show_text(self, text: str, tone: Tone) -> None:
@@ -35,8 +39,8 @@ class Sentence(QLabel):
             self.setProperty("tone", shown)
             self.style().unpolish(self)  # Qt looks at properties only then
             self.style().polish(self)
-        if text != self._full:
-            self._full = text
+        if text != self.full:
+            self.full = text
             self._fit()
 
     def resizeEvent(self, event) -> None:
@@ -50,11 +54,11 @@ class Sentence(QLabel):
         self.setFixedHeight(self._height_of("\n" * (self._lines - 1)) + FRAME_PX)
 
     def _fit(self) -> None:
-        shown = self._full
+        shown = self.full
         while shown and not self._fits(shown):
             shown = shown[: -2 - len(shown) // 20].rstrip() + "…"
         self.setText(shown)
-        self.setToolTip("" if shown == self._full else f"<p>{html.escape(self._full)}</p>")
+        self.setToolTip("" if shown == self.full else f"<p>{html.escape(self.full)}</p>")
 
     def _fits(self, text: str) -> bool:
         return self._height_of(text) <= self._height_of("\n" * (self._lines - 1))

@@ -16,6 +16,7 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.params import wait_for_config
 from common.ros.stage_times import StageTimes
 from kst.client import KstClient
+from kst.errors import NoServer
 from kuka_control import assembly
 from kuka_control.arm import KstArm
 from kuka_control.assembly import Rig
@@ -29,6 +30,9 @@ from kuka_control.ros.state_publisher import Snapshot, StatePublisher
 from kuka_control.ros.workspace_markers import publish_workspace
 from kuka_control.switches import Switches
 from kuka_control.wrench import moment_at_tool
+
+CONNECT_PATIENCE_S = 20.0
+CONNECT_RETRY_S = 0.5
 
 SWITCH_INTERVAL_S = 5e-4
 """How long the control loop waits at most for another thread of this process [s]."""
@@ -59,12 +63,23 @@ def _run(schema: type[ArmConfig], make_loop: Callable[[ArmConfig, Rig], ControlL
 
 
 def _connect(config: ArmConfig, rig: Rig) -> KstArm:
+    """Connects; a server that is not there yet, because it is started at the same time, is tried again for a while."""
     rospy.loginfo("Connecting to the robot at %s:%d.", config.ip, config.port)
-    try:
-        client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool)
-        return KstArm(client, partial(moment_at_tool, rig.kinematics))
-    except DeviceError as error:
-        raise DeviceError(f"There is no connection to the robot at {config.ip}:{config.port}: {error}.") from error
+    deadline = time.monotonic() + CONNECT_PATIENCE_S
+    waiting = False
+    while not rospy.is_shutdown():
+        try:
+            client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool)
+            return KstArm(client, partial(moment_at_tool, rig.kinematics))
+        except DeviceError as error:
+            if not isinstance(error, NoServer) or time.monotonic() > deadline:
+                sentence = f"There is no connection to the robot at {config.ip}:{config.port}: {error}."
+                raise DeviceError(sentence) from error
+            if not waiting:
+                rospy.logwarn("%s. Trying for %g s.", error, CONNECT_PATIENCE_S)
+            waiting = True
+            time.sleep(CONNECT_RETRY_S)
+    raise rospy.ROSInterruptException("shut down while connecting")
 
 
 class _Node:

@@ -14,7 +14,7 @@ PATIENCE_S = 0.5
 """How long the controller may take to end by itself."""
 KILL_S = 1.0
 POLL_S = 0.01
-SMARTPAD = "Watch the arm and press the red button of the smartPad."
+SMARTPAD = "Press the red button of the smartPad."
 
 
 def stop(caller: ServiceCaller, process: ControllerProcess | None, host: str) -> tuple[bool, str]:

@@ -54,7 +54,8 @@ class PanelLink(QObject):
         panel.scaling_requested.connect(self._ask_scaling)
         panel.exit_requested.connect(lambda: self._ask(EXIT))
         panel.emergency_requested.connect(self._ask_emergency)
-        self._closed = threading.Event()
+        self._closed = False
+        self._wake = threading.Event()
         threading.Thread(target=self._watch, name="watch", daemon=True).start()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._refresh)
@@ -64,7 +65,8 @@ class PanelLink(QObject):
     def close(self) -> None:
         """Stops listening; what still runs ends by its time-outs and touches the panel no more."""
         self._timer.stop()
-        self._closed.set()
+        self._closed = True
+        self._wake.set()
 
     def _refresh(self) -> None:
         while not self._answers.empty():
@@ -127,10 +129,12 @@ class PanelLink(QObject):
         """Subscribes once there is a node to do it, keeps addresses, and subscribes anew at a master that forgot us."""
         while not rospy.core.is_initialized():
             self._master_lost = True
-            if self._closed.wait(REFRESH_MS * 1e-3):
+            if self._closed:
                 return
+            time.sleep(REFRESH_MS * 1e-3)
         subscriber = self._subscribe()
-        while not self._closed.is_set():
+        while not self._closed:
+            self._wake.clear()
             try:
                 self._caller.refresh()
                 forgotten = ask_master("lookupNode", rospy.get_name()) is None
@@ -141,7 +145,7 @@ class PanelLink(QObject):
             if forgotten and not self._hears():
                 subscriber.unregister()
                 subscriber = self._subscribe()
-            self._closed.wait(WATCH_S)
+            self._wake.wait(0.0 if self._closed else WATCH_S)
         subscriber.unregister()
 
     def _hears(self) -> bool:
@@ -156,6 +160,7 @@ class PanelLink(QObject):
         known = self._process
         if process is not None or known is None or known.pid != message.pid:  # else it has just ended
             self._process = process
+        previous = self._status
         self._status = ControllerStatus(
             time.monotonic(),
             message.control_on,
@@ -167,3 +172,5 @@ class PanelLink(QObject):
             message.host,
             message.pid,
         )
+        if previous is None or (previous.host, previous.pid) != (message.host, message.pid):
+            self._wake.set()  # another controller has other addresses

@@ -59,6 +59,21 @@ def master_of_this_graph() -> rosgraph.Master:
         raise NoMaster(f"There is no ROS master at {uri or 'ROS_MASTER_URI, which is not set'}.") from error
 
 
+def living_node(name: str) -> bool:
+    """Returns whether a node of this name is registered and listens, so a node that was killed does not count.
+
+    Raises:
+        NoMaster: there is no master.
+    """
+    master = master_of_this_graph()
+    try:
+        address = urlparse(master.lookupNode(f"/{name}"))
+        with socket.create_connection((address.hostname, address.port), ANSWER_S):
+            return True
+    except (rosgraph.MasterError, OSError):
+        return False
+
+
 def read_yaml(path: Path) -> object:
     """Returns what a yaml file holds.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -56,7 +57,7 @@ def _run(options: argparse.Namespace) -> None:
     print(workspace_report.title(config))
     print("\n".join(notes), flush=True)
     samples = constrained_samples(rig.workspace, options.constrained, random)
-    picture = Picture(workspace_report.title(config), tuple(notes[:5]), rig, samples, study)
+    picture = Picture(workspace_report.title(config), tuple(notes[:6]), rig, samples, study)
     if options.save is not None:
         _save(picture, options.save)
     else:
@@ -101,6 +102,7 @@ def _save(picture: Picture, path: Path) -> None:
 
 
 def _check_window() -> None:
+    os.environ["QT_API"] = "pyqt5"  # python_qt_binding leaves a name here that matplotlib does not know
     try:
         pyplot.switch_backend("QtAgg")
     except ImportError as error:

@@ -69,17 +69,18 @@ class ServiceCaller:
         """
         deadline = time.monotonic() + timeout
         known = self._addresses.get(name)
+        failure = NotThere("The controller is out of reach.")
         if known is not None:
             try:
                 return _call(known, rospy.resolve_name(name), kind, kind._request_class(*values), deadline)
-            except NotThere:
-                pass  # it may have been started again since
+            except NotThere as error:
+                failure = error  # it may have been started again since
         try:
             found = self._look_up(name, _left(deadline))
         except MasterLost as error:
-            raise NotThere(f"The controller is out of reach. {error}") from error
+            raise NotThere(f"{failure} {error}") from error
         if found is None or found == known:
-            raise NotThere("The controller is out of reach.")
+            raise failure
         return _call(found, rospy.resolve_name(name), kind, kind._request_class(*values), deadline)
 
     def _look_up(self, name: str, timeout: float) -> tuple[str, int] | None:

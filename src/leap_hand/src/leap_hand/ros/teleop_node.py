@@ -12,7 +12,7 @@ from std_msgs.msg import Bool
 
 from common.config import flag, number, parse
 from common.ros.diagnostics import Diagnostics
-from common.ros.node import run
+from common.ros.node import run, while_running
 from common.ros.params import wait_for_config
 from common.ros.stage_times import StageTimes
 from leap_hand.config import HandConfig
@@ -71,7 +71,7 @@ class TeleopNode:
             self._carry_out(self._teleop.switch(message.data))
 
     def _on_human(self, human: Human) -> None:
-        with self._lock:
+        with while_running(), self._lock:
             result = self._teleop.step(frame_from_human(human, rospy.Time.now()), time.monotonic())
             self._carry_out(result)
             if result is not None and result.command is not None:

@@ -12,7 +12,7 @@ from tf2_msgs.msg import TFMessage
 from common.config import required
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
-from common.ros.node import run
+from common.ros.node import run, while_running
 from common.ros.params import wait_for_config, wait_for_param
 from common.ros.stage_times import StageTimes
 from leap_kuka.config import ArmConfig, LeapConfig
@@ -62,7 +62,7 @@ class TeleopNode:
             time.sleep(WATCH_PERIOD_S)
 
     def _on_human(self, human: Human) -> None:
-        with self._lock:
+        with while_running(), self._lock:
             result = self._teleop.step(frame_from_human(human, rospy.Time.now()), time.monotonic())
             if result.usable:
                 self._tf.publish(self._transforms(result, human.header.stamp))

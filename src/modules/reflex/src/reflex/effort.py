@@ -70,6 +70,7 @@ class EffortGuard:
         new_goals, notes = list(goals), []
         for i, name in enumerate(MOTORS):
             load, angle, most = reading.loads[i], reading.joint_angles[i], float(settings.travel[i])
+            known = calibrated and -settings.travel_margin <= angle <= most + settings.travel_margin
             temperature = reading.packet.temperatures[i]
             overloaded = abs(load) > settings.overload[i]
             hot = temperature >= settings.hot - COOLING_DEGC * self._hot[i]
@@ -82,11 +83,11 @@ class EffortGuard:
             )
             self._hot[i] = hot
             if overloaded and load > 0:
-                end = 0.0 if calibrated else angle
+                end = 0.0 if known else angle
                 new_goals[i] = min(goals[i], max(angle - settings.loosen_angle, min(angle, end)))
                 self._low[i], self._high[i] = 0.0, min(self._high[i], max(0.0, new_goals[i]))
             elif overloaded:
-                end = most if calibrated else angle
+                end = most if known else angle
                 new_goals[i] = max(goals[i], min(angle + settings.loosen_angle, max(angle, end)))
                 self._low[i], self._high[i] = max(self._low[i], min(most, new_goals[i])), most
             if hot:

@@ -133,7 +133,7 @@ class Hand:
         self._serve_requests(packet, now)
         if self._calibration:
             self._calibrate(reading, now)
-        elif self._torque:
+        elif self._torque and self._new_zeros is None:  # the reading's angles are those of the old zeros
             packets, notes = self.motion.protect(reading, previous, self._zeros.motor_zero_reference, self._calibrated)
             self._send.extend(packets)
             self._notes.extend(notes)
@@ -186,6 +186,9 @@ class Hand:
             return self._refuse(self._silent_sentence())
         if self._calibration:
             return self._refuse("The fingers are being calibrated; set the speed afterwards.")
+        silent = implausible_servos(self._reading.packet.positions)
+        if silent and not self._torque:
+            return self._refuse(f"The position of servo {', '.join(silent)} cannot be right: torque stays off.")
         try:
             self._send.extend(self.motion.change_speed(speeds, now))
         except ValueError as error:
@@ -193,7 +196,7 @@ class Hand:
         self._speeds = tuple(speeds)
         if not self._torque:
             self._torque = True
-            self._hold(self._reading.packet)
+            self._aim(self._reading.packet.positions)
         return self._result()
 
     def disable_torque(self) -> Result:
@@ -280,13 +283,11 @@ class Hand:
     def _start_servos(self, packet: StatePacket, now: float) -> None:
         """Servos may have lost torque, speed and turn: gives them the first two again and keeps them where they are."""
         self.motion.reset()
-        if self._torque:
+        silent = implausible_servos(packet.positions)
+        if silent:
+            self._note("error", f"The position of servo {', '.join(silent)} cannot be right: is its cable loose?")
+        elif self._torque:
             self._send.extend(self.motion.change_speed(self._speeds, now))
-            self._hold(packet)
-
-    def _hold(self, packet: StatePacket) -> None:
-        """Makes the present pose the goal: servos that get torque would go where they were last sent to."""
-        if not implausible_servos(packet.positions):
             self._aim(packet.positions)
 
     def _serve_requests(self, packet: StatePacket, now: float) -> None:

@@ -1,0 +1,42 @@
+"""Which robot a program speaks to: the few parameters of a controller that the simple controller needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+from common.config import choice, integer, number, parse, text
+from kuka_control.config import ROBOTS, ArmConfig, PtpConfig, RealTimeConfig, neighbours
+from kuka_control.robot_model import FLANGE_HEIGHTS
+
+
+@dataclass(frozen=True)
+class RobotAddress:
+    """The arm, what is mounted on it, and where its controller listens."""
+
+    robot: str = choice(*ROBOTS, doc="the arm")
+    flange: str = choice(*FLANGE_HEIGHTS, doc="the media flange on the arm")
+    ip: str = text(doc="address of the robot's controller")
+    port: int = integer(low=1, high=65535, doc="TCP port of the toolbox server on the robot's controller")
+    tool_length: float = number("m", low=0.0, doc="from the flange to the tool point, along the flange's z axis")
+
+
+KEYS = tuple(field.name for field in fields(RobotAddress))
+
+
+def robot_address(values: object, given: Mapping, prefix: str = "") -> RobotAddress:
+    """Returns the robot that the parameters of a controller describe, changed by what was given beside them.
+
+    Args:
+        values: parameters of either controller; those that are no concern of an address are not looked at.
+        given: stands above `values`; what is None is not given.
+        prefix: stands before each key in the messages, such as "kuka/".
+
+    Raises:
+        ConfigError: with all faults.
+    """
+    changes = {key: value for key, value in given.items() if value is not None}
+    merged = {**values, **changes} if isinstance(values, Mapping) else values
+    controllers = (ArmConfig, RealTimeConfig, PtpConfig)
+    others = {field.name for schema in controllers for field in fields(schema)} | set(neighbours(ArmConfig))
+    return parse(RobotAddress, merged, prefix, others=others - set(KEYS))

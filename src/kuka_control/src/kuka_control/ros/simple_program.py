@@ -1,0 +1,262 @@
+"""The simple controller: moves the arm to one joint configuration, after it has asked, and shows how far it is."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rospy
+
+from common.errors import ConfigError, DeviceError, RigError
+from common.poses import translation
+from kst.client import KstClient
+from kst.errors import ReplyTimeout, ServerBusy
+from kst.limits import JointLimits
+from kuka_control.config import ROBOTS
+from kuka_control.joint_configurations import chosen_configuration, named_configurations
+from kuka_control.joint_motion import ARRIVED_DEG, JointMotion, MotionWatch, Progress
+from kuka_control.robot_address import KEYS, RobotAddress, robot_address
+from kuka_control.robot_model import FLANGE_HEIGHTS, RobotModel, robot_model
+from kuka_control.ros.parameter_server import (
+    NoMaster,
+    NoParameters,
+    living_node,
+    master_of_this_graph,
+    parameters,
+    read_yaml,
+    shipped,
+)
+from kuka_control.ros.terminal import Interruption, ProgressLine, agrees
+
+NODE = "kuka_simple_node"
+CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", NODE)
+"""Nodes that hold the robot's only connection while they run."""
+
+PERIOD_S = 0.1
+"""Between two looks at the arm [s]."""
+
+MAX_MISSED = 5
+"""So many answers in a row may fail to come."""
+
+STOP_M_PER_S = 0.8
+"""Above this speed of the tool point the robot's controller stops the arm on its way [m/s]."""
+
+INTERRUPTED = 130
+
+
+def main() -> None:
+    """Runs the program and exits the process.
+
+    The exit code is 0 when the arm is there, 1 after sentences that say why it is not, 130 after an interruption.
+    """
+    options = _parser().parse_args(rospy.myargv()[1:])
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    sys.stdout.reconfigure(line_buffering=True)
+    try:
+        code = _run(options)
+    except RigError as error:
+        for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
+            print(f"simple_controller: {sentence}", file=sys.stderr)
+        code = 1
+    except KeyboardInterrupt:
+        print("\nInterrupted.")
+        code = INTERRUPTED
+    rospy.signal_shutdown("the program ends")
+    sys.exit(code)
+
+
+def _run(options: argparse.Namespace) -> int:
+    address, from_server = _address(options)
+    model = robot_model(address.robot, address.flange)
+    named = named_configurations(read_yaml(options.configurations or shipped("joint_configurations.yaml")), model)
+    if options.list:
+        print("\n".join(_listed(named)))
+        return 0
+    if not options.target:
+        raise RigError("Say where to: a name (see --list) or seven angles in deg.")
+    name, target = chosen_configuration(options.target, named, model)
+    if not options.yes and not sys.stdin.isatty():
+        raise RigError("There is no terminal to ask on whether the arm may move; use --yes.")
+    if from_server:
+        _refuse_if_held()
+    _register()
+    T_flange_tool = translation(0.0, 0.0, address.tool_length)
+    client = _connect(address, model, T_flange_tool)
+    try:
+        return _move(client, model, T_flange_tool, name, target, options)
+    finally:
+        client.close()
+        print("The connection is closed and the server on the robot ends with it; start it again for the next program.")
+
+
+def _move(
+    client: KstClient,
+    model: RobotModel,
+    T_flange_tool: np.ndarray,
+    name: str,
+    target: np.ndarray,
+    options: argparse.Namespace,
+) -> int:
+    motion = JointMotion(client.joints(), target)
+    print("\n".join(motion.table()))
+    if not motion.needed:
+        print(f"The arm is at {name} already; nothing was moved.")
+        return 0
+    joint, step = motion.largest
+    seconds = motion.least_duration(options.velocity * model.max_speed)
+    tool_speed = motion.greatest_tool_speed(model, T_flange_tool, options.velocity)
+    print(
+        f"Largest step: joint {joint} by {step:+.1f} deg; at {options.velocity:g} of full speed about {seconds:.1f} s, "
+        f"the tool at up to {tool_speed:.2f} m/s."
+    )
+    _refuse_if_too_fast(tool_speed, options.velocity)
+    agreed = options.yes or agrees(f"Move the arm to {name}?")
+    if not agreed:
+        print("Nothing was moved.")
+        return INTERRUPTED if agreed is None else 1
+    with Interruption() as interruption:
+        client.start_ptp_joints(target, options.velocity)
+        watch = MotionWatch(motion, time.monotonic())
+        progress = _follow(client, watch, interruption)
+    if progress is not None:
+        return _leave(progress)
+    joint, left = JointMotion(client.joints(), target).largest
+    if abs(left) > ARRIVED_DEG:
+        raise DeviceError(f"The motion ended with joint {joint} still {abs(left):.1f} deg away; look at the smartPad.")
+    print(f"The arm is at {name}.")
+    return 0
+
+
+def _refuse_if_too_fast(speed: float, velocity: float) -> None:
+    if speed > STOP_M_PER_S:
+        slower = np.floor(100.0 * velocity * STOP_M_PER_S / speed) / 100.0
+        raise RigError(
+            f"The tool would move at up to {speed:.2f} m/s, and above {STOP_M_PER_S:g} m/s the robot's controller "
+            f"stops the arm on its way; use --velocity {slower:g}."
+        )
+
+
+def _follow(client: KstClient, watch: MotionWatch, interruption: Interruption) -> Progress | None:
+    """Shows the motion to its end; returns the progress if it was interrupted before.
+
+    Raises:
+        DeviceError: the robot refused or gave up the motion, does not answer, or the arm stands still for too long.
+    """
+    line = ProgressLine()
+    missed = 0
+    told = False
+    try:
+        while True:
+            try:
+                arrived = client.ptp_arrived()
+                progress = watch.step(client.joints(), time.monotonic())
+                missed = 0
+            except ReplyTimeout:
+                missed += 1
+                if missed == MAX_MISSED:
+                    raise
+                continue
+            line.show(progress)
+            if arrived or interruption.asked:
+                return None if arrived else progress
+            if progress.given_up:
+                raise DeviceError(
+                    f"The arm has not moved for {progress.still:.0f} s, {progress.remaining:.1f} deg before its goal; "
+                    "the motion is still pending on the robot: end the server on the smartPad before it is released."
+                )
+            if progress.stalled and not told:
+                line.end()
+                print("The arm does not move: look at the smartPad (enabling switch, safety stop, speed override).")
+            told = progress.stalled
+            time.sleep(PERIOD_S)
+    finally:
+        line.end()
+
+
+def _leave(progress: Progress) -> int:
+    print(
+        "Interrupted, but the toolbox cannot stop a motion to a point: the arm goes on to its goal, "
+        f"{progress.remaining:.1f} deg more.\nTo stop it, press stop or release the enabling switch on the smartPad."
+    )
+    return INTERRUPTED
+
+
+def _address(options: argparse.Namespace) -> tuple[RobotAddress, bool]:
+    """Returns the robot, and whether it is the one that the controllers of this ROS graph speak to."""
+    given = {key: getattr(options, key) for key in KEYS}
+    try:
+        values = parameters("kuka")
+    except (NoMaster, NoParameters):
+        return robot_address(read_yaml(shipped("kuka_params_rt.yaml")), given), False
+    address = robot_address(values, given, "kuka/")
+    return address, (address.ip, address.port) == (values.get("ip"), values.get("port"))
+
+
+def _refuse_if_held() -> None:
+    for name in CONTROLLERS:
+        if living_node(name):
+            way = "stop it with Ctrl-C" if name == NODE else "end it first: rosservice call kuka/exit_app"
+            raise RigError(f"The node {name} is running and holds the robot's only connection; {way}")
+
+
+def _register() -> None:
+    """Becomes a node where there is a master, so that others see who has the robot."""
+    with contextlib.suppress(NoMaster):
+        master_of_this_graph()
+        rospy.init_node(NODE, disable_signals=True)
+
+
+def _connect(address: RobotAddress, model: RobotModel, T_flange_tool: np.ndarray) -> KstClient:
+    print(f"Connecting to the {address.robot} at {address.ip}:{address.port}.")
+    limits = JointLimits(model.lower, model.upper)
+    try:
+        return KstClient.connect(address.ip, address.port, tool=T_flange_tool, limits=limits)
+    except ServerBusy as error:
+        raise DeviceError(
+            "The robot serves one program at a time, and another one seems to have it (is a controller node running?): "
+            f"{error}."
+        ) from error
+    except DeviceError as error:
+        raise DeviceError(f"There is no connection to the robot: {error}.") from error
+
+
+def _listed(named: dict[str, np.ndarray]) -> list[str]:
+    width = max(map(len, named))
+    degrees = {name: ", ".join(f"{angle:g}" for angle in np.degrees(q).round(6) + 0.0) for name, q in named.items()}
+    return [f"{name:<{width}}  {angles} deg" for name, angles in degrees.items()]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="simple_controller.py",
+        description="Moves the arm to one joint configuration, after it has asked.",
+        epilog="The robot is that of the parameters under kuka/ on the ROS master, or else of kuka_params_rt.yaml; the "
+        "options below stand above both.",
+    )
+    parser.add_argument("target", nargs="*", metavar="NAME_OR_ANGLE", help="a name, or the seven joint angles in deg")
+    parser.add_argument("--list", action="store_true", help="list the names with their angles, and end")
+    parser.add_argument("--velocity", type=_share, default=0.15, help="share of full joint speed, (0, 1] (%(default)s)")
+    parser.add_argument("--yes", action="store_true", help="move without asking")
+    parser.add_argument("--configurations", type=Path, metavar="FILE.yaml", help="other names than the package's")
+    robot = parser.add_argument_group("robot")
+    robot.add_argument("--ip", help="address of the robot's controller")
+    robot.add_argument("--port", type=int, help="TCP port of the toolbox server")
+    robot.add_argument("--robot", choices=ROBOTS, help="the arm")
+    robot.add_argument("--flange", choices=tuple(FLANGE_HEIGHTS), help="the media flange")
+    robot.add_argument("--tool-length", type=float, metavar="M", help="from the flange to the tool point, m")
+    return parser
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number in (0, 1]")
+    return value

@@ -1,0 +1,316 @@
+"""The control panel connected to a controller: what a click asks for, and what is seen whatever the controller does."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
+pytestmark = pytest.mark.ros
+
+FAKE = str(Path(__file__).with_name("fake_controller.py"))
+LONG_S = 20.0
+"""Longest wait; the machine may be busy."""
+
+
+@pytest.fixture(scope="module")
+def application():
+    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+    from python_qt_binding.QtWidgets import QApplication
+
+    return QApplication.instance() or QApplication(sys.argv[:1])
+
+
+@pytest.fixture
+def failures(monkeypatch):
+    """Exceptions that end a thread or come out of a slot; there must be none."""
+    caught = []
+    monkeypatch.setattr(threading, "excepthook", lambda args: caught.append(args.exc_value))
+    monkeypatch.setattr(sys, "excepthook", lambda kind, value, trace: caught.append(value))
+    yield caught
+    assert caught == []
+
+
+@pytest.fixture
+def panel(ros, application, failures):
+    from kuka_control.gui.panel import ControlPanel
+    from kuka_control.ros.panel_link import PanelLink
+
+    widget = ControlPanel()
+    widget.link = PanelLink(widget)
+    widget.show()
+    yield widget
+    widget.link.close()
+    widget.close()
+
+
+@pytest.fixture
+def see(application, wait_until):
+    """Waits until something is seen, while Qt works."""
+
+    def wait(condition, what):
+        def look():
+            application.processEvents()
+            return condition()
+
+        return wait_until(look, LONG_S, what)
+
+    return wait
+
+
+@pytest.fixture
+def start(processes):
+    """Starts the fake controller."""
+    return lambda *args: processes.start(sys.executable, FAKE, *args)
+
+
+@pytest.fixture
+def controller(start, panel, see):
+    process = start()
+    see(lambda: panel.control.isEnabled(), "the controller")
+    return process
+
+
+def click(button):
+    from python_qt_binding.QtCore import Qt
+    from python_qt_binding.QtTest import QTest
+
+    QTest.mouseClick(button, Qt.LeftButton)
+
+
+def call(name, kind, *values):
+    import rospy
+
+    import kuka_msgs.srv
+
+    rospy.wait_for_service(f"kuka/{name}", LONG_S)
+    return rospy.ServiceProxy(f"kuka/{name}", getattr(kuka_msgs.srv, kind))(*values)
+
+
+def now_scale():
+    import rospy
+
+    from rig_msgs.msg import KukaStatus
+
+    return rospy.wait_for_message("kuka/status", KukaStatus, LONG_S).scaling_factor
+
+
+@pytest.mark.parametrize("name", ["control", "gripper"])
+def test_a_toggle_is_green_when_the_controller_says_so(panel, controller, see, name):
+    button = getattr(panel, name)
+    controller.send_signal(signal.SIGUSR1)
+    see(lambda: not button.isEnabled(), "the silence of the controller")
+    controller.send_signal(signal.SIGUSR1)
+    see(button.isEnabled, "the controller again")
+
+    controller.send_signal(signal.SIGUSR1)  # the request is carried out, but no status says so
+    click(button)
+    see(lambda: "is on" in panel.answer.full, "the answer")
+    assert not button.isChecked()
+    controller.send_signal(signal.SIGUSR1)
+    see(button.isChecked, "green")
+    click(button)
+    see(lambda: not button.isChecked(), "grey")
+    assert "is off" in panel.answer.full
+
+
+def test_a_call_made_elsewhere_turns_the_toggles_green(panel, controller, see):
+    assert call("kuka_control", "setKukaControl", True).success
+    see(panel.control.isChecked, "control in green")
+    assert call("gripper_control", "setGripperControl", True).success
+    see(panel.gripper.isChecked, "gripper in green")
+    assert panel.answer.full == ""
+
+
+def test_double_clicks_and_quick_changes_are_harmless(panel, controller, see):
+    for _ in range(2):
+        click(panel.control)
+    see(panel.control.isChecked, "control in green")
+    for on in (False, True, False, True, False):
+        panel.control_requested.emit(on)
+    see(lambda: not panel.control.isChecked() and not panel.link._running, "the last request")
+    for _ in range(5):
+        assert call("exit_app", "exitApp").success and not panel.control.isChecked()
+
+
+def test_the_slider_stays_where_the_keys_put_it(panel, start, see):
+    from python_qt_binding.QtCore import Qt
+    from python_qt_binding.QtTest import QTest
+
+    start("--delay", "0.3")
+    see(panel.scaling.isEnabled, "the controller")
+    for steps in range(1, 6):
+        QTest.keyClick(panel.scaling, Qt.Key_Left)
+        assert panel.scaling.value() == 10 - steps
+        see(lambda: True, "Qt's events")
+    seen = set()
+    see(lambda: seen.add(panel.scaling.value()) or abs(now_scale() - 0.5) < 1e-6, "the scaling factor")
+    see(lambda: "0.5" in panel.answer.full, "the answer")
+    assert seen == {5} and panel.scaling_label.text() == "Scaling Factor: 0.5"
+    click(panel.reset)
+    see(lambda: panel.scaling.value() == 10 and abs(now_scale() - 1.0) < 1e-6, "the default")
+
+
+def test_the_scaling_factor_is_locked_while_control_is_on(panel, controller, see):
+    click(panel.control)
+    see(lambda: not panel.scaling.isEnabled(), "the lock")
+    panel.scaling_requested.emit(0.3)  # as if it was asked for just before
+    see(lambda: "stays 1: it cannot change while control is on" in panel.answer.full, "the refusal")
+    see(lambda: panel.scaling.value() == 10, "the slider where it was")
+    assert panel.answer.property("tone") == "warning"
+
+
+def test_a_refusal_is_shown(panel, controller, see):
+    click(panel.exit)
+    see(lambda: "goes to the zero position" in panel.answer.full, "the answer")
+    click(panel.control)
+    see(lambda: "Control stays off: the controller is shutting down." in panel.answer.full, "the refusal")
+    assert panel.answer.property("tone") == "warning" and not panel.control.isChecked()
+
+
+def test_a_controller_that_comes_goes_and_comes_again(panel, start, see):
+    see(lambda: panel.status.full == "Waiting for the controller of the arm.", "the sentence")
+    assert not panel.control.isEnabled() and panel.emergency.isEnabled()
+    first = start()
+    see(panel.control.isEnabled, "the controller")
+    click(panel.control)
+    see(panel.control.isChecked, "green")
+    first.kill()
+    see(lambda: "has ended" in panel.status.full, "the sentence")
+    assert not panel.control.isChecked() and not panel.control.isEnabled() and panel.emergency.isEnabled()
+    start()
+    see(panel.control.isEnabled, "the second controller")
+    assert not panel.control.isChecked()
+    click(panel.gripper)
+    see(panel.gripper.isChecked, "green")
+    assert "is on" in panel.answer.full
+
+
+def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controller, see):
+    controller.send_signal(signal.SIGSTOP)
+    click(panel.control)
+    see(lambda: "it hangs" in panel.status.full, "the sentence")
+    assert not panel.control.isEnabled() and panel.status.property("tone") == "fault"
+    see(lambda: "nothing was asked for" in panel.answer.full, "the end of the request")
+    controller.send_signal(signal.SIGCONT)
+    see(panel.control.isEnabled, "the controller again")
+    assert call("gripper_control", "setGripperControl", True).success
+    see(panel.gripper.isChecked, "the gripper")
+    assert not panel.control.isChecked()
+
+
+def test_emergency_stop_ends_a_controller_that_hangs(panel, controller, see):
+    controller.send_signal(signal.SIGSTOP)
+    click(panel.emergency)
+    see(lambda: controller.poll() is not None, "the end of the process")
+    assert controller.returncode == -signal.SIGKILL
+    see(lambda: "hung and its process was ended" in panel.answer.full, "the sentence")
+    see(lambda: "has ended" in panel.status.full and not panel.control.isEnabled(), "the end")
+
+
+def test_emergency_stop_asks_a_controller_whose_loop_hangs(panel, controller, see):
+    controller.send_signal(signal.SIGUSR1)
+    see(lambda: "silent" in panel.status.full, "the silence")
+    click(panel.emergency)
+    see(lambda: controller.poll() is not None, "the end of the process")
+    assert controller.returncode == 2
+    see(lambda: "the controller has ended" in panel.answer.full, "the sentence")
+
+
+def test_emergency_stop_again_and_again(panel, controller, see):
+    for _ in range(5):
+        click(panel.emergency)
+    see(lambda: controller.poll() is not None, "the end of the process")
+    see(lambda: panel.answer.full != "", "the sentence")
+    click(panel.emergency)
+    see(lambda: not panel.link._running, "the second sentence")
+    assert "Emergency Stop" in panel.answer.full
+
+
+def test_emergency_stop_on_another_machine_is_a_call_alone(panel, start, see):
+    process = start("--host", "far-away")
+    see(panel.control.isEnabled, "the controller")
+    process.send_signal(signal.SIGSTOP)
+    click(panel.emergency)
+    see(lambda: "on far-away did not confirm it" in panel.answer.full, "the sentence")
+    assert process.poll() is None and "smartPad" in panel.answer.full
+    process.send_signal(signal.SIGCONT)
+    see(panel.control.isEnabled, "the controller again")
+    click(panel.emergency)
+    see(lambda: process.poll() is not None, "the end of the process")
+    assert process.returncode == 2
+    see(lambda: "ends at once" in panel.answer.full, "the sentence")
+
+
+def test_emergency_stop_never_ends_a_process_that_is_no_controller(panel, processes, start, see):
+    other = processes.start("sleep", "60")
+    process = start("--pid", str(other.pid))
+    see(panel.control.isEnabled, "the controller")
+    process.send_signal(signal.SIGSTOP)
+    click(panel.emergency)
+    see(lambda: "did not confirm it" in panel.answer.full, "the sentence")
+    assert other.poll() is None and process.poll() is None
+
+
+def test_emergency_stop_without_a_controller_says_so(panel, see):
+    click(panel.emergency)
+    see(lambda: "there is no controller to end" in panel.answer.full, "the sentence")
+
+
+def test_qt_never_waits_for_a_service(panel, start, see, application):
+    start("--delay", "2")
+    see(panel.scaling.isEnabled, "the controller")
+    click(panel.reset)
+    before = panel.link._answers.qsize()
+    application.processEvents()
+    assert panel.link._running == {"kuka/scaling_factor"} and before == 0
+    see(lambda: "scaling factor is 1" in panel.answer.full, "the answer")
+
+
+def test_a_panel_may_go_while_a_call_runs(ros, application, failures, start, see):
+    from kuka_control.gui.panel import ControlPanel
+    from kuka_control.ros.panel_link import PanelLink
+
+    start("--delay", "1")
+    panel = ControlPanel()
+    link = PanelLink(panel)
+    see(panel.scaling.isEnabled, "the controller")
+    click(panel.reset)
+    names = {"kuka/scaling_factor", "watch"}
+    mine = [thread for thread in threading.enumerate() if thread.name in names]
+    link.close()
+    panel.deleteLater()
+    del panel, link
+    gc.collect()
+    see(lambda: not any(thread.is_alive() for thread in mine), "the end of the threads")
+    time.sleep(0.1)
+
+
+def test_a_service_that_fails_brings_its_sentence(ros, failures, wait_until):
+    import rospy
+
+    from kuka_control.ros.service_caller import CallFailed, NotThere, ServiceCaller
+    from kuka_msgs.srv import exitApp, setKukaControl
+
+    def fail(_request):
+        raise ValueError("no arm")
+
+    caller = ServiceCaller(["panel_test/fails"])
+    with pytest.raises(NotThere, match="out of reach"):
+        caller.call("panel_test/fails", exitApp, timeout=5.0)
+    service = rospy.Service("panel_test/fails", exitApp, fail)
+    caller.refresh()
+    with pytest.raises(CallFailed, match="no arm"):
+        caller.call("panel_test/fails", exitApp, timeout=5.0)
+    with pytest.raises(NotThere, match="md5sums do not match"):
+        caller.call("panel_test/fails", setKukaControl, True, timeout=5.0)
+    service.shutdown()
+    with pytest.raises(NotThere):
+        caller.call("panel_test/fails", exitApp, timeout=5.0)

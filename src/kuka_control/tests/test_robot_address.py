@@ -1,0 +1,46 @@
+"""The robot of a program, out of a controller's parameters and what was given beside them."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from common.config import describe
+from common.errors import ConfigError
+from kuka_control.config import ArmConfig
+from kuka_control.robot_address import KEYS, RobotAddress, robot_address
+
+CONFIG = Path(__file__).parents[1] / "config"
+
+
+def values(name="kuka_params_rt.yaml"):
+    return yaml.safe_load((CONFIG / name).read_text())
+
+
+def test_it_is_a_part_of_the_controllers_parameters():
+    assert set(describe(RobotAddress)) <= set(describe(ArmConfig))
+
+
+@pytest.mark.parametrize("name", ["kuka_params_rt.yaml", "kuka_params_ptp.yaml"])
+def test_the_parameters_of_either_controller_do(name):
+    address = robot_address({**values(name), "ws_center": [0.4, 0.4, 0.4], "joints_home": [0.0] * 7}, {})
+    assert (address.ip, address.port, address.robot) == ("172.31.1.147", 30001, "LBR7R800")
+
+
+def test_what_is_given_stands_above_the_parameters():
+    given = {**dict.fromkeys(KEYS), "ip": "127.0.0.1", "port": 4711, "tool_length": 0.0}
+    address = robot_address(values(), given)
+    assert address == RobotAddress("LBR7R800", "MF_elektrisch", "127.0.0.1", 4711, 0.0)
+
+
+def test_all_faults_are_said_with_their_keys():
+    with pytest.raises(ConfigError) as caught:
+        robot_address({**values(), "robot": "UR5", "colour": 1}, {"port": 0, "tool_length": -1.0}, "kuka/")
+    assert [fault.split()[0] for fault in caught.value.faults] == [
+        "kuka/colour",
+        "kuka/robot",
+        "kuka/port",
+        "kuka/tool_length",
+    ]
+    with pytest.raises(ConfigError, match="must be a mapping"):
+        robot_address(None, {})

@@ -1,0 +1,242 @@
+"""The whole simulated rig for tests: its nodes, what they publish, the truth about the arm, and a hand to steer it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import threading
+import xmlrpc.client
+from pathlib import Path
+
+import rosgraph
+import rospy
+from arm_trace import ArmTrace
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from hand_puppet import HandPuppet
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+from common.ros.conversions import pose_from_transform
+from kuka_msgs.srv import setGripperControl, setKukaControl
+from rig_msgs.msg import KukaStatus
+from rig_simulation.control_port import ControlClient
+from rig_simulation.leap.playback import Playback
+from rig_simulation.leap.server import LeapService
+
+CONTROLLER, DRIVER, TELEOP = "kuka_real_time_node", "leap_driver", "leap_kuka_node"
+PROGRAMS = {
+    CONTROLLER: ("kuka_control", "real_time_controller.py"),
+    DRIVER: ("leap_motion", "leap_driver.py"),
+    TELEOP: ("leap_kuka", "leap_kuka_node.py"),
+}
+START_S, MOVE_S, SOON_S = 90.0, 40.0, 10.0
+"""Longest waits [s]: for the rig to start, for a motion, for a message. The machine may be busy."""
+
+HOMING_SPEED = 0.3
+"""Share of the full joint speed to home and zero for controllers that are started again, so that tests take less time."""
+
+
+class RigUnderTest:
+    """One rig. The hand is the test's own, on the simulated Leap service; everything else comes from demo.launch.
+
+    Attributes:
+        hand: what the simulated Leap service shows.
+        arm: the truth about the arm, and requests to its control port.
+        robot_hand: control port of the simulated hand.
+        modes: modes of the controller.
+        desired: desired tool frames, shape (4, 4).
+        commanded: tool frames that the controller aimed at, shape (4, 4).
+        stream: what leap_kuka said of its stream, as (state, reason).
+    """
+
+    def __init__(self, shared, folder: Path) -> None:
+        self._shared = shared
+        self._processes = shared.Processes(folder)
+        self._started = {}
+        self._counts: dict[str, dict[str, str]] = {}
+        self.hand = HandPuppet()
+        self.mode = ""
+        self.status: KukaStatus | None = None
+        self.modes: list[str] = []
+        self.desired: list = []
+        self.commanded: list = []
+        self.stream: list[tuple[str, str]] = []
+        self.stream_state = ""
+
+    def bring_up(self) -> None:
+        """Starts everything; waits until the arm is at home and the robot hand is steered."""
+        self._leap = LeapService(Playback(self.hand), "127.0.0.1", 0, 0)
+        self._leap_thread = threading.Thread(target=self._leap.run, daemon=True)
+        self._leap_thread.start()
+        self._subscribers = [
+            rospy.Subscriber(topic, kind, take, queue_size=1000, tcp_nodelay=True)
+            for topic, kind, take in (
+                ("kuka/mode", String, self._take_mode),
+                ("kuka/status", KukaStatus, lambda status: setattr(self, "status", status)),
+                ("/tf", TFMessage, self._take_transforms),
+                ("leap_kuka/stream", DiagnosticStatus, self._take_stream),
+                ("/diagnostics", DiagnosticArray, self._take_counts),
+            )
+        ]
+        robot, hand = self._shared.free_port(), self._shared.free_port()
+        arguments = {
+            **{"rviz": "false", "gui": "false", "auto_start": "false"},
+            **{"robot_port": self._shared.free_port(), "robot_control_port": robot},
+            **{"hand_port": self._shared.free_port(socket.SOCK_DGRAM), "hand_control_port": hand},
+            # The rig's own Leap service stands aside on other ports: driver and operator are to find the test's.
+            **{"leap_port": self._leap.port, "leap_control_port": self._leap.control_port},
+            "leap_args": "--port 0 --control-port 0",
+        }
+        self._launch = self._processes.start(
+            "roslaunch", "--wait", "leap_rig", "demo.launch", *(f"{k}:={v}" for k, v in arguments.items())
+        )
+        self.arm = ArmTrace("127.0.0.1", robot)
+        self.robot_hand = ControlClient("127.0.0.1", hand)
+        self.wait(lambda: self.mode == "home", "the arm at home", START_S)
+        self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", START_S)
+        rospy.set_param("kuka/velocity_ptp_slow", HOMING_SPEED)
+
+    def end(self) -> None:
+        """Ends everything and clears the parameters."""
+        for subscriber in self._subscribers:
+            subscriber.unregister()
+        self._processes.end_all()
+        self.arm.close()
+        self._leap.stop()
+        self._leap_thread.join(SOON_S)
+        for name in rospy.get_param_names():
+            if not name.startswith(("/ros", "/run_id")):
+                with contextlib.suppress(KeyError):
+                    rospy.delete_param(name)
+
+    def calm(self) -> None:
+        """Brings the rig to rest: all nodes run, no hand, controls off, no safety stop, the arm at home."""
+        self.hand.hide()
+        self.arm.ask("set_external_torque", value=[0.0] * 7)
+        if self.arm.ask("state")["safety_stop"]:
+            self.wait(lambda: self.arm.now.speed == 0.0, "the arm to stand", MOVE_S)
+            self.arm.ask("release")
+        for name in PROGRAMS:
+            if self.pid(name) is None:
+                self.start(name)
+        self.wait(lambda: self.mode not in ("", "starting"), "the controller", MOVE_S)
+        self.gripper(False)
+        self.control(False)
+        if self.mode == "stopped":
+            self.control(True)
+            self.wait(lambda: self.mode != "stopped", "the controller to go on", MOVE_S)
+            self.control(False)
+        self.wait(lambda: self.mode == "home" and not self.status.control_on, "the arm at home", MOVE_S)
+        self.wait(lambda: self.stream_state == "waiting", "the stream to end")
+        for record in (self.modes, self.desired, self.commanded, self.stream):
+            record.clear()
+        self.arm.forget()
+
+    def start(self, name: str, **parameters) -> None:
+        """Starts a node again that has ended; `parameters` are those under kuka/ that are changed first."""
+        for key, value in parameters.items():
+            rospy.set_param(f"kuka/{key}", value)
+        if name == CONTROLLER:
+            self.mode = ""
+        self._started[name] = self._processes.start("rosrun", *PROGRAMS[name], f"__name:={name}")
+
+    def pid(self, name: str) -> int | None:
+        """Returns the process of a node, None if it does not run."""
+        try:
+            uri = rosgraph.Master("/test").lookupNode(f"/{name}")
+            return xmlrpc.client.ServerProxy(uri).getPid("/test")[2]
+        except (rosgraph.MasterError, OSError):
+            return None
+
+    def signal(self, name: str, number: signal.Signals) -> None:
+        """Sends a signal to a node."""
+        os.kill(self.pid(name), number)
+
+    def exit_code(self, name: str) -> int:
+        """Waits until a node ends and returns its exit code."""
+        if name in self._started:
+            process = self._started.pop(name)
+            self.wait(lambda: process.poll() is not None, f"the end of {name}", MOVE_S)
+            return process.returncode
+        pattern = rf"\[{name}-\d+\] process has (?:finished (cleanly)|died \[pid \d+, exit code (-?\d+))"
+        end = self.wait(lambda: re.search(pattern, self.log), f"the end of {name}", MOVE_S)
+        return 0 if end[1] else int(end[2])
+
+    def wait(self, condition, what: str, timeout: float = SOON_S):
+        """Waits until the condition is true and returns its value; fails the test if that takes too long."""
+        return self._shared.wait_until(condition, timeout, what)
+
+    def watch(self, seconds: float) -> None:
+        """Lets so much time pass on the arm's clock."""
+        until = self.arm.now.time + seconds
+        self.wait(lambda: self.arm.now.time >= until, f"{seconds} s on the arm's clock", seconds + SOON_S)
+
+    def wait_for_mode(self, *modes: str) -> None:
+        """Waits until the controller is in one of these modes."""
+        self.wait(lambda: self.mode in modes, f"mode {' or '.join(modes)} instead of {self.mode}", MOVE_S)
+
+    def follow(self, **at: float) -> None:
+        """Shows a hand, switches control on and waits until the arm stands where the hand has sent it."""
+        self.hand.show(**at)
+        assert self.control(True).success
+        self.wait_for_mode("servo")
+        self.settle()
+
+    def settle(self) -> None:
+        """Waits until the hand, its mean and the arm stand still."""
+        self.wait(lambda: self.hand.still, "the hand to stand still", MOVE_S)
+        self.see(20)
+        self.wait(lambda: self.arm.now.speed < 1e-4, "the arm to stand still", MOVE_S)
+
+    def see(self, frames: int) -> None:
+        """Waits until so many more frames with a hand have gone to the Leap driver."""
+        until = self.hand.seen + frames
+        self.wait(lambda: self.hand.seen >= until, f"{frames} frames with a hand")
+
+    def control(self, on: bool):
+        """Switches control of the arm."""
+        return self.call("kuka/kuka_control", setKukaControl, on)
+
+    def gripper(self, on: bool):
+        """Switches control of the robot hand."""
+        return self.call("kuka/gripper_control", setGripperControl, on)
+
+    def call(self, name: str, kind, *values):
+        """Calls a service, once it is there."""
+        rospy.wait_for_service(name, MOVE_S)
+        return rospy.ServiceProxy(name, kind)(*values)
+
+    def count(self, node: str, name: str) -> int:
+        """Returns a counter from /diagnostics, 0 before it came."""
+        return int(self._counts.get(node, {}).get(name, 0))
+
+    @property
+    def log(self) -> str:
+        """What demo.launch and the nodes that were started later printed so far."""
+        return "".join(path.read_text(errors="replace") for path in sorted(self._launch.log_path.parent.glob("*.log")))
+
+    def _take_mode(self, message: String) -> None:
+        self.mode = message.data
+        self.modes.append(message.data)
+
+    def _take_stream(self, message: DiagnosticStatus) -> None:
+        self.stream_state = {v.key: v.value for v in message.values}["state"]
+        self.stream.append((self.stream_state, message.message))
+
+    def _take_counts(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self._counts[status.name] = {v.key: v.value for v in status.values}
+
+    def _take_transforms(self, message: TFMessage) -> None:
+        transforms = {t.child_frame_id: t for t in message.transforms}
+        if "kuka/tool_frame/desired" in transforms:
+            T_base_leap, T_leap_tool = (
+                pose_from_transform(transforms[name].transform)
+                for name in ("leap_motion/virtual_frame", "kuka/tool_frame/desired")
+            )
+            self.desired.append(T_base_leap @ T_leap_tool)
+        if "kuka/tool_frame/commanded" in transforms:
+            self.commanded.append(pose_from_transform(transforms["kuka/tool_frame/commanded"].transform))
