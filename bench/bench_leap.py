@@ -95,7 +95,8 @@ def _serialised(human: Human) -> bytes:
 
 def _arm_teleop() -> arm_teleop.Teleop:
     kuka = _config(RealTimeConfig, "kuka_control", "kuka_params_rt", "kuka")
-    arm = ArmConfig(kuka.center_line, kuka.z_lower_limit, kuka.tool_length, Rig.of(kuka).home.centre)
+    values = {**vars(kuka), "ws_center": Rig.of(kuka).home.centre}
+    arm = parse(ArmConfig, values, "kuka/", others=values)
     return arm_teleop.Teleop(_config(LeapConfig, "leap_kuka", "leap_params", "leap"), arm)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import choice, describe, flag, integer, number, parse, text, vector
+from common.config import choice, describe, flag, integer, number, parse, required, text, vector
 from common.errors import ConfigError
 
 
@@ -92,3 +92,21 @@ def test_a_number_is_accepted_exactly_in_its_range(value):
         assert parse(Example, {**GOOD, "angle": value}).angle == value
     else:
         faults(angle=value)
+
+
+@dataclass(frozen=True)
+class Later:
+    old: float = number()
+    angles: np.ndarray = vector(3, "deg", high=180.0, absent=(0.0, 0.0, 0.0))
+    used: bool = flag(absent=False)
+    limit: float = number(absent=None)
+
+
+def test_a_key_that_came_later_may_be_absent_and_is_checked_like_the_others_if_not():
+    config = parse(Later, {"old": 1})
+    np.testing.assert_array_equal(config.angles, [0.0, 0.0, 0.0])
+    assert config.used is False and config.limit is None
+    assert parse(Later, {"old": 1, "used": True, "limit": 2}).limit == 2.0
+    with pytest.raises(ConfigError, match="angles is .*, but must be 3 finite numbers"):
+        parse(Later, {"old": 1, "angles": [0, 0, 181]})
+    assert required(Later) == ("old",)

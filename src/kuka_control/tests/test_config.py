@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -112,3 +113,50 @@ def test_a_home_of_ones_own():
     turned = values(RealTimeConfig, use_home_pos=True, home_pos=[0, 30, 0, -80, 0, 70, 0])
     with pytest.raises(RigError, match="outside the workspace"):
         assembly.Rig.of(parse(RealTimeConfig, turned))
+
+
+@schemas
+def test_a_tool_transform_of_the_length_alone_is_the_same_rig_bit_for_bit(schema):
+    plain = assembly.Rig.of(parse(schema, values(schema)))
+    T = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0.106, 0, 0, 0, 1]
+    rig = assembly.Rig.of(parse(schema, values(schema, use_tool_transform=True, tool_transform=T, tool_length=0.0)))
+    for name in ("q", "T_base_tool", "T_base_flange", "centre"):
+        np.testing.assert_array_equal(getattr(rig.home, name), getattr(plain.home, name))
+    np.testing.assert_array_equal(rig.T_flange_tool, plain.T_flange_tool)
+
+
+@schemas
+def test_a_file_without_tool_transform_and_mounting_means_a_length_on_the_floor(schema):
+    short = values(schema)
+    for key in ("use_tool_transform", "tool_transform", "mounting"):
+        del short[key]
+    first, second = (assembly.Rig.of(parse(schema, v)) for v in (short, values(schema)))
+    np.testing.assert_array_equal(first.home.q, second.home.q)
+
+
+@schemas
+def test_a_tool_transform_that_mirrors_is_refused_only_if_it_is_used(schema):
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0]).ravel().tolist()
+    parse(schema, values(schema, tool_transform=mirror))
+    with pytest.raises(ConfigError, match=r"^kuka/tool_transform is not the pose of a tool: .* is a mirror"):
+        parse(schema, values(schema, tool_transform=mirror, use_tool_transform=True), "kuka/")
+
+
+@schemas
+@pytest.mark.parametrize("place", ["ceiling", "wall"])
+@pytest.mark.parametrize("robot", ["LBR7R800", "LBR14R820"])
+def test_the_files_for_ceiling_and_wall_have_a_home(schema, place, robot):
+    file = CONFIG / f"{place}.yaml"
+    changes = yaml.safe_load(file.read_text())
+    assert changes.keys() < values(schema).keys()
+    rig = assembly.Rig.of(parse(schema, values(schema, robot=robot, **changes)))
+    np.testing.assert_allclose(rig.home.T_base_tool[:3, 2], -rig.bearings.up, atol=1e-9)
+    for line in file.read_text().splitlines():
+        assert line.startswith("#") or not line or re.search(r"# .*(\bm\b|\bdeg\b|no unit)", line), line
+
+
+def test_an_arm_whose_mounting_leaves_no_home_is_refused():
+    with pytest.raises(RigError, match=r"needs joint 6 .* on a ceiling far from the base"):
+        assembly.Rig.of(parse(RealTimeConfig, values(RealTimeConfig, mounting=[180, 0, 0])))
+    with pytest.raises(ConfigError, match="mounting"):
+        parse(RealTimeConfig, values(RealTimeConfig, mounting=[181, 0, 0]))

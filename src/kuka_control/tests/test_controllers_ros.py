@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import yaml
 
-from common.poses import pose
+from common.poses import inverse, pose
+from common.rotations import rotation_from_zyx
 
 pytestmark = pytest.mark.ros
 
@@ -44,8 +45,10 @@ class Robot:
 
 
 @pytest.fixture
-def robot(ros, wait_until):
-    process = ros.run("rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "0")
+def robot(ros, wait_until, request):
+    """The simulated robot; a test may add arguments by indirect parameters."""
+    more = getattr(request, "param", ())
+    process = ros.run("rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "0", *more)
     ready = r"listening on 127\.0\.0\.1:(\d+), control port 127\.0\.0\.1:(\d+)"
     found = wait_until(lambda: re.search(ready, process.log_path.read_text()), 20.0, "the simulated robot")
     return Robot(process, int(found[1]), int(found[2]))
@@ -446,6 +449,8 @@ def test_the_launch_files_set_what_they_are_given(ros, robot, wait_until):
         (REAL_TIME, {"center_line": [1, 0, 0.5]}, ["horizontal"]),
         (REAL_TIME, {"tool_length": 0.7}, ["tool"]),
         (PTP, {"joints_thresh": -1}, ["kuka/joints_thresh"]),
+        (REAL_TIME, {"mounting": [180, 0, 0]}, ["joint 6", "ceiling"]),
+        (PTP, {"use_tool_transform": True, "tool_transform": [2] + [0] * 15}, ["kuka/tool_transform"]),
     ],
 )
 def test_bad_parameters_are_refused_before_anything_is_connected(ros, robot, start, executable, changes, words):
@@ -474,3 +479,79 @@ def test_it_waits_for_its_parameters_and_says_so(ros, wait_until):
     process = ros.run("kuka_control", PTP)
     wait_until(lambda: any("Waiting for the parameter /kuka" in m.msg for m in said), 30.0, "the sentence")
     assert process.poll() is None
+
+
+@pytest.mark.parametrize("robot", [("--mounting", "180", "0", "0")], indirect=True)
+def test_an_arm_on_a_ceiling_follows_the_hand(ros, robot, start, hand, wait_until):
+    import tf2_ros
+
+    from common.ros.conversions import pose_from_transform
+    from kuka_msgs.msg import jointTorquesExternal, jointTorquesMeasured
+
+    external = ros.record("kuka/joint_torques_external", jointTorquesExternal)
+    measured = ros.record("kuka/joint_torques_measured", jointTorquesMeasured)
+    node = start(**yaml.safe_load((CONFIG / "ceiling.yaml").read_text()), time_out=1.0)
+    node.wait_for_mode("home")
+    home = frame("kuka/tool_frame/home", tf2_ros, wait_until, pose_from_transform)
+    np.testing.assert_allclose(home[:3, :3], np.eye(3), atol=1e-6)  # z away from the ceiling
+    np.testing.assert_allclose(tool_of(robot), home, atol=2e-3)
+    assert node.control(True).success
+    T = shifted(home, 0.0, 0.05, 0.05)
+    hand(T)
+    node.wait_for_mode("servo")
+    wait_until(lambda: at(robot, T), MOVE_S, "the tool where the hand is")
+    external.wait(3), measured.wait(3)
+    assert all(m.joint_1 == m.joint_2 == m.joint_4 == 0.0 for m in external)
+    # The weight of the arm, which leans towards center_line, pulls at joint 4 the other way than on the floor.
+    assert measured[-1].joint_4 * gravity_on_the_floor(robot.joints)[3] < 0.0
+
+
+def test_a_tool_that_is_a_whole_pose(ros, robot, start, hand, wait_until):
+    import tf2_ros
+
+    from common.ros.conversions import pose_from_transform
+
+    T_flange_tool = pose(rotation_from_zyx(0.4, 0.3, -0.2), (0.02, -0.03, 0.1))
+    node = start(use_tool_transform=True, tool_transform=T_flange_tool.ravel().tolist(), time_out=1.0)
+    node.wait_for_mode("home")
+    T_home = home_tool()
+    for name, expected in (
+        ("kuka/tool_frame/home", T_home),
+        ("kuka/flange_frame/home", T_home @ inverse(T_flange_tool)),
+        ("kuka/flange_frame/measured", T_home @ inverse(T_flange_tool)),
+    ):
+        wait_until(
+            lambda name=name, expected=expected: np.allclose(
+                frame(name, tf2_ros, wait_until, pose_from_transform), expected, atol=2e-3
+            ),
+            20.0,
+            name,
+        )
+    assert node.control(True).success
+    T = shifted(T_home, 0.03, 0.0, 0.05)
+    hand(T)
+    node.wait_for_mode("servo")
+    wait_until(
+        lambda: np.allclose(np.array(robot.ask()["flange"]) @ T_flange_tool, T, atol=3e-3),
+        MOVE_S,
+        "the tool at the hand",
+    )
+
+
+def frame(name, tf2_ros, wait_until, pose_from_transform):
+    """Returns the pose of a frame in the base, shape (4, 4) [m]."""
+    import rospy
+
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+    wait_until(lambda: buffer.can_transform("kuka/base_frame", name, rospy.Time(0)), 20.0, f"tf of {name}")
+    listener.unregister()
+    return pose_from_transform(buffer.lookup_transform("kuka/base_frame", name, rospy.Time(0)).transform)
+
+
+def gravity_on_the_floor(q):
+    """Returns the joint torques that hold an arm on the floor, shape (7,) [Nm]."""
+    from rig_simulation.sunrise.description import read_urdf
+    from rig_simulation.sunrise.robot import Robot
+
+    return Robot(read_urdf("LBR7R800", "MF_elektrisch")).torques(q, np.zeros(7), np.zeros(7))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.mounting import directions
 from common.poses import pose, translation
-from common.rotations import rotation_about
+from common.rotations import rotation_about, rotation_from_zyx
 from kuka_control.home_pose import HomeError, custom_home, home_pose
 from kuka_control.kinematics import Kinematics, forward
 from kuka_control.robot_model import robot_model
@@ -18,6 +20,7 @@ from kuka_control.workspace import Workspace
 
 MODELS = [robot_model("LBR7R800", "MF_elektrisch"), robot_model("LBR14R820", "MF_touch_pneumatisch")]
 TOOL_LENGTH = 0.106
+TOOL = translation(0.0, 0.0, TOOL_LENGTH)
 CUSTOM = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
 
 
@@ -58,7 +61,7 @@ def check(home, model, workspace, tool_length):
 @given(heading=st.floats(-math.pi, math.pi), tool_length=st.floats(0.0, 0.2), size=st.floats(0.01, 100.0))
 def test_every_direction_and_tool(model, heading, tool_length, size):
     workspace = workspace_of(model, [size * math.cos(heading), size * math.sin(heading), 0.0])
-    home = home_pose(model, workspace, tool_length)
+    home = home_pose(model, workspace, translation(0.0, 0.0, tool_length))
     check(home, model, workspace, tool_length)
     sign = 1.0 if workspace.center_line[0] >= 0.0 else -1.0
     assert np.array_equal(np.sign(home.q[[1, 3, 5]]), [sign, -sign, sign])
@@ -81,7 +84,7 @@ def test_every_direction_and_tool(model, heading, tool_length, size):
 )
 def test_which_way_joint_1_turns_and_the_arm_leans(model, center_line, joint_1, signs):
     workspace = workspace_of(model, np.array(center_line, dtype=float))
-    home = home_pose(model, workspace, TOOL_LENGTH)
+    home = home_pose(model, workspace, TOOL)
     check(home, model, workspace, TOOL_LENGTH)
     assert math.degrees(home.q[0]) == pytest.approx(joint_1, abs=1e-6)
     assert tuple(np.sign(home.q[[1, 3, 5]])) == signs
@@ -89,7 +92,7 @@ def test_which_way_joint_1_turns_and_the_arm_leans(model, center_line, joint_1, 
 
 def test_home_of_the_default_parameters():
     model = MODELS[0]
-    home = home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH)
+    home = home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL)
     np.testing.assert_allclose(np.degrees(home.q), (-45.0, 29.593, 0.0, -63.391, 0.0, 87.016, 0.0), atol=1e-3)
     np.testing.assert_allclose(home.centre, (0.42214, -0.42214, 0.4), atol=1e-5)
 
@@ -97,8 +100,8 @@ def test_home_of_the_default_parameters():
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 @pytest.mark.parametrize("center_line", [[1.0, -1.0, 0.0], [-1.0, 0.2, 0.0]])
 def test_inverse_kinematics_starts_from_home_without_a_step(model, center_line):
-    home = home_pose(model, workspace_of(model, center_line), TOOL_LENGTH)
-    arm = Kinematics(model, translation(0.0, 0.0, TOOL_LENGTH))
+    home = home_pose(model, workspace_of(model, center_line), TOOL)
+    arm = Kinematics(model, TOOL)
     result = arm.inverse(home.T_base_tool, home.q)
     np.testing.assert_allclose(result.q, home.q, atol=1e-9)
     assert result.arm_angle == pytest.approx(0.0, abs=1e-9)
@@ -107,7 +110,7 @@ def test_inverse_kinematics_starts_from_home_without_a_step(model, center_line):
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 def test_tool_that_is_too_long_is_named(model):
     with pytest.raises(HomeError, match=r"out of reach: with a tool of 0\.6 m .* probably the tool is too long"):
-        home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), 0.6)
+        home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), translation(0.0, 0.0, 0.6))
 
 
 def test_joint_out_of_range_is_named():
@@ -117,7 +120,7 @@ def test_joint_out_of_range_is_named():
     with pytest.raises(
         HomeError, match=r"needs joint 6 at 12\d\.\d deg \(range -120 to 120 deg\); probably the tool is"
     ):
-        home_pose(model, high, 0.16)
+        home_pose(model, high, translation(0.0, 0.0, 0.16))
 
 
 def test_settings_that_can_be_reached_lead_home_and_others_are_refused():
@@ -137,7 +140,7 @@ def test_settings_that_can_be_reached_lead_home_and_others_are_refused():
         )
         tool_length = rng.uniform(0.0, 0.4)
         try:
-            home = home_pose(model, workspace, tool_length)
+            home = home_pose(model, workspace, translation(0.0, 0.0, tool_length))
         except HomeError:
             refused += 1
             continue
@@ -150,7 +153,7 @@ def test_custom_home_is_where_its_joints_bring_the_tool():
     model = MODELS[0]
     workspace = workspace_of(model, [1.0, -1.0, 0.0])
     q = CUSTOM + np.radians([5.0, 5.0, 0.0, 5.0, 3.0, 0.0, 10.0])
-    home = custom_home(model, workspace, TOOL_LENGTH, q)
+    home = custom_home(model, workspace, TOOL, q)
     np.testing.assert_array_equal(home.q, q)
     np.testing.assert_array_equal(home.T_base_flange, forward(model, q))
     np.testing.assert_allclose(home.T_base_tool, home.T_base_flange @ translation(0.0, 0.0, TOOL_LENGTH), atol=1e-12)
@@ -159,7 +162,7 @@ def test_custom_home_is_where_its_joints_bring_the_tool():
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 def test_custom_home_of_the_default_parameters_is_accepted(model):
-    custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH, CUSTOM)
+    custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL, CUSTOM)
 
 
 @pytest.mark.parametrize(
@@ -176,4 +179,128 @@ def test_custom_home_of_the_default_parameters_is_accepted(model):
 def test_custom_home_that_cannot_be_is_refused(q, words):
     model = MODELS[0]
     with pytest.raises(HomeError, match=words):
-        custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL_LENGTH, q)
+        custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL, q)
+
+
+degrees = st.floats(-180.0, 180.0)
+headings = st.floats(-math.pi, math.pi)
+
+
+def check_any(home, model, workspace, T_flange_tool, bearings):
+    """What holds for every home position that is calculated, with any tool on any arm."""
+    T_base_tool = pose(bearings.R_base_tool, workspace.centre)
+    np.testing.assert_allclose(home.T_base_tool, T_base_tool, atol=1e-9)
+    np.testing.assert_allclose(forward(model, home.q) @ T_flange_tool, T_base_tool, atol=1e-9)
+    np.testing.assert_allclose(home.T_base_flange @ T_flange_tool, T_base_tool, atol=1e-9)
+    assert np.all(model.lower <= home.q) and np.all(home.q <= model.upper)
+    assert home.q[2] == 0.0
+
+
+def roomy(model, heading, rng):
+    inner, z_lower = rng.uniform(0.45, 0.7), rng.uniform(0.15, 0.65)
+    return workspace_of(
+        model,
+        [math.cos(heading), math.sin(heading), 0.0],
+        z_lower=z_lower,
+        z_upper=z_lower + 0.2,
+        inner_sphere=inner,
+        outer_sphere=inner + 0.08,
+    )
+
+
+def test_any_tool_on_any_arm_has_the_pose_of_the_law_at_home_or_is_refused():
+    rng = np.random.default_rng(2)
+    found = 0
+    for _ in range(600):
+        model = MODELS[rng.integers(2)]
+        workspace = roomy(model, rng.uniform(-math.pi, math.pi), rng)
+        T = pose(rotation_from_zyx(*rng.uniform(-math.pi, math.pi, 3)), rng.uniform(-0.15, 0.15, 3))
+        bearings = directions(workspace.center_line, rng.uniform(-180.0, 180.0, 3))
+        try:
+            home = home_pose(model, workspace, T, bearings)
+        except HomeError as error:
+            assert re.search("out of reach|needs joint", str(error))
+            continue
+        check_any(home, model, workspace, T, bearings)
+        found += 1
+    assert found > 50
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@given(headings, st.floats(-1.0, 1.0), st.floats(-0.05, 0.05), st.floats(0.0, 0.1))
+def test_a_tool_within_the_arms_plane_leaves_joints_3_5_and_7_at_zero(model, heading, pitch, x, z):
+    workspace = workspace_of(model, [math.cos(heading), math.sin(heading), 0.0])
+    T = pose(rotation_about(1, pitch), (x, 0.0, z))
+    try:
+        home = home_pose(model, workspace, T)
+    except HomeError as error:
+        assert re.search("joint [46]|out of reach", str(error)), error
+        return
+    check_any(home, model, workspace, T, directions(workspace.center_line))
+    np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-7)
+
+
+@given(headings, st.floats(-2.9, 2.9), st.floats(0.0, 0.12))
+def test_a_tool_turned_about_the_flanges_axis_turns_joint_7_alone(heading, turn, length):
+    model = MODELS[0]
+    workspace = workspace_of(model, [math.cos(heading), math.sin(heading), 0.0])
+    plain = home_pose(model, workspace, translation(0.0, 0.0, length))
+    home = home_pose(model, workspace, pose(rotation_about(2, turn), (0.0, 0.0, length)))
+    check_any(home, model, workspace, pose(rotation_about(2, turn), (0, 0, length)), directions(workspace.center_line))
+    np.testing.assert_allclose(home.q - plain.q, [0, 0, 0, 0, 0, 0, -turn], atol=1e-9)
+
+
+def test_a_tool_whose_x_axis_points_back_along_the_flange_is_refused_with_the_cause():
+    with pytest.raises(
+        HomeError, match=r"needs joint [57] at -?180.0 deg .*; probably tool_transform turns the tool too"
+    ):
+        home_pose(MODELS[0], workspace_of(MODELS[0], [1.0, -1.0, 0.0]), pose(rotation_about(2, math.pi), (0, 0, 0.1)))
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@given(heading=headings, yaw=degrees)
+def test_on_a_ceiling_the_tool_points_away_from_the_base(model, heading, yaw):
+    workspace = workspace_of(
+        model,
+        [math.cos(heading), math.sin(heading), 0.0],
+        z_lower=0.7,
+        z_upper=1.1,
+        inner_sphere=0.6,
+        outer_sphere=0.79,
+    )
+    bearings = directions(workspace.center_line, (180.0, 0.0, yaw))
+    home = home_pose(model, workspace, TOOL, bearings)
+    check_any(home, model, workspace, TOOL, bearings)
+    np.testing.assert_allclose(home.T_base_tool[:3, 2], [0.0, 0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-9)
+    assert abs(home.q[0]) <= math.pi / 2 + 1e-9
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+@pytest.mark.parametrize(("mounting", "line"), [((0, 90, 0), [1, 0, 0]), ((90, 0, 0), [0, -1, 0])])
+def test_on_a_wall_a_centre_line_that_points_down_keeps_the_arm_in_its_plane(model, mounting, line):
+    line = np.array(line, dtype=float)
+    workspace = workspace_of(model, line, z_lower=0.4, z_upper=0.8, inner_sphere=0.65, outer_sphere=0.79)
+    bearings = directions(line, mounting)
+    home = home_pose(model, workspace, TOOL, bearings)
+    check_any(home, model, workspace, TOOL, bearings)
+    np.testing.assert_allclose(home.T_base_tool[:3, 2], line, atol=1e-9)
+    np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-9)
+    with pytest.raises(HomeError, match="out of reach: .* on a wall with center_line down or sideways"):
+        home_pose(model, workspace, TOOL, directions(line, [-angle for angle in mounting]))
+
+
+def test_joint_1_stays_in_its_quarter_where_the_wrist_is_behind_the_base_axis():
+    model = MODELS[0]
+    workspace = workspace_of(model, [1.0, 0.1, 0.0], z_lower=0.9, z_upper=1.1, inner_sphere=0.6, outer_sphere=0.79)
+    bearings = directions([1.0, 0.1, 0.0], (0.0, 90.0, 0.0))
+    home = home_pose(model, workspace, TOOL, bearings)
+    check_any(home, model, workspace, TOOL, bearings)
+    wrist = home.T_base_flange[:3, 3] - model.wrist_flange * home.T_base_flange[:3, 2]
+    assert wrist[0] < 0.0 and abs(home.q[0]) < math.pi / 2
+
+
+def test_the_usual_workspace_on_a_ceiling_is_refused_with_the_cause():
+    workspace = workspace_of(MODELS[0], [1.0, -1.0, 0.0])
+    with pytest.raises(HomeError, match="needs joint 6 .* on a ceiling far from the base"):
+        home_pose(MODELS[0], workspace, TOOL, directions(workspace.center_line, (180.0, 0.0, 0.0)))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.mounting import directions
 from common.poses import translation
 from kuka_control.home_pose import home_pose
 from kuka_control.kinematics import IkFailure, Kinematics
@@ -17,6 +18,7 @@ from kuka_control.workspace_samples import volume_samples
 
 MODEL = robot_model("LBR7R800", "MF_elektrisch")
 TOOL_M = 0.106
+TOOL = translation(0.0, 0.0, TOOL_M)
 WIDE = (math.radians(25.0),) * 3
 angles = st.floats(-0.5, 0.5)
 headings = st.sampled_from([0.0, 0.5, -0.8, 1.5, math.pi / 2, -math.pi / 2, 2.0, math.pi, -2.5])
@@ -32,20 +34,22 @@ def study(tolerances=WIDE, tool=TOOL_M, count=150, seed=0, attitudes=6, space=No
     random = np.random.default_rng(seed)
     positions = volume_samples(space, count, random)
     kinematics = Kinematics(MODEL, translation(0.0, 0.0, tool))
-    return study_reach(kinematics, space, home_pose(MODEL, space, TOOL_M).q, positions, tolerances, attitudes, random)
+    q_home = home_pose(MODEL, space, TOOL).q
+    bearings = directions(space.center_line)
+    return study_reach(kinematics, bearings, q_home, positions, tolerances, attitudes, random)
 
 
 @given(headings)
 def test_at_zero_the_tool_has_the_attitude_of_the_home_position(heading):
     space = workspace(heading)
-    R_home = home_pose(MODEL, space, TOOL_M).T_base_tool[:3, :3]
-    np.testing.assert_allclose(tool_attitude(space, 0.0, 0.0, 0.0), R_home, atol=1e-9)
+    R_home = home_pose(MODEL, space, TOOL).T_base_tool[:3, :3]
+    np.testing.assert_allclose(tool_attitude(directions(space.center_line), 0.0, 0.0, 0.0), R_home, atol=1e-9)
 
 
 @given(headings, angles, angles, angles)
 def test_the_tool_is_turned_by_yaw_about_the_vertical_and_tilted_by_pitch_and_roll(heading, yaw, pitch, roll):
     space = workspace(heading)
-    R = tool_attitude(space, yaw, pitch, roll)
+    R = tool_attitude(directions(space.center_line), yaw, pitch, roll)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert R[2, 2] == pytest.approx(-math.cos(pitch) * math.cos(roll), abs=1e-12)
     forward = R[:, 0] if space.center_line[0] < 0.0 else -R[:, 0]
@@ -102,5 +106,11 @@ def test_nothing_to_study_is_refused(count, attitudes):
     space = workspace()
     with pytest.raises(ValueError, match="a study needs"):
         study_reach(
-            Kinematics(MODEL), space, np.zeros(7), np.zeros((count, 3)), WIDE, attitudes, np.random.default_rng()
+            Kinematics(MODEL),
+            directions(space.center_line),
+            np.zeros(7),
+            np.zeros((count, 3)),
+            WIDE,
+            attitudes,
+            np.random.default_rng(),
         )

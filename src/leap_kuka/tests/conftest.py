@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from common.config import parse
 from common.rotations import rotation_from_zyx
 from leap_kuka.config import ArmConfig, LeapConfig
 from leap_kuka.desired_tool import R_LEAP_REFERENCE
@@ -41,7 +42,7 @@ def leap():
 @pytest.fixture(scope="session")
 def arm():
     """Makes the arm's parameters, with what differs from the defaults."""
-    return lambda **changes: ArmConfig(**{**ARM, **changes})
+    return lambda **changes: parse(ArmConfig, {**ARM, **changes}, "kuka/")
 
 
 @pytest.fixture(scope="session")

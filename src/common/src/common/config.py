@@ -9,6 +9,8 @@ the value and what is allowed. Defaults live in the yaml alone, so a missing key
 
         def faults(self):                       # optional: what no single field can check
             return []
+
+A field made with `absent` came later than the files that people have: a file without it means that value.
 """
 
 from __future__ import annotations
@@ -23,11 +25,13 @@ import numpy as np
 from common.errors import ConfigError
 
 Schema = TypeVar("Schema")
+REQUIRED = object()
+"""A key that must be there."""
 
 
-def number(unit: str = "", *, low=None, high=None, above=None, below=None, doc: str = "") -> Any:
+def number(unit: str = "", *, low=None, high=None, above=None, below=None, doc: str = "", absent=REQUIRED) -> Any:
     """A finite number. `low` and `high` belong to the range, `above` and `below` do not."""
-    return _field(_Number(unit, low, high, above, below), doc)
+    return _field(_Number(unit, low, high, above, below), doc, absent)
 
 
 def integer(unit: str = "", *, low=None, high=None, doc: str = "") -> Any:
@@ -35,14 +39,16 @@ def integer(unit: str = "", *, low=None, high=None, doc: str = "") -> Any:
     return _field(_Integer(unit, low, high, None, None), doc)
 
 
-def vector(length: int, unit: str = "", *, low=None, high=None, above=None, below=None, doc: str = "") -> Any:
+def vector(
+    length: int, unit: str = "", *, low=None, high=None, above=None, below=None, doc: str = "", absent=REQUIRED
+) -> Any:
     """A list of `length` finite numbers, each in the range; becomes a read-only array, shape (length,)."""
-    return _field(_Vector(length, _Number(unit, low, high, above, below)), doc)
+    return _field(_Vector(length, _Number(unit, low, high, above, below)), doc, absent)
 
 
-def flag(doc: str = "") -> Any:
+def flag(doc: str = "", absent=REQUIRED) -> Any:
     """true or false."""
-    return _field(_Flag(), doc)
+    return _field(_Flag(), doc, absent)
 
 
 def text(doc: str = "") -> Any:
@@ -77,6 +83,9 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     ]
     read = {}
     for name, field in fields.items():
+        if name not in values and field.metadata["absent"] is not REQUIRED:
+            read[name] = field.metadata["absent"]
+            continue
         if name not in values:
             faults.append(f"{prefix}{name} is missing; it must be {field.metadata['kind'].allowed()}.")
             continue
@@ -97,8 +106,15 @@ def describe(schema: type) -> list[tuple[str, str, str]]:
     return [(f.name, f.metadata["kind"].allowed(), f.metadata["doc"]) for f in dataclasses.fields(schema)]
 
 
-def _field(kind, doc: str) -> Any:
-    return dataclasses.field(metadata={"kind": kind, "doc": doc})
+def required(schema: type) -> tuple[str, ...]:
+    """Returns the keys without which there is no configuration."""
+    return tuple(f.name for f in dataclasses.fields(schema) if f.metadata["absent"] is REQUIRED)
+
+
+def _field(kind, doc: str, absent=REQUIRED) -> Any:
+    """Returns the field; `absent` is the value that a missing key stands for, and may be None."""
+    absent = absent if absent is REQUIRED or absent is None else kind.read(absent)
+    return dataclasses.field(metadata={"kind": kind, "doc": doc, "absent": absent})
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.poses import inverse, translation
+from common.mounting import Directions, directions
+from common.poses import inverse
 from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig
 from kuka_control.home_pose import Home, custom_home, home_pose
 from kuka_control.kinematics import Kinematics
@@ -27,7 +28,8 @@ class Rig:
 
     Attributes:
         model: the arm.
-        T_flange_tool: the tool point, shape (4, 4) [m].
+        T_flange_tool: the tool, shape (4, 4) [m].
+        bearings: which way is up and ahead, after the arm's mounting.
         kinematics: of the arm with its tool.
         workspace: of the tool point.
         home: the home position.
@@ -36,6 +38,7 @@ class Rig:
 
     model: RobotModel
     T_flange_tool: np.ndarray
+    bearings: Directions
     kinematics: Kinematics
     workspace: Workspace
     home: Home
@@ -49,7 +52,8 @@ class Rig:
             HomeError: the home position cannot be reached or lies outside the workspace.
         """
         model = robot_model(config.robot, config.flange)
-        T_flange_tool = translation(0.0, 0.0, config.tool_length)
+        T_flange_tool = config.T_flange_tool
+        bearings = directions(config.center_line, config.mounting)
         kinematics = Kinematics(model, T_flange_tool)
         workspace = Workspace(
             center_line=config.center_line,
@@ -61,11 +65,11 @@ class Rig:
             joint_2_height=model.base_shoulder,
         )
         if config.use_home_pos:
-            home = custom_home(model, workspace, config.tool_length, np.radians(config.home_pos))
+            home = custom_home(model, workspace, T_flange_tool, np.radians(config.home_pos))
         else:
-            home = home_pose(model, workspace, config.tool_length)
+            home = home_pose(model, workspace, T_flange_tool, bearings)
         chain = TargetChain(home.centre, workspace, kinematics)
-        return cls(model, T_flange_tool, kinematics, workspace, home, chain)
+        return cls(model, T_flange_tool, bearings, kinematics, workspace, home, chain)
 
     def T_base_flange(self, T_base_tool: np.ndarray) -> np.ndarray:
         """Returns the flange, shape (4, 4) [m], of a tool frame."""

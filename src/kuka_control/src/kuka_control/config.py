@@ -11,6 +11,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from common.config import choice, flag, integer, number, text, vector
+from common.mounting import mounting_field
+from common.tool import ToolConfig
 from kuka_control.robot_model import FLANGE_HEIGHTS, robot_model
 from kuka_control.workspace import workspace_faults
 
@@ -20,7 +22,7 @@ UPLOADED = ("ws_center", "joints_home")
 
 
 @dataclass(frozen=True)
-class ArmConfig:
+class ArmConfig(ToolConfig):
     """What both controllers need."""
 
     robot: str = choice(*ROBOTS, doc="the arm")
@@ -33,7 +35,7 @@ class ArmConfig:
     z_upper_limit: float = number("m", below=1.14, doc="greatest height of the tool")
     inner_sphere_limit: float = number("m", above=0.4, doc="smallest distance of the tool from joint 2")
     outer_sphere_limit: float = number("m", below=0.8, doc="greatest distance of the tool from joint 2")
-    tool_length: float = number("m", low=0.0, doc="from the flange to the tool point, along the flange's z axis")
+    mounting: np.ndarray = mounting_field()
     time_out: float = number("s", above=0.0, doc="go home after so long without a new desired tool frame")
     home_pos: np.ndarray = vector(7, "deg", low=-180.0, high=180.0, doc="joints of a home position of one's own")
     use_home_pos: bool = flag("whether home_pos is used instead of the calculated home position")
@@ -42,7 +44,7 @@ class ArmConfig:
 
     def faults(self) -> list[str]:
         """Returns what no single parameter can be blamed for, one sentence each."""
-        return workspace_faults(
+        return self.tool_faults() + workspace_faults(
             self.center_line,
             self.opening_angle_rad,
             self.z_lower_limit,

@@ -1,9 +1,13 @@
-"""The home position: the tool in the workspace centre, its z axis down, the arm upright in the plane of center_line.
+"""The home position: the tool in the workspace centre, its z axis down, upper arm and forearm in one upright plane.
 
-In that plane the chain has three joints, 2, 4 and 6, and the elbow above them; joints 3, 5 and 7 are zero. For a
-center_line with x >= 0 joint 1 turns the plane towards it and the tool's x axis points back to the base; else joint 1
-turns the opposite direction there, the arm leans over backwards (the signs of joints 2, 4, 6 change), and the tool's
-x axis points along center_line. So joint 1 never turns further than a quarter. Base frame, metres, radians.
+Joint 3 is zero: shoulder, elbow and wrist lie in a plane through the base's z axis, the elbow above the line between
+the others. For a center_line with x >= 0 joint 1 turns that plane towards it and the tool's x axis points back to the
+base; else joint 1 turns the opposite direction there, the arm leans over backwards (the signs of joints 2, 4, 6
+change), and the tool's x axis points along center_line. So joint 1 turns no further than a quarter. With a tool whose
+attitude fits into the plane, such as a mere length, joints 5 and 7 are zero too; else they turn as little as they can.
+
+Where the arm does not stand upright, down is the world's (see common.mounting) and the plane contains the base's z
+axis, which the elbow is up along. Base frame, metres, radians.
 """
 
 from __future__ import annotations
@@ -14,10 +18,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import RigError
-from common.poses import read_only, translation
+from common.mounting import Directions, directions
+from common.poses import inverse, pose, read_only
+from common.rotations import rotation_about
 from kuka_control.kinematics import forward
 from kuka_control.robot_model import RobotModel
 from kuka_control.workspace import Infeasible, Workspace
+
+ROUNDING_RAD = 1e-12
+"""A joint nearer to zero than this is at zero."""
+
+UPRIGHT_COSINE = 1.0 - 1e-6
+"""Above this cosine of the angle between the base's z axis and the vertical an arm counts as upright."""
 
 
 class HomeError(RigError):
@@ -41,44 +53,51 @@ class Home:
     centre: np.ndarray
 
 
-def home_pose(model: RobotModel, workspace: Workspace, tool_length: float) -> Home:
+def home_pose(
+    model: RobotModel, workspace: Workspace, T_flange_tool: np.ndarray, bearings: Directions | None = None
+) -> Home:
     """Returns the home position above the workspace's center_line.
 
     Args:
         model: the arm.
         workspace: of the tool.
-        tool_length: from the flange to the tool point, along the flange's z axis [m].
+        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m].
+        bearings: which way is down and ahead; None: the arm stands upright.
 
     Raises:
         HomeError: the workspace centre is out of reach or a joint would be out of its range.
     """
-    x, y, z = workspace.centre.tolist()
-    out = math.hypot(x, y)
-    up = z + tool_length + model.wrist_flange - model.base_shoulder
+    bearings = directions(workspace.center_line) if bearings is None else bearings
+    T_base_flange = pose(bearings.R_base_tool, workspace.centre) @ inverse(T_flange_tool)
+    wrist = T_base_flange[:3, 3] - model.wrist_flange * T_base_flange[:3, 2]
+    side = -1.0 if wrist[:2] @ workspace.center_line[:2] < 0.0 else 1.0  # a wrist behind the base axis counts as -out
+    out, up = side * math.hypot(wrist[0], wrist[1]), wrist[2] - model.base_shoulder
     reach = math.hypot(out, up)
     upper_arm, forearm = model.shoulder_elbow, model.elbow_wrist
+    cause = _cause(up, T_flange_tool, bearings)
     if not abs(upper_arm - forearm) < reach <= upper_arm + forearm:
         raise HomeError(
-            f"The home position is out of reach: with a tool of {tool_length:g} m that points down to the workspace "
-            f"centre at {z:.3f} m, {out:.3f} m from the base axis, the wrist would be {reach:.3f} m from the shoulder, "
-            f"and the arm reaches {upper_arm + forearm:g} m; {_cause(up, tool_length)}."
+            f"The home position is out of reach: with {_tool(T_flange_tool)} that points down to the workspace "
+            f"centre at {workspace.centre[2]:.3f} m, {math.hypot(*workspace.centre[:2]):.3f} m from the base axis, the "
+            f"wrist would be {reach:.3f} m from the shoulder, and the arm reaches {upper_arm + forearm:g} m; {cause}."
         )
     bend = math.acos((reach * reach - upper_arm**2 - forearm**2) / (2.0 * upper_arm * forearm))
     lift = math.atan2(forearm * math.sin(bend), upper_arm + forearm * math.cos(bend))
     lean = math.atan2(out, up) - lift
     sign = 1.0 if workspace.center_line[0] >= 0.0 else -1.0
-    q = np.array([math.atan2(sign * y, sign * x), sign * lean, 0.0, -sign * bend, 0.0, 0.0, 0.0])
-    q[5] = sign * (math.pi - lean - bend)
+    turn = math.atan2(side * sign * wrist[1], side * sign * wrist[0])
+    R_forearm_flange = rotation_about(1, -sign * (lean + bend)) @ rotation_about(2, -turn) @ T_base_flange[:3, :3]
+    q = np.array([turn, sign * lean, 0.0, -sign * bend, *_wrist_joints(model, R_forearm_flange)])
+    q[np.abs(q) < ROUNDING_RAD] = 0.0
     outside = _out_of_range(model, q)
     if outside:
         raise HomeError(
-            f"The home position at the workspace centre, with a tool of {tool_length:g} m, needs {outside}; "
-            f"{_cause(up, tool_length)}."
+            f"The home position at the workspace centre, with {_tool(T_flange_tool)}, needs {outside}; {cause}."
         )
-    return _home(model, q, tool_length, workspace.centre)
+    return _home(model, q, T_flange_tool, workspace.centre)
 
 
-def custom_home(model: RobotModel, workspace: Workspace, tool_length: float, q: np.ndarray) -> Home:
+def custom_home(model: RobotModel, workspace: Workspace, T_flange_tool: np.ndarray, q: np.ndarray) -> Home:
     """Returns the home position with the joints `q`, shape (7,) [rad]; the tool point there becomes the centre.
 
     Raises:
@@ -90,28 +109,43 @@ def custom_home(model: RobotModel, workspace: Workspace, tool_length: float, q: 
     outside = _out_of_range(model, q)
     if outside:
         raise HomeError(f"home_pos has {outside}.")
-    home = _home(model, q, tool_length, None)
+    home = _home(model, q, T_flange_tool, None)
     result = workspace.constrain(home.centre)
     if isinstance(result, Infeasible):
         raise HomeError(f"home_pos brings the tool point out of the workspace: {result}.")
     if result.bounds:
         raise HomeError(
             f"home_pos brings the tool point to ({', '.join(f'{c:.3f}' for c in home.centre)}) m, which is outside the "
-            f"workspace ({', '.join(map(str, result.bounds))}); change home_pos, the limits, or tool_length "
-            f"({tool_length:g} m)."
+            f"workspace ({', '.join(map(str, result.bounds))}); change home_pos, the limits, or the tool "
+            f"({_tool(T_flange_tool)})."
         )
     return home
 
 
-def _home(model: RobotModel, q: np.ndarray, tool_length: float, centre: np.ndarray | None) -> Home:
+def _home(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray, centre: np.ndarray | None) -> Home:
     T_base_flange = forward(model, q)
-    T_base_tool = T_base_flange @ translation(0.0, 0.0, tool_length)
+    T_base_tool = T_base_flange @ T_flange_tool
     return Home(
         q=read_only(q),
         T_base_tool=read_only(T_base_tool),
         T_base_flange=read_only(T_base_flange),
         centre=read_only(T_base_tool[:3, 3] if centre is None else centre),
     )
+
+
+def _wrist_joints(model: RobotModel, R_forearm_flange: np.ndarray) -> tuple[float, float, float]:
+    """Returns joints 5, 6, 7 [rad] that turn the flange so; of the two ways the one in range, then the lesser."""
+    R = R_forearm_flange
+    across = math.hypot(R[0, 2], R[1, 2])
+    if across < ROUNDING_RAD:  # the flange points along the forearm: joints 5 and 7 turn about one line
+        return 0.0, math.atan2(across, R[2, 2]), math.atan2(R[1, 0], R[0, 0]) if R[2, 2] > 0.0 else 0.0
+    ways = []
+    for sign in (1.0, -1.0):
+        q5 = math.atan2(sign * R[1, 2], sign * R[0, 2])
+        q7 = math.atan2(sign * R[2, 1], -sign * R[2, 0])
+        q = (q5, math.atan2(sign * across, R[2, 2]), q7)
+        ways.append((bool(np.any(np.abs(q) > model.upper[4:])), q5 * q5 + q7 * q7, q))
+    return min(ways)[2]
 
 
 def _out_of_range(model: RobotModel, q: np.ndarray) -> str:
@@ -123,8 +157,20 @@ def _out_of_range(model: RobotModel, q: np.ndarray) -> str:
     )
 
 
-def _cause(up: float, tool_length: float) -> str:
+def _tool(T_flange_tool: np.ndarray) -> str:
+    """Returns the tool as a part of a sentence."""
+    return f"a tool of {np.linalg.norm(T_flange_tool[:3, 3]):g} m"
+
+
+def _cause(up: float, T_flange_tool: np.ndarray, bearings: Directions) -> str:
     """Returns what is probably wrong, as a part of a sentence; `up` is the height of wrist over shoulder [m]."""
-    if tool_length > 0.0 and up > 0.0:
+    if bearings.up[2] < UPRIGHT_COSINE:
+        return (
+            "an arm that is not mounted upright needs a workspace of its own: on a ceiling far from the base, "
+            "on a wall with center_line down or sideways"
+        )
+    if np.abs(T_flange_tool[:3, :3] - np.eye(3)).max() > ROUNDING_RAD:
+        return "probably tool_transform turns the tool too far, or the tool is too long"
+    if np.any(T_flange_tool[:3, 3]) and up > 0.0:
         return "probably the tool is too long, or the workspace is too high or too wide"
     return "probably the workspace is too wide or too low"

@@ -8,16 +8,15 @@ looked at.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
+from common.mounting import Directions
 from common.poses import pose, read_only
-from common.rotations import rotation_about, rotation_from_zyx
+from common.rotations import rotation_from_zyx
 from kuka_control.kinematics import IkFailure, Kinematics
-from kuka_control.workspace import Workspace
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,20 +51,14 @@ class ReachStudy:
         return 100.0 * float(np.mean(self.down & (self.share == 1.0)))
 
 
-def tool_attitude(workspace: Workspace, yaw: float, pitch: float, roll: float) -> np.ndarray:
-    """Returns R_base_tool, shape (3, 3), for a hand's attitude [rad]; at zero that of the calculated home position.
-
-    The reference hand has its x axis along center_line and z down; the tool is turned to its back, by 180 deg about z,
-    where center_line.x >= 0.
-    """
-    R_base_reference = rotation_about(2, workspace.heading) @ rotation_about(0, math.pi)
-    turn = math.pi if workspace.center_line[0] >= 0.0 else 0.0
-    return R_base_reference @ rotation_from_zyx(yaw, pitch, roll) @ rotation_about(2, turn)
+def tool_attitude(bearings: Directions, yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """Returns R_base_tool, shape (3, 3), for a hand's attitude [rad]; at zero that of the calculated home position."""
+    return bearings.turned_hand(bearings.R_base_hand @ rotation_from_zyx(yaw, pitch, roll))
 
 
 def study_reach(
     kinematics: Kinematics,
-    workspace: Workspace,
+    bearings: Directions,
     q_home: np.ndarray,
     positions: np.ndarray,
     tolerances: tuple[float, float, float],
@@ -76,7 +69,7 @@ def study_reach(
 
     Args:
         kinematics: of the arm with its tool.
-        workspace: whose home attitude the tool is turned from.
+        bearings: which way is down and ahead.
         q_home: joints that the search starts from, shape (7,) [rad].
         positions: of the tool, shape (n, 3) [m], n > 0.
         tolerances: greatest yaw, pitch and roll either way [rad].
@@ -89,7 +82,7 @@ def study_reach(
     if len(positions) < 1 or attitudes < 1:
         raise ValueError(f"a study needs positions and attitudes, not {len(positions)} and {attitudes}")
     limits = np.asarray(tolerances, dtype=float)
-    R_down = tool_attitude(workspace, 0.0, 0.0, 0.0)
+    R_down = tool_attitude(bearings, 0.0, 0.0, 0.0)
     down, share, failures = [], [], Counter()
     for position in positions:
         straight = kinematics.inverse(pose(R_down, position), near=q_home)
@@ -97,6 +90,6 @@ def study_reach(
         if straight.failure is not None:
             failures[straight.failure] += 1
         drawn = random.uniform(-limits, limits, (attitudes, 3))
-        poses = (pose(tool_attitude(workspace, *angles), position) for angles in drawn)
+        poses = (pose(tool_attitude(bearings, *angles), position) for angles in drawn)
         share.append(np.mean([kinematics.inverse(T, near=q_home).failure is None for T in poses]))
     return ReachStudy(read_only(positions), np.array(down), read_only(share), dict(failures))

@@ -31,8 +31,8 @@ def sentences(config: ArmConfig, rig: Rig, study: ReachStudy, tolerances_deg: Se
     home = "home_pos" if config.use_home_pos else "calculated"
     lines = [
         f"The tool may be {config.z_lower_limit:g} to {config.z_upper_limit:g} m high, and "
-        f"{config.inner_sphere_limit:g} to {config.outer_sphere_limit:g} m from joint 2; it is {config.tool_length:g} "
-        "m long.",
+        f"{config.inner_sphere_limit:g} to {config.outer_sphere_limit:g} m from joint 2; its point is "
+        f"{np.linalg.norm(rig.T_flange_tool[:3, 3]):g} m from the flange.",
         f"Its centre is ({x:.3f}, {y:.3f}, {z:.3f}) m.",
         f"The joints at home ({home}): {joints} deg.",
         f"Reached with the tool straight down: {study.percent_down:.1f} % of {len(study.positions)} positions all over "

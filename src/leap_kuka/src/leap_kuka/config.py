@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.config import integer, number, vector
+from common.mounting import EVEN, Directions, directions, mounting_field
+from common.tool import ToolConfig
 
 
 @dataclass(frozen=True)
@@ -29,17 +31,18 @@ class LeapConfig:
 
 
 @dataclass(frozen=True)
-class ArmConfig:
+class ArmConfig(ToolConfig):
     """Those parameters under `kuka/` that place the virtual Leap and the flange."""
 
     center_line: np.ndarray = vector(3, doc="middle of the workspace seen from above")
     z_lower_limit: float = number("m", low=0.0, doc="lower limit of the workspace")
-    tool_length: float = number("m", low=0.0, doc="from the flange to the tool point along z")
+    z_upper_limit: float | None = number("m", absent=None, doc="upper limit of the workspace")
+    mounting: np.ndarray = mounting_field()
     ws_center: np.ndarray = vector(3, "m", doc="centre of the workspace, uploaded by the controller")
 
     def faults(self) -> list[str]:
         """Returns what no single value shows."""
-        faults = []
+        faults = self.tool_faults()
         if self.center_line[2] != 0.0:
             faults.append(f"center_line is {self.center_line.tolist()}, but its z must be zero.")
         if not np.any(self.center_line[:2]):
@@ -48,4 +51,27 @@ class ArmConfig:
             faults.append(
                 f"ws_center has z {self.ws_center[2]:g} m, but must be above z_lower_limit {self.z_lower_limit:g} m."
             )
+        if not faults and self.hangs:
+            if self.z_upper_limit is None:
+                faults.append("z_upper_limit is missing; an arm that hangs needs it.")
+            elif self.ws_center[2] >= self.z_upper_limit:
+                faults.append(
+                    f"ws_center has z {self.ws_center[2]:g} m, but must be below z_upper_limit "
+                    f"{self.z_upper_limit:g} m."
+                )
         return faults
+
+    @property
+    def bearings(self) -> Directions:
+        """Which way is up and ahead, after the arm's mounting."""
+        return directions(self.center_line, self.mounting)
+
+    @property
+    def hangs(self) -> bool:
+        """Whether z_upper_limit, and not z_lower_limit, is the lower one in the world."""
+        return bool(self.bearings.up[2] < -EVEN)
+
+    @property
+    def depth(self) -> float:
+        """How far the workspace reaches below its centre [m], along the base's z axis."""
+        return self.z_upper_limit - self.ws_center[2] if self.hangs else self.ws_center[2] - self.z_lower_limit

@@ -60,7 +60,7 @@ def tool_rotation(angles: Attitude, heading: float, turned: bool) -> np.ndarray:
     Args:
         angles: attitude of the hand, clipped.
         heading: the heading that the yaw is counted from [rad].
-        turned: turn by 180 deg about the tool's z axis, as the home pose of an arm with center_line.x >= 0 has it.
+        turned: turn by 180 deg about the tool's z axis, as the home pose has it (see common.mounting).
     """
     R_reference_tool = rotation_from_zyx(angles.yaw + heading, angles.pitch, angles.roll)
     R_virtual_tool = R_LEAP_REFERENCE @ R_reference_tool

@@ -45,7 +45,7 @@ def interaction_box(leap: LeapConfig, arm: ArmConfig) -> Box:
     Raises:
         ConfigError: it would reach into the Leap.
     """
-    height = arm.ws_center[2] - arm.z_lower_limit + leap.z_clearance
+    height = arm.depth + leap.z_clearance
     if height < leap.box_dimensions[1] / 2.0:
         raise ConfigError(
             [

@@ -12,7 +12,7 @@ import numpy as np
 
 from common.frame_watch import FrameWatch
 from common.hand_choice import HandChoice
-from common.poses import pose, read_only, translation
+from common.poses import inverse, pose, read_only
 from leap_kuka.config import ArmConfig, LeapConfig
 from leap_kuka.desired_tool import Attitude, attitude, tool_rotation
 from leap_kuka.hand_average import HandAverage, MeanHand
@@ -95,11 +95,11 @@ class Teleop:
     """
 
     def __init__(self, leap: LeapConfig, arm: ArmConfig) -> None:
-        self._arm = arm
-        self._z_clearance = leap.z_clearance
+        self._bearings = arm.bearings
+        self._ws_center = arm.ws_center
         self._limits = Attitude(*np.radians([leap.run_tol_yaw, leap.run_tol_pitch, leap.run_tol_roll]).tolist())
         self.box: Box = interaction_box(leap, arm)
-        self.T_tool_flange = read_only(translation(0.0, 0.0, -arm.tool_length))
+        self.T_tool_flange = read_only(inverse(arm.T_flange_tool))
         self.counts = Counts()
         self._watch = FrameWatch(MAX_SILENCE_S)
         self._choice = HandChoice()
@@ -177,13 +177,10 @@ class Teleop:
             self.counts.streams += 1
 
     def _turn(self, psi: float) -> None:
-        """Turns the virtual Leap so that the heading psi [rad] points along the centre line."""
+        """Turns the virtual Leap so that the heading psi [rad] points ahead."""
         self._heading = psi
-        self._T_base_virtual = read_only(
-            virtual_leap_pose(
-                self._arm.center_line, self._arm.ws_center, self._arm.z_lower_limit, self._z_clearance, psi
-            )
-        )
+        height = float(self.box.center[1])
+        self._T_base_virtual = read_only(virtual_leap_pose(self._bearings, self._ws_center, height, psi))
 
     def _lose(self, reason: str) -> None:
         self._average.reset()
@@ -198,7 +195,7 @@ class Teleop:
             return TeleopResult(WAITING, self._reason, usable, self._T_base_virtual, T_virtual_hand)
         measured = attitude(mean.T_leap_hand[:3, :3], self._heading)
         clipped = measured.clipped(self._limits)
-        R_virtual_tool = tool_rotation(clipped, self._heading, turned=bool(self._arm.center_line[0] >= 0.0))
+        R_virtual_tool = tool_rotation(clipped, self._heading, self._bearings.turned)
         return TeleopResult(
             RUNNING,
             f"{self._reason}{_held(measured, clipped)}",

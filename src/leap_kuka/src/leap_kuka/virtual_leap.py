@@ -1,7 +1,7 @@
 """Where the Leap stands in the robot's world.
 
-The virtual Leap stands upright below the centre of the workspace. It is turned about its vertical axis so that one
-horizontal direction of the real Leap frame, the heading, points along the centre line.
+The virtual Leap stands upright in the world, below the centre of the workspace. It is turned about its vertical axis so
+that one horizontal direction of the real Leap frame, the heading, points ahead: along the centre line.
 
 A heading is the angle psi [rad] of a horizontal direction (sin psi, 0, -cos psi) in the Leap frame: 0 points along -z,
 away from the user, and positive turns to the right.
@@ -13,8 +13,9 @@ import math
 
 import numpy as np
 
+from common.mounting import Directions
 from common.poses import pose
-from common.rotations import rotation_about, unit
+from common.rotations import rotation_about
 
 
 def heading(direction) -> float:
@@ -22,21 +23,15 @@ def heading(direction) -> float:
     return math.atan2(direction[0], -direction[2])
 
 
-def virtual_leap_pose(center_line, ws_center, z_lower_limit: float, z_clearance: float, psi: float) -> np.ndarray:
+def virtual_leap_pose(bearings: Directions, ws_center, height: float, psi: float) -> np.ndarray:
     """Returns T_base_virtual, shape (4, 4).
 
     Args:
-        center_line: horizontal direction in the base frame, shape (3,).
+        bearings: which way is up and ahead in the base frame.
         ws_center: centre of the workspace in the base frame, shape (3,) [m].
-        z_lower_limit: lower limit of the workspace [m].
-        z_clearance: how far the virtual Leap lies below that limit [m].
-        psi: the heading in the Leap frame that shall point along `center_line` [rad].
-
-    Raises:
-        ValueError: center_line is zero.
+        height: of that centre above the virtual Leap [m].
+        psi: the heading in the Leap frame that shall point ahead [rad].
     """
-    ahead = unit(center_line)
-    up = np.array([0.0, 0.0, 1.0])
+    up, ahead = bearings.up, bearings.ahead
     straight = np.column_stack([np.cross(ahead, up), up, -ahead])
-    origin = (ws_center[0], ws_center[1], z_lower_limit - z_clearance)
-    return pose(straight @ rotation_about(1, psi), origin)
+    return pose(straight @ rotation_about(1, psi), ws_center - height * up)

@@ -52,3 +52,17 @@ def test_unknown_arm_ends_the_launch_with_the_name_of_the_missing_file(ros):
     launch = ros.launch("rig_description", "description.launch", robot="LBR9")
     assert launch.wait(30.0) != 0
     assert "lbr9_MF_elektrisch.urdf" in launch.log_path.read_text()
+
+
+def test_the_mounting_puts_an_upright_world_above_the_base(ros, wait_until):
+    import rospy
+    import tf2_ros
+
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+    ros.launch("rig_description", "description.launch", mounting="20 30 -40")
+    wait_until(lambda: buffer.can_transform("world", "kuka/base_frame", rospy.Time(0)), 30.0, "tf of the base")
+    r = buffer.lookup_transform("world", "kuka/base_frame", rospy.Time(0)).transform.rotation
+    expected = pin.rpy.rpyToMatrix(*np.radians([20.0, 30.0, -40.0]))
+    np.testing.assert_allclose(pin.Quaternion(r.w, r.x, r.y, r.z).toRotationMatrix(), expected, atol=1e-6)
+    listener.unregister()

@@ -9,6 +9,7 @@ import time
 import rospy
 from tf2_msgs.msg import TFMessage
 
+from common.config import required
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
@@ -85,8 +86,8 @@ class TeleopNode:
 
 def read_arm_config() -> ArmConfig:
     """Returns the arm's parameters once all of them are there; the controller uploads kuka/ws_center last."""
-    for field in dataclasses.fields(ArmConfig):
-        wait_for_param(f"kuka/{field.name}")
+    for key in required(ArmConfig):
+        wait_for_param(f"kuka/{key}")
     return wait_for_config(ArmConfig, "kuka", others=rospy.get_param("kuka"))
 
 

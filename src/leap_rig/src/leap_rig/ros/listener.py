@@ -14,10 +14,12 @@ from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import String
 
-from common.poses import pose, translation
+from common.config import parse
+from common.poses import pose
 from common.ros.conversions import array, pose_from_transform
 from common.ros.stage_times import TOPIC as STAGE_TIMES
 from common.rotations import rotation_from_quaternion
+from common.tool import ToolConfig
 from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
 
@@ -36,7 +38,7 @@ class RigListener:
         self.mode = ""
         self.warnings: list[str] = []
         self._lock = threading.Lock()
-        self._tool_length: float | None = None
+        self._T_flange_tool: np.ndarray | None = None
         self._subscribers: list[rospy.Subscriber] = []
         self._buffer = tf2_ros.Buffer()
         self._tf = tf2_ros.TransformListener(self._buffer, tcp_nodelay=True)
@@ -86,11 +88,12 @@ class RigListener:
             self.recorder.hand(np.array([motor.joint_angle for motor in message.motor]))
 
     def _flange(self, message: PoseStamped) -> None:
-        if self._tool_length is None:
-            self._tool_length = float(rospy.get_param("kuka/tool_length"))
+        if self._T_flange_tool is None:
+            kuka = rospy.get_param("kuka")
+            self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
         q = message.pose.orientation
         T_base_flange = pose(rotation_from_quaternion([q.x, q.y, q.z, q.w]), array(message.pose.position))
-        T_base_tool = T_base_flange @ translation(0.0, 0.0, self._tool_length)
+        T_base_tool = T_base_flange @ self._T_flange_tool
         following = self.mode == "servo" and self.recorder.streaming
         targets = [self._fresh(frame) if following else None for frame in (DESIRED, COMMANDED)]
         with self._lock:

@@ -25,7 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
         options.wiped_window, options.wait_for_client, options.deaf_after_lost_client, options.end_exits
     )
     try:
-        arm = Arm(Robot(read_urdf(options.robot, options.flange)), arm_settings)
+        arm = Arm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings)
         server = Server(arm, server_settings, options.host, options.port, options.control_port, _log)
     except (DeviceError, FileNotFoundError, ValueError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
@@ -54,6 +54,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--control-port", type=_port, default=30011, help="port for tests; 0 takes any free port")
     parser.add_argument("--robot", choices=ROBOTS, default=ROBOTS[0], help="which arm")
     parser.add_argument("--flange", choices=FLANGES, default=FLANGES[0], help="which media flange")
+    parser.add_argument(
+        "--mounting",
+        nargs=3,
+        type=_angle,
+        default=(0.0, 0.0, 0.0),
+        metavar=("ROLL", "PITCH", "YAW"),
+        help="attitude of the base in an upright world, deg, such as 180 0 0 on a ceiling; gravity follows it",
+    )
     parser.add_argument(
         "--servo-law",
         choices=sorted(LAWS),
@@ -89,6 +97,16 @@ def _port(text: str) -> int:
     value = int(text) if text.isdecimal() else -1
     if not 0 <= value <= 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is not a port between 0 and 65535")
+    return value
+
+
+def _angle(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not -180.0 <= value <= 180.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -180 and 180")
     return value
 
 

@@ -5,10 +5,13 @@ Positions in metres in the frame `kuka/base_frame`; the hand's joints stand at z
 
 from __future__ import annotations
 
+from typing import Sequence
+
 import numpy as np
 import pinocchio as pin
 
 from common.poses import inverse, read_only
+from common.rotations import rotation_from_zyx
 
 JOINTS = tuple(f"kuka/joint_{k}" for k in range(1, 8))
 FLANGE = "kuka/flange"
@@ -24,6 +27,7 @@ class Robot:
 
     Args:
         urdf: text of the URDF.
+        mounting: roll, pitch and yaw of the base in an upright world [deg]; gravity follows it.
 
     Attributes:
         lower, upper: joint range, shape (7,) [rad].
@@ -33,7 +37,7 @@ class Robot:
         ValueError: the text is no URDF with the arm's seven joints and its flange.
     """
 
-    def __init__(self, urdf: str) -> None:
+    def __init__(self, urdf: str, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         full = pin.buildModelFromXML(urdf)
         missing = [name for name in JOINTS if not full.existJointName(name)]
         if missing or not full.existFrame(FLANGE):
@@ -41,6 +45,9 @@ class Robot:
         locked = [full.getJointId(name) for name in full.names[1:] if name not in JOINTS]
         self._model = pin.buildReducedModel(full, locked, pin.neutral(full))
         self._data = self._model.createData()
+        roll, pitch, yaw = np.radians(mounting)
+        R_world_base = rotation_from_zyx(yaw, pitch, roll)
+        self._model.gravity = pin.Motion(R_world_base.T @ self._model.gravity.linear, np.zeros(3))
         frame = self._model.frames[self._model.getFrameId(FLANGE)]
         self._last_joint = frame.parent
         self._flange_in_joint = frame.placement

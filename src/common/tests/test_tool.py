@@ -1,0 +1,59 @@
+"""The tool: a length, or a whole pose that must be rigid."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.config import parse
+from common.errors import ConfigError
+from common.poses import pose, translation
+from common.rotations import rotation_from_zyx
+from common.tool import ToolConfig
+
+angle, distance = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5)
+
+
+def tool(T, **changes):
+    values = {"tool_length": 0.106, "tool_transform": np.ravel(T).tolist(), "use_tool_transform": True, **changes}
+    return parse(ToolConfig, values, "kuka/").T_flange_tool
+
+
+@given(st.floats(0.0, 10.0))
+def test_a_length_alone_is_a_shift_along_z_bit_for_bit(length):
+    np.testing.assert_array_equal(parse(ToolConfig, {"tool_length": length}).T_flange_tool, translation(0, 0, length))
+    np.testing.assert_array_equal(
+        tool(np.zeros((4, 4)), tool_length=length, use_tool_transform=False), translation(0, 0, length)
+    )
+
+
+@given(st.floats(0.0, 1.0))
+def test_the_transform_of_a_length_is_that_length_bit_for_bit(length):
+    by_length = parse(ToolConfig, {"tool_length": length}).T_flange_tool
+    np.testing.assert_array_equal(tool(translation(0.0, 0.0, length)), by_length)
+
+
+@given(angle, angle, angle, distance, distance, distance)
+def test_every_rigid_pose_is_taken_as_it_is(a, b, c, x, y, z):
+    T = pose(rotation_from_zyx(a, b, c), (x, y, z))
+    np.testing.assert_array_equal(tool(T), T)
+    np.testing.assert_array_equal(tool(T.round(8)), T.round(8))
+
+
+@pytest.mark.parametrize(
+    ("T", "words"),
+    [
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "mirror"),
+        (np.diag([2.0, 2.0, 2.0, 1.0]), "not orthonormal.* without scale"),
+        (np.diag([1.0, 1.0, 1.0, 2.0]), "last row"),
+        (np.diag([0.7, 0.7, 1.0, 1.0]), "at least seven digits"),
+        (translation(0.0, 0.0, 1.0).T, "last row"),
+        (translation(0.0, 0.0, 106.0), "are these millimetres"),
+        (np.full((4, 4), np.nan), "16 finite numbers"),
+        (np.eye(3), "16 finite numbers"),
+    ],
+)
+def test_what_is_no_pose_of_a_tool_is_refused_with_one_sentence(T, words):
+    with pytest.raises(ConfigError, match=rf"kuka/tool_transform .*{words}") as error:
+        tool(T)
+    assert len(error.value.faults) == 1
