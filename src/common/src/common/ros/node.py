@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 
 import rospy
@@ -21,15 +23,31 @@ def run(name: str, main: Callable[[], None]) -> None:
         rospy.init_node(name)
     except rospy.exceptions.ROSInitException:
         sys.exit(1)  # interrupted before it began
+    _shut_down_beside_the_main_thread()
     try:
         main()
-    except rospy.ROSInterruptException:
-        pass
+    except rospy.ROSException:
+        if not rospy.core.is_shutdown_requested():  # then the topics close while main runs
+            raise
     except RigError as error:
         for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
             rospy.logfatal("%s: %s", rospy.get_name(), sentence)
         rospy.signal_shutdown("fault")
         sys.exit(1)
+
+
+def _shut_down_beside_the_main_thread() -> None:
+    """Takes SIGINT and SIGTERM out of rospy's hands.
+
+    Its handler closes the topics in the main thread. If that was just publishing, it holds the lock of a topic's queue,
+    and the handler waits for that lock for ever: the node neither ends nor goes on.
+    """
+
+    def shut_down(number: int, _) -> None:
+        threading.Thread(target=rospy.signal_shutdown, args=(f"signal-{number}",), name="shutdown").start()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, shut_down)
 
 
 @contextlib.contextmanager
