@@ -166,8 +166,8 @@ def start(*arguments):
     ("arguments", "sentence"),
     [
         (("--interface", "eth77"), "reflex_hand: There is no network interface 'eth77'; there are"),
-        (("--port", "99999"), "reflex_hand: Cannot use 224.0.0.124:99999 on lo"),
-        (("--port", "0", "--control-port", "99999"), "reflex_hand: Cannot listen on 127.0.0.1:99999"),
+        (("--port", "99999"), "'99999' is not a port between 0 and 65535"),
+        (("--port", "0", "--control-port", "99999"), "'99999' is not a port between 0 and 65535"),
         (("--colour", "blue"), "unknown arguments: --colour blue"),
     ],
 )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 import signal
 import sys
 from pathlib import Path
 
 from common.errors import RigError
+from rig_simulation.command_line import finite, parse_options, port, positive
 from rig_simulation.leap import motion, wire
 from rig_simulation.leap.playback import Playback
 from rig_simulation.leap.server import LeapService
@@ -46,8 +46,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=f"{NAME}.py", description="Simulated service of the Leap Motion controller.")
     add = parser.add_argument
     add("--host", default="127.0.0.1", help="loopback address to listen on")
-    add("--port", type=_port, default=6437, help="WebSocket port; 0 takes any free port")
-    add("--control-port", type=_port, default=16437, help="port for tests; 0 takes any free port")
+    add("--port", type=port, default=6437, help="WebSocket port; 0 takes any free port")
+    add("--control-port", type=port, default=16437, help="port for tests; 0 takes any free port")
     add("--paused", action="store_true", help="send empty frames until told to play on the control port")
     add("--lenient", action="store_true", help="serve clients that did not ask for frames")
     add("--seed", type=int, default=0, help="of the noise and of the person's variations")
@@ -56,10 +56,16 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add = recording.add_argument
     add("--recording", type=Path, metavar="FILE", help="one JSON frame a line, .gz or plain")
     add("--loop", action="store_true", help="start it again, after a pause without hands")
-    add("--rate", type=_positive, default=1.0, metavar="FACTOR", help="play it faster or slower than recorded")
+    add(
+        "--rate",
+        type=positive,
+        default=1.0,
+        metavar="FACTOR",
+        help="play it faster or slower than recorded",
+    )
     add(
         "--offset",
-        type=_finite,
+        type=finite,
         nargs=3,
         default=(0.0, 0.0, 0.0),
         metavar=("X", "Y", "Z"),
@@ -68,47 +74,28 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     person = parser.add_argument_group("a scripted person, where no recording is given")
     add = person.add_argument
     add("--figure", choices=motion.FIGURES, default="circle", help="what the hand draws")
-    add("--size", type=_positive, default=150.0, help="width of the figure, mm")
-    add("--speed", type=_positive, default=150.0, help="highest speed of the palm, mm/s; people move at 50 to 250")
+    add("--size", type=positive, default=150.0, help="width of the figure, mm")
+    add(
+        "--speed",
+        type=positive,
+        default=150.0,
+        help="highest speed of the palm, mm/s; people move at 50 to 250",
+    )
     add("--plane", choices=sorted(motion.PLANES), default="upright", help="plane of the figure")
-    add("--away", type=_positive, default=3.0, help="time without a hand between two visits, s")
+    add("--away", type=positive, default=3.0, help="time without a hand between two visits, s")
     add("--hand", choices=("right", "left"), default="right", help="which hand")
-    add("--scale", type=_positive, default=1.05, help="size of the hand against the template; adults: 1.03 to 1.10")
+    add(
+        "--scale",
+        type=positive,
+        default=1.05,
+        help="size of the hand against the template; adults: 1.03 to 1.10",
+    )
     add(
         "--centre",
-        type=_finite,
+        type=finite,
         nargs=3,
         default=(0.0, 350.0, 0.0),
         metavar=("X", "Y", "Z"),
         help="where the hand works, mm in Leap axes",
     )
-    # roslaunch adds a node's name and log file to every program it starts.
-    options, others = parser.parse_known_args(arguments)
-    unknown = [other for other in others if ":=" not in other]
-    if unknown:
-        parser.error(f"unknown arguments: {' '.join(unknown)}")
-    return options
-
-
-def _port(value: str) -> int:
-    port = int(value) if value.isdecimal() else -1
-    if not 0 <= port <= 65535:
-        raise argparse.ArgumentTypeError(f"{value!r} is not a port between 0 and 65535")
-    return port
-
-
-def _finite(value: str) -> float:
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"{value!r} is not a finite number")
-    return number
-
-
-def _positive(value: str) -> float:
-    number = _finite(value)
-    if number <= 0.0:
-        raise argparse.ArgumentTypeError(f"{value!r} is not a number above 0")
-    return number
+    return parse_options(parser, arguments)

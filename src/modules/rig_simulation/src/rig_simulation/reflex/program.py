@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import wraps
 
 from common.errors import RigError
+from rig_simulation.command_line import parse_options, port
 from rig_simulation.control_port import ControlPort
 from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.reflex.link import HandLink
@@ -89,12 +90,7 @@ def _handlers(hand: SimulatedHand, lock: threading.Lock) -> dict[str, Callable]:
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="reflex_hand.py", description="Simulated ReFlex TakkTile hand.")
     parser.add_argument("--interface", default="lo", help="network interface (default: lo)")
-    parser.add_argument("--port", type=int, default=11333, help="UDP port; 0: any free one (default: 11333)")
-    parser.add_argument("--control-port", type=int, default=11433, help="TCP port; 0: any free one (default: 11433)")
+    parser.add_argument("--port", type=port, default=11333, help="UDP port; 0: any free one (default: 11333)")
+    parser.add_argument("--control-port", type=port, default=11433, help="TCP port; 0: any free one (default: 11433)")
     parser.add_argument("--seed", type=int, default=0, help="of the hand's slack, zeros and noise (default: 0)")
-    # roslaunch adds __name:= and __log:= to the arguments of every node.
-    options, others = parser.parse_known_args(arguments)
-    unknown = [other for other in others if ":=" not in other]
-    if unknown:
-        parser.error(f"unknown arguments: {' '.join(unknown)}")
-    return options
+    return parse_options(parser, arguments)

@@ -8,6 +8,7 @@ import signal
 import sys
 
 from common.errors import DeviceError
+from rig_simulation.command_line import angle, not_negative, parse_options, port, positive
 from rig_simulation.sunrise.arm import Arm, ArmSettings
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.sunrise.robot import Robot
@@ -19,7 +20,7 @@ NAME = "sunrise_controller"
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulated controller; returns the exit code."""
-    options = _parser().parse_args(arguments)
+    options = parse_options(_parser(), arguments)
     arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
     server_settings = ServerSettings(
         options.wiped_window, options.wait_for_client, options.deaf_after_lost_client, options.end_exits
@@ -50,14 +51,14 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog=f"{NAME}.py", description="Simulated KUKA Sunrise controller with the toolbox server on it.")
     parser.add_argument("--host", default="127.0.0.1", help="loopback address to listen on")
-    parser.add_argument("--port", type=_port, default=30001, help="port of the toolbox server; 0 takes any free port")
-    parser.add_argument("--control-port", type=_port, default=30011, help="port for tests; 0 takes any free port")
+    parser.add_argument("--port", type=port, default=30001, help="port of the toolbox server; 0 takes any free port")
+    parser.add_argument("--control-port", type=port, default=30011, help="port for tests; 0 takes any free port")
     parser.add_argument("--robot", choices=ROBOTS, default=ROBOTS[0], help="which arm")
     parser.add_argument("--flange", choices=FLANGES, default=FLANGES[0], help="which media flange")
     parser.add_argument(
         "--mounting",
         nargs=3,
-        type=_angle,
+        type=angle,
         default=(0.0, 0.0, 0.0),
         metavar=("ROLL", "PITCH", "YAW"),
         help="attitude of the base in an upright world, deg, such as 180 0 0 on a ceiling; gravity follows it",
@@ -69,65 +70,24 @@ def _parser() -> argparse.ArgumentParser:
         help="how joint servo approaches a goal: lts = law of the published server, none = straight to the goal",
     )
     parser.add_argument(
-        "--trajectory-time", type=_above_zero, default=0.04, help="minimum trajectory time of DirectServo, s"
+        "--trajectory-time", type=positive, default=0.04, help="minimum trajectory time of DirectServo, s"
     )
     parser.add_argument(
         "--wiped-window",
-        type=_not_negative,
+        type=not_negative,
         default=0.0,
         help="seconds after an answer in which a main command is lost",
     )
     parser.add_argument(
-        "--wait-for-client", type=_above_zero, default=math.inf, help="seconds without a client after which it ends"
+        "--wait-for-client",
+        type=positive,
+        default=math.inf,
+        help="seconds without a client after which it ends",
     )
     parser.add_argument(
         "--deaf-after-lost-client", action="store_true", help="a client lost without `end` leaves the port deaf"
     )
     parser.add_argument("--end-exits", action="store_true", help="the command `end` ends the program")
-    parser.add_argument(
-        "--safety-torque", type=_above_zero, default=25.0, help="external torque of the safety stop, Nm"
-    )
-    parser.add_argument("--safety-speed", type=_above_zero, default=0.8, help="tool speed of the safety stop, m/s")
-    # roslaunch adds a node's name and log file to every program it starts.
-    parser.add_argument("ros_arguments", nargs="*", type=_ros_argument, help=argparse.SUPPRESS)
+    parser.add_argument("--safety-torque", type=positive, default=25.0, help="external torque of the safety stop, Nm")
+    parser.add_argument("--safety-speed", type=positive, default=0.8, help="tool speed of the safety stop, m/s")
     return parser
-
-
-def _port(text: str) -> int:
-    value = int(text) if text.isdecimal() else -1
-    if not 0 <= value <= 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port between 0 and 65535")
-    return value
-
-
-def _angle(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not -180.0 <= value <= 180.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -180 and 180")
-    return value
-
-
-def _not_negative(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number from 0 up")
-    return value
-
-
-def _above_zero(text: str) -> float:
-    value = _not_negative(text)
-    if value == 0.0:
-        raise argparse.ArgumentTypeError("it must be above 0")
-    return value
-
-
-def _ros_argument(text: str) -> str:
-    if ":=" not in text:
-        raise argparse.ArgumentTypeError(f"{text!r} is not known")
-    return text
