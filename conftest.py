@@ -64,7 +64,7 @@ class Processes:
         """Starts a command; its output goes to the file `process.log_path` of the process that is returned."""
         log_path = self._log_folder / f"{len(self._running)}-{Path(command[0]).name}.log"
         paths = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *SOURCES]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **(env or {})}
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1", **(env or {})}
         with open(log_path, "wb") as log:
             process = subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment

@@ -8,6 +8,7 @@ import pty
 import re
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -240,6 +241,7 @@ class TestWithoutMaster:
     def test_without_a_yes_nothing_moves(self, robot, person, answer, code):
         somebody = person(*NEAR, *robot.here)
         somebody.reads_until("[y/N]")
+        time.sleep(0.5)  # as a person reads first: the program has begun to wait for the answer
         if answer == "\x03":
             somebody.process.send_signal(signal.SIGINT)
         else:
