@@ -72,7 +72,7 @@ def test_the_tool_keeps_its_speed_limit(start, target):
 @given(joints, joints)
 def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):
     follower = limits(start)
-    goals = run(follower, target, 8.0)
+    goals = run(follower, target, 20.0)
     assert np.all(goals >= np.minimum(start, target) - 3e-4) and np.all(goals <= np.maximum(start, target) + 3e-4)
     step = follower.step(target, target, DT)
     np.testing.assert_array_equal(step.q, target)

@@ -96,7 +96,7 @@ def test_constraining_twice_changes_nothing(workspace, position):
 @given(workspaces(), positions)
 def test_position_inside_is_returned_bit_for_bit(workspace, position):
     along = position @ workspace.center_line
-    if along <= 0.0 or beyond(workspace, position) >= 0.0:
+    if along <= 1e-9 or beyond(workspace, position) >= 0.0:  # on the base axis there is no way to go
         return
     result = workspace.constrain(position)
     assert result.bounds == ()
