@@ -1,0 +1,1 @@
+"""Camera, calibration of the camera to the arm, depth, and the view for the headset."""
