@@ -31,6 +31,7 @@ TILT_SPEED = np.radians(40.0)
 FIGURES = ("circle", "square", "eight", "line")
 PLANES = {"upright": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), "flat": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0))}
 X, Y, Z, PITCH, YAW, ROLL, CURL = range(7)
+STATE_SIZE = 7
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class Visit:
         way = np.linalg.norm(there[:3] - here[:3]) / (speed or self._script.speed)
         turn = np.abs(there[3:6] - here[3:6]).max() / TILT_SPEED
         duration = duration or max(SHORTEST_MOVE_S, MIN_JERK_PEAK * max(way, turn))
-        self._segments.append(Segment(duration, lambda part: here + _min_jerk(part) * (there - here)))
+        self._segments.append(Segment(duration, lambda part: here + min_jerk(part) * (there - here)))
         self._here = there
 
     def _figure(self, rest: np.ndarray) -> None:
@@ -154,7 +155,8 @@ def _eight(angle: float) -> tuple[float, float]:
     return np.sin(angle), np.sin(angle) * np.cos(angle)
 
 
-def _min_jerk(part: float) -> float:
+def min_jerk(part: float) -> float:
+    """Returns the part of the way after `part` of the time of a reach: at rest at both ends, smooth between."""
     return part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
 
 

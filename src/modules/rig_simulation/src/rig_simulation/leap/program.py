@@ -10,6 +10,7 @@ from pathlib import Path
 from common.errors import RigError
 from rig_simulation.command_line import finite, parse_options, port, positive
 from rig_simulation.leap import motion, wire
+from rig_simulation.leap.guided import GuidedPerson
 from rig_simulation.leap.playback import Playback
 from rig_simulation.leap.server import LeapService
 from rig_simulation.leap.sources import Person, Recording
@@ -20,15 +21,19 @@ NAME = "leapd"
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulated service; returns the exit code."""
     options = parse(arguments)
+    calls = {}
     try:
         if options.recording is not None:
             source = Recording(options.recording, options.rate, options.offset, options.loop)
         else:
             script = motion.Script(options.figure, options.size, options.speed, options.plane, away=options.away)
             source = Person(script, options.hand, options.scale, tuple(options.centre), options.fields)
+            if options.guided:
+                source = GuidedPerson(source)
+                calls = {name: getattr(source, name) for name in ("show", "reach", "hide", "hand")}
         playback = Playback(source, options.seed, options.fields, playing=not options.paused)
         service = LeapService(
-            playback, options.host, options.port, options.control_port, options.fields, options.lenient
+            playback, options.host, options.port, options.control_port, options.fields, options.lenient, calls
         )
     except RigError as error:
         print(f"{NAME}: {error}", file=sys.stderr)
@@ -73,6 +78,11 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     )
     person = parser.add_argument_group("a scripted person, where no recording is given")
     add = person.add_argument
+    add(
+        "--guided",
+        action="store_true",
+        help="the hand goes where the control port sends it: show, reach, hide (metres, radians, seconds)",
+    )
     add("--figure", choices=motion.FIGURES, default="circle", help="what the hand draws")
     add("--size", type=positive, default=150.0, help="width of the figure, mm")
     add(

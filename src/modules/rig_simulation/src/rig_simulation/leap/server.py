@@ -7,7 +7,8 @@ import contextlib
 import json
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -70,13 +71,21 @@ class LeapService:
         control_port: where tests see and do what a client cannot; 0 takes any free port.
         fields: field set, which decides what the header says.
         lenient: serve clients that asked for nothing, as the bridge for current services does.
+        calls: further requests of the control port.
 
     Raises:
         DeviceError: a port is not to be had.
     """
 
     def __init__(
-        self, playback: Playback, host: str, port: int, control_port: int, fields: str = "2.x", lenient: bool = False
+        self,
+        playback: Playback,
+        host: str,
+        port: int,
+        control_port: int,
+        fields: str = "2.x",
+        lenient: bool = False,
+        calls: Mapping[str, Callable] = MappingProxyType({}),
     ) -> None:
         self._playback, self._fields, self._lenient = playback, fields, lenient
         self._clients: set[_Client] = set()
@@ -86,7 +95,7 @@ class LeapService:
         self._stopping = False
         self._socket = listen(host, port, "the Leap service", backlog=16)
         self.host, self.port = self._socket.getsockname()[:2]
-        handlers = {"state": self._state, "play": self._play, "pause": self._pause}
+        handlers = {**calls, "state": self._state, "play": self._play, "pause": self._pause}
         handlers.update({"plug": lambda: self._plug(True), "unplug": lambda: self._plug(False)})
         self._control = ControlPort(handlers, host, control_port)
         self.control_port = self._control.port

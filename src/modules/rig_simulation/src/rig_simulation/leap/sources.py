@@ -35,7 +35,7 @@ class RecordingError(RigError):
 def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float, dict]]:
     """Yields frames without hands for ever, at the rate of the device with its jitter."""
     while True:
-        yield _interval(rng), wire.frame([], 1.0 / PERIOD_S, fields)
+        yield next_interval(rng), wire.frame([], 1.0 / PERIOD_S, fields)
 
 
 @dataclass(frozen=True)
@@ -69,19 +69,20 @@ class Person:
         self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator
     ) -> Iterator[tuple[float, dict]]:
         tracker, order = Tracker(model, hand_id, rng), rng.permutation(5).tolist()
-        t, interval = visit.appears, _interval(rng)
+        t, interval = visit.appears, next_interval(rng)
         while t < visit.vanishes + self.script.away:
             hands = []
             if visit.visible(t):
                 state, before = visit.state(t), visit.state(t - PERIOD_S)
                 speed = float(np.linalg.norm(state[:3] - before[:3])) / PERIOD_S
-                pose, curl = self._pose(state), float(state[motion.CURL])
+                pose, curl = self.pose(state), float(state[motion.CURL])
                 hands = [tracker.report(pose, curl, speed, t - visit.appears, visit.vanishes - t)]
             yield interval, wire.frame(hands, 1.0 / PERIOD_S, self.fields, order)
-            interval = _interval(rng)
+            interval = next_interval(rng)
             t += interval
 
-    def _pose(self, state: np.ndarray) -> HandPose:
+    def pose(self, state: np.ndarray) -> HandPose:
+        """Returns where the hand is in a state of motion.py, shape (7,)."""
         flexion, spread = fingers_for(state[motion.CURL])
         pitch, yaw, roll = state[[motion.PITCH, motion.YAW, motion.ROLL]]
         mirror = -1.0 if self.side == "left" else 1.0
@@ -167,6 +168,7 @@ def _read(path: Path) -> list[str]:
     return lines
 
 
-def _interval(rng: np.random.Generator) -> float:
+def next_interval(rng: np.random.Generator) -> float:
+    """Returns the time to the next frame [s]: the device's period with its jitter, twice as long if one is lost."""
     frames = 2 if rng.random() < LOST_FRAME else 1
     return frames * PERIOD_S + JITTER_S * float(np.clip(rng.standard_normal(), -3.0, 3.0))

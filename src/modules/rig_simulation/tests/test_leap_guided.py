@@ -1,0 +1,154 @@
+"""The guided person: the hand is where it was sent, moves smoothly, and comes and goes as hands do."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from websockets.sync.client import connect
+
+from common.errors import DeviceError
+from leap_motion.codec import read_message
+from rig_simulation.control_port import ControlClient
+from rig_simulation.leap.guided import FARTHEST_M, GuidedPerson, Reach
+from rig_simulation.leap.motion import Script
+from rig_simulation.leap.playback import Playback
+from rig_simulation.leap.sources import PERIOD_S, Person
+
+SCRIPT = Path(__file__).parent.parent / "scripts" / "leapd.py"
+CENTRE = np.array([0.0, 0.35, 0.0])
+NOISE_M = 6e-3
+
+
+@pytest.fixture
+def guided():
+    return GuidedPerson(Person(Script()))
+
+
+def hands(playback, seconds):
+    """The hands of the next so many seconds, None for a frame without one."""
+    until = playback.next().time + seconds
+    seen = []
+    while True:
+        frame = playback.next()
+        hand = next(iter(read_message(frame.text).hands), None)
+        seen.append(hand)
+        if frame.time >= until:
+            return seen
+
+
+def test_nobody_is_there_before_a_hand_is_shown(guided):
+    assert set(hands(Playback(guided), 1.0)) == {None}
+    assert guided.hand() == {"in_view": False, "moving": False}
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    *(st.floats(-0.3, 0.3) for _ in range(3)),
+    st.floats(0.0, 1.0),
+    st.floats(0.1, 3.0),
+)
+def test_the_hand_reaches_where_it_was_sent_without_a_step(right, up, back, curl, seconds):
+    guided = GuidedPerson(Person(Script()))
+    playback = Playback(guided)
+    guided.show()
+    hands(playback, 0.5)
+    guided.reach(right=right, up=up, back=back, curl=curl, seconds=seconds)
+    way = hands(playback, seconds + 0.2)
+    assert None not in way and len({hand.id for hand in way}) == 1
+    palms = np.array([hand.palm for hand in way])
+    target = np.array([right, up, back])
+    assert_allclose(palms[-5:] - CENTRE, np.tile(target, (5, 1)), atol=NOISE_M)
+    fastest = 1.875 * np.linalg.norm(target) / seconds
+    steps = np.linalg.norm(np.diff(palms, axis=0), axis=1)
+    assert steps.max() < 2.5 * PERIOD_S * fastest + NOISE_M
+    state = guided.hand()
+    assert state["in_view"] and not state["moving"]
+    assert_allclose([state["right"], state["up"], state["back"], state["curl"]], [right, up, back, curl], atol=1e-9)
+
+
+def test_a_new_reach_starts_where_the_last_one_was_left(guided):
+    playback = Playback(guided)
+    guided.show()
+    hands(playback, 0.5)
+    guided.reach(right=0.2, seconds=2.0)
+    hands(playback, 1.0)
+    half_way = guided.hand()["right"]
+    assert 0.05 < half_way < 0.15
+    guided.reach(right=0.0, seconds=1.0)
+    palms = np.array([hand.palm[0] for hand in hands(playback, 1.2)])
+    assert abs(palms[0] - half_way) < NOISE_M and abs(palms[-1]) < NOISE_M
+
+
+def test_a_hand_that_leaves_fades_and_the_next_one_is_another(guided):
+    playback = Playback(guided)
+    guided.show(right=0.05)
+    first = hands(playback, 0.5)[-1]
+    guided.hide()
+    fading = hands(playback, 1.0)
+    seen = [hand for hand in fading if hand is not None]
+    assert fading[-1] is None and seen[-1].confidence < 0.3 < seen[0].confidence
+    guided.show(right=-0.05)
+    other = hands(playback, 0.5)[-1]
+    assert other.id != first.id and abs(other.palm[0] + 0.05) < NOISE_M
+
+
+@pytest.mark.parametrize(
+    "fields, said",
+    [
+        ({"right": math.nan}, "right of a reach is nan"),
+        ({"up": FARTHEST_M * 1.01}, "must lie in -0.5 to 0.5 m"),
+        ({"curl": -0.1}, "curl of a reach is -0.1"),
+        ({"seconds": math.inf}, "seconds of a reach is inf"),
+        ({"right": "far"}, "right of a reach is 'far'"),
+        ({"left": 0.1}, "a reach has no left; it has right, up"),
+    ],
+)
+def test_a_bad_reach_is_refused_and_nothing_moves(guided, fields, said):
+    playback = Playback(guided)
+    guided.show()
+    hands(playback, 0.2)
+    before = guided.hand()
+    with pytest.raises(ValueError, match=said.replace("[", r"\[")):
+        guided.reach(**fields)
+    hands(playback, 0.2)
+    assert guided.hand() == before
+
+
+def test_a_reach_without_a_hand_is_refused(guided):
+    with pytest.raises(ValueError, match="no hand is in view"):
+        guided.reach(right=0.1)
+
+
+def test_a_reach_at_rest_takes_effect_at_once(guided):
+    assert_allclose(Reach(right=0.1, curl=0.5).state, [100.0, 0, 0, 0, 0, 0, 0.5])
+    playback = Playback(guided)
+    guided.show()
+    hands(playback, 0.2)
+    guided.reach(right=0.1, seconds=0.0)
+    assert abs(hands(playback, 0.1)[-1].palm[0] - 0.1) < NOISE_M
+
+
+def test_the_program_sends_the_hand_where_its_control_port_says(processes, wait_until):
+    process = processes.start(sys.executable, str(SCRIPT), "--guided", "--port", "0", "--control-port", "0")
+    words = wait_until(process.log_path.read_text, 20.0, "the ready line").replace(",", "").split()
+    port, control_port = (int(word.rpartition(":")[2]) for word in (words[3], words[6]))
+    with ControlClient("127.0.0.1", control_port) as control, connect(f"ws://127.0.0.1:{port}/v6.json") as service:
+        service.send('{"background":true}')
+        control.ask("show", right=0.05)
+        control.ask("reach", up=0.1, seconds=0.3)
+
+        def arrived():
+            found = read_message(service.recv(10.0))
+            palms = [hand.palm - CENTRE for hand in getattr(found, "hands", ())]
+            return palms and np.abs(palms[0] - [0.0, 0.1, 0.0]).max() < NOISE_M
+
+        wait_until(arrived, 10.0, "the hand where it was sent", poll=0.0)
+        with pytest.raises(DeviceError, match="a reach has no height"):
+            control.ask("reach", height=1.0)
