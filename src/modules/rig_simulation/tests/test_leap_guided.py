@@ -141,12 +141,13 @@ def test_the_program_sends_the_hand_where_its_control_port_says(processes, wait_
     port, control_port = (int(word.rpartition(":")[2]) for word in (words[3], words[6]))
     with ControlClient("127.0.0.1", control_port) as control, connect(f"ws://127.0.0.1:{port}/v6.json") as service:
         service.send('{"background":true}')
+        header_and_device_event = service.recv(10.0), service.recv(10.0)
+        assert all('"hands"' not in message for message in header_and_device_event)
         control.ask("show", right=0.05)
         control.ask("reach", up=0.1, seconds=0.3)
 
         def arrived():
-            found = read_message(service.recv(10.0))
-            palms = [hand.palm - CENTRE for hand in getattr(found, "hands", ())]
+            palms = [hand.palm - CENTRE for hand in read_message(service.recv(10.0)).hands]
             return palms and np.abs(palms[0] - [0.0, 0.1, 0.0]).max() < NOISE_M
 
         wait_until(arrived, 10.0, "the hand where it was sent", poll=0.0)
