@@ -1,0 +1,188 @@
+"""A person picks an object up and puts it down again: a state machine from what is seen to where the hand goes.
+
+The person looks at the tool and at the object and moves the hand by the difference, as often as it takes; nothing is
+known of the controller but that the tool follows the hand. Positions in metres in `kuka/base_frame`, times in seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the person works.
+
+    Attributes:
+        clearance: of the tool point above the object before it is grasped [m].
+        grasp_height: of the tool point above the object's top while it is grasped [m].
+        lift: how high it is lifted [m].
+        speed: of the palm [m/s].
+        tolerance: distance of the tool from where it should be that is good enough [m].
+        at_rest: speed below which the tool stands [m/s].
+        closing, opening: how long the fingers are given [s].
+        hold: how long the object is held up [s].
+        patience: longest time for one step [s].
+    """
+
+    clearance: float = 0.06
+    grasp_height: float = 0.018
+    lift: float = 0.2
+    speed: float = 0.1
+    tolerance: float = 0.004
+    at_rest: float = 0.005
+    closing: float = 2.5
+    opening: float = 1.5
+    hold: float = 1.0
+    patience: float = 30.0
+
+
+@dataclass(frozen=True)
+class View:
+    """What the person sees.
+
+    Attributes:
+        tool: position of the tool point, shape (3,) [m].
+        top: centre of the object's upper side, shape (3,) [m].
+        following: whether the arm follows the hand.
+    """
+
+    tool: np.ndarray
+    top: np.ndarray
+    following: bool = True
+
+
+@dataclass(frozen=True)
+class Move:
+    """Where the palm goes: right, up and back from where it came in [m], curl 0 to 1, in so many seconds."""
+
+    palm: np.ndarray
+    curl: float
+    seconds: float
+
+    @property
+    def fields(self) -> dict[str, float]:
+        """The same as the request `reach` of the simulated Leap service."""
+        right, up, back = self.palm.tolist()
+        return {"right": right, "up": up, "back": back, "curl": self.curl, "seconds": self.seconds}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a step brought: a move to make or None; `step` names the present step; `failure` says why it gave up."""
+
+    step: str
+    move: Move | None = None
+    failure: str = ""
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.step == "done" or bool(self.failure)
+
+
+STEPS = ("wait", "above", "down", "close", "lift", "hold", "lower", "open", "away", "done")
+
+
+class PickAndPlace:
+    """The person at work; `step` is called some ten times a second.
+
+    Args:
+        plan: how the person works.
+        center_line: direction of the workspace, shape (3,), z = 0: the hand comes in pointing along it.
+    """
+
+    def __init__(self, plan: Plan, center_line: np.ndarray) -> None:
+        forward = np.asarray(center_line, dtype=float) / np.linalg.norm(center_line)
+        self._plan = plan
+        self._R_leap_base = np.array([np.cross(forward, UP), UP, -forward])
+        self._palm, self._curl = np.zeros(3), 0.0
+        self._step = 0
+        self._since: float | None = None
+        self._busy_until = 0.0
+        self._target: np.ndarray | None = None
+        self._grasped_at: np.ndarray | None = None
+        self._before: tuple[float, np.ndarray] | None = None
+
+    def step(self, view: View, now: float) -> Result:
+        """Looks, and says what to do now."""
+        at_rest = self._at_rest(view.tool, now)
+        if STEPS[self._step] == "done":
+            return Result("done")
+        if self._since is None:
+            self._since = now
+        if now - self._since > self._plan.patience:
+            return Result(STEPS[self._step], failure=self._complaint(view))
+        if now < self._busy_until or not at_rest or not view.following:
+            return Result(STEPS[self._step])
+        return self._look(view, now)
+
+    def _look(self, view: View, now: float) -> Result:
+        """The last movement is over and the tool stands: corrects it, or goes on to the next step."""
+        name = STEPS[self._step]
+        if self._target is not None:
+            error = self._target - view.tool
+            if np.linalg.norm(error) > self._plan.tolerance:
+                return Result(name, self._shift(error, now))
+        self._step += 1
+        self._since, self._target = now, None
+        return self._begin(STEPS[self._step], view, now)
+
+    def _begin(self, name: str, view: View, now: float) -> Result:
+        plan = self._plan
+        if name == "above":
+            self._target = view.top + plan.clearance * UP
+        elif name == "down":
+            self._target = view.top + plan.grasp_height * UP
+        elif name == "close":
+            self._grasped_at = view.tool
+            return Result(name, self._bend(1.0, plan.closing, now))
+        elif name == "lift":
+            self._target = self._grasped_at + plan.lift * UP
+        elif name == "hold":
+            self._busy_until = now + plan.hold
+            return Result(name)
+        elif name == "lower":
+            self._target = self._grasped_at
+        elif name == "open":
+            return Result(name, self._bend(0.0, plan.opening, now))
+        elif name == "away":
+            self._target = view.tool + plan.clearance * UP
+        else:
+            return Result(name)
+        return Result(name, self._shift(self._target - view.tool, now))
+
+    def _shift(self, way: np.ndarray, now: float) -> Move:
+        """Returns the palm's move that shifts the tool by `way`, shape (3,) [m], in the base."""
+        self._palm = self._palm + self._R_leap_base @ way
+        seconds = max(0.4, 1.875 * float(np.linalg.norm(way)) / self._plan.speed)
+        return self._made(Move(self._palm, self._curl, seconds), now)
+
+    def _bend(self, curl: float, seconds: float, now: float) -> Move:
+        self._curl = curl
+        move = self._made(Move(self._palm, curl, 0.6 * seconds), now)
+        self._busy_until = now + seconds
+        return move
+
+    def _made(self, move: Move, now: float) -> Move:
+        self._busy_until = now + move.seconds + 0.3
+        return move
+
+    def _at_rest(self, tool: np.ndarray, now: float) -> bool:
+        before, self._before = self._before, (now, tool)
+        if before is None or now <= before[0]:
+            return False
+        return float(np.linalg.norm(tool - before[1])) / (now - before[0]) < self._plan.at_rest
+
+    def _complaint(self, view: View) -> str:
+        name = STEPS[self._step]
+        if not view.following:
+            return f"the arm did not follow within {self._plan.patience:g} s (step {name!r})"
+        if self._target is not None:
+            off = 1e3 * np.linalg.norm(self._target - view.tool)
+            return f"the tool stayed {off:.0f} mm away from where step {name!r} wants it"
+        return f"step {name!r} did not end within {self._plan.patience:g} s"
