@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from rig_simulation.scenario.pick_and_place import STEPS, PickAndPlace, Plan, View
 
 PERIOD_S = 0.05
+PLAN = Plan()
 CENTER_LINE = np.array([1.0, -1.0, 0.0])
 HOME = np.array([0.42, -0.42, 0.4])
 TOP = np.array([0.44, -0.38, 0.21])
@@ -41,8 +42,8 @@ class FakeRig:
         self.highest = max(self.highest, self.top[2])
 
 
-def work(rig, plan=Plan(), seconds=120.0, following=lambda now: True):
-    person, steps = PickAndPlace(plan, CENTER_LINE), []
+def work(rig, seconds=120.0, following=lambda now: True):
+    person, steps = PickAndPlace(PLAN, CENTER_LINE), []
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S
         result = person.step(View(rig.tool, rig.top, following(now)), now)
@@ -59,20 +60,20 @@ def work(rig, plan=Plan(), seconds=120.0, following=lambda now: True):
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.6, 1.1), st.floats(0.05, 0.4), st.floats(-0.06, 0.06), st.floats(-0.06, 0.06))
 def test_the_object_is_lifted_and_put_down_where_it_stood(scale, lag, dx, dy):
-    top = TOP + [dx, dy, 0.0]
+    top = TOP + np.array([dx, dy, 0.0])
     rig = FakeRig(scale, lag, top)
     result, steps = work(rig)
     assert not result.failure and tuple(steps) == STEPS
     lifted = rig.highest - top[2]
-    assert Plan().lift - 2 * Plan().tolerance < lifted < max(1.0, scale) * Plan().lift + 2 * Plan().tolerance
-    assert_allclose(rig.top, top, atol=3 * Plan().tolerance)
-    assert rig.tool[2] - rig.top[2] > Plan().clearance - 2 * Plan().tolerance
+    assert PLAN.lift - 2 * PLAN.tolerance < lifted < max(1.0, scale) * PLAN.lift + 2 * PLAN.tolerance
+    assert_allclose(rig.top, top, atol=3 * PLAN.tolerance)
+    assert rig.tool[2] - rig.top[2] > PLAN.clearance - 2 * PLAN.tolerance
     assert set(rig.curls) == {0.0, 1.0} and rig.curl == 0.0
 
 
 def test_the_fingers_close_only_over_the_object():
     rig = FakeRig()
-    person = PickAndPlace(Plan(), CENTER_LINE)
+    person = PickAndPlace(PLAN, CENTER_LINE)
     now = 0.0
     while rig.curl == 0.0:
         result = person.step(View(rig.tool, rig.top), now)
@@ -80,7 +81,7 @@ def test_the_fingers_close_only_over_the_object():
             rig.make(result.move)
         rig.advance()
         now += PERIOD_S
-    assert_allclose(rig.tool, TOP + [0.0, 0.0, Plan().grasp_height], atol=Plan().tolerance)
+    assert_allclose(rig.tool, TOP + np.array([0.0, 0.0, PLAN.grasp_height]), atol=PLAN.tolerance)
 
 
 def test_nothing_moves_while_the_arm_does_not_follow():
