@@ -42,6 +42,7 @@ class Application:
         arm: moved by this application alone; its tool is taken off.
         panel: outputs and counters.
         wiped_window: for so long after an answer of the main thread the next word for it is lost [s].
+        encoders: joint angles as they are told, from the true ones, both shape (7,) [rad].
 
     Attributes:
         mode: idle, ptp, servo, cartesian_servo, velocity_servo or impedance_servo; a servo mode counts from the answer
@@ -49,12 +50,19 @@ class Application:
         ended: whether `end` came; nothing is answered any more.
     """
 
-    def __init__(self, arm: Arm, panel: Panel, wiped_window: float = 0.0) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        panel: Panel,
+        wiped_window: float = 0.0,
+        encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,
+    ) -> None:
         self.mode = "idle"
         self.ended = False
         self._arm = arm
         self._panel = panel
         self._wiped_window = wiped_window
+        self._encoders = encoders
         self._replies: list[str] = []
         self._reader_alive = self._main_alive = True
         self._main_answered = -np.inf
@@ -199,7 +207,7 @@ class Application:
         ]
 
     def _joints_text(self) -> str:
-        return f"{java_numbers.vector(self._arm.q)}\n"
+        return f"{java_numbers.vector(self._encoders(self._arm.q))}\n"
 
     def _tool_text(self) -> str:
         return f"{java_numbers.vector(frame_from_pose(self._arm.tool))}\n"

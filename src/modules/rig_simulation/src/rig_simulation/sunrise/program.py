@@ -9,6 +9,8 @@ import sys
 
 from common.errors import DeviceError
 from rig_simulation.command_line import angle, not_negative, parse_options, port, positive
+from rig_simulation.faults import add_option, switch_all
+from rig_simulation.faults_arm import ARM_FAULTS
 from rig_simulation.sunrise.arm import Arm, ArmSettings
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.sunrise.robot import Robot
@@ -31,6 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (DeviceError, FileNotFoundError, ValueError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 1
+    switch_all(server.faults, options.fault)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())
     control = f"{server.host}:{server.control_port}"
@@ -90,4 +93,5 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--end-exits", action="store_true", help="the command `end` ends the program")
     parser.add_argument("--safety-torque", type=positive, default=25.0, help="external torque of the safety stop, Nm")
     parser.add_argument("--safety-speed", type=positive, default=0.8, help="tool speed of the safety stop, m/s")
+    add_option(parser, ARM_FAULTS)
     return parser

@@ -16,6 +16,8 @@ import numpy as np
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlPort, listen
+from rig_simulation.faults import Faults
+from rig_simulation.faults_arm import ARM_FAULTS, Answers, Encoders
 from rig_simulation.sunrise.application import Application, Panel
 from rig_simulation.sunrise.arm import Arm
 from rig_simulation.sunrise.lines import LineSplitter
@@ -24,6 +26,7 @@ BACKLOG = 50
 MOVING_TICK_S = 0.004
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
+MOTION = "doPTP"
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
 
@@ -56,6 +59,9 @@ class Server:
         control_port: likewise.
         log: takes one sentence about each change of state.
 
+    Attributes:
+        faults: those of ARM_FAULTS, to be switched at any time.
+
     Raises:
         DeviceError: a port is not to be had.
     """
@@ -73,12 +79,14 @@ class Server:
         self._settings = settings
         self._log = log
         self._panel = Panel()
+        self.faults = Faults(ARM_FAULTS)
+        self._answers = Answers(self.faults)
+        self._encoders = Encoders(self.faults)
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._client: socket.socket | None = None
         self._lines = LineSplitter()
         self._deaf = False
-        self._outbox = ""
         self._selector = selectors.DefaultSelector()
         self._listener = listen(host, port, "the toolbox port", BACKLOG)
         self._listener.setblocking(False)
@@ -88,6 +96,7 @@ class Server:
             "release": self._release,
             "set_external_torque": self._set_external_torque,
             "set_tcp_force": self._set_tcp_force,
+            **self.faults.requests,
         }
         self._start_application()
         try:
@@ -103,12 +112,14 @@ class Server:
             while not self._stop.is_set():
                 self._wait()
                 with self._lock:
+                    self._follow_faults()
                     self._advance()
                     self._send()
                     self._take_turns()
         finally:
             self._control.close()
-            self._listener.close()
+            if self._listener is not None:
+                self._listener.close()
             if self._client is not None:
                 self._client.close()
             self._selector.close()
@@ -118,13 +129,18 @@ class Server:
         self._stop.set()
 
     def _start_application(self) -> None:
-        self._application = Application(self._arm, self._panel, self._settings.wiped_window)
+        self._application = Application(self._arm, self._panel, self._settings.wiped_window, self._encoders.read)
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._waiting_since = time.monotonic()
 
     def _wait(self) -> None:
         calm = self._arm.resting and not self._application.busy
-        for key, _ in self._selector.select(RESTING_TICK_S if calm else MOVING_TICK_S):
+        tick = RESTING_TICK_S if calm else MOVING_TICK_S
+        if self.faults.is_on("half_open"):
+            self._stop.wait(tick)
+            return
+        until_answer = max(0.0, self._answers.due() - time.monotonic())
+        for key, _ in self._selector.select(min(tick, until_answer)):
             if key.fileobj is self._listener:
                 self._accept()
             else:
@@ -153,23 +169,66 @@ class Server:
             self._lose_client("it closed the connection without `end`")
         for line in lines:
             with self._lock:
-                self._outbox += self._application.receive(line, time.monotonic())
+                self._take_line(line)
                 self._send()
                 if self._application.ended:
                     self._end()
             if self._client is None:
                 return
 
+    def _take_line(self, line: str) -> None:
+        now = time.monotonic()
+        if line.startswith(MOTION) and not self._application.busy and self.faults.is_on("refused"):
+            self._arm.attach(np.eye(4))
+            self._answers.put("done\nnak\n", now)
+        else:
+            self._answers.put(self._application.receive(line, now), now)
+
     def _send(self) -> None:
-        text, self._outbox = self._outbox, ""
-        if not text or self._client is None:
+        for piece in self._answers.take(time.monotonic()):
+            if self._client is None:
+                return
+            try:
+                self._client.sendall(piece)
+            except OSError as error:
+                self._lose_client(str(error))
+
+    def _follow_faults(self) -> None:
+        for name, value in self.faults.changes().items():
+            self._log(f"the fault {name} {'ends' if value is None else 'begins'}")
+        cut, restarted = self.faults.is_on("cut"), self.faults.is_on("restarted")
+        if cut or restarted:
+            if self._client is not None and cut:
+                self._client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
+            self._lose_client("its connection is cut" if cut else "the application ends")
+        if restarted:
+            self._close_port()
+        elif self._listener is None:
+            self._open_port()
+        elif cut:
+            self._reset_waiting_clients()
+
+    def _close_port(self) -> None:
+        if self._listener is None:
             return
+        self._application.abandon()
+        self._stop_listening()
+        self._listener.close()
+        self._listener, self._deaf = None, False
+
+    def _open_port(self) -> None:
         try:
-            self._client.sendall(text.encode("ascii"))
-        except OSError as error:
-            self._lose_client(str(error))
+            self._listener = listen(self.host, self.port, "the toolbox port", BACKLOG)
+        except DeviceError:  # for a moment the port may belong to another program
+            return
+        self._listener.setblocking(False)
+
+    def _stop_listening(self) -> None:
+        if self._listener in self._selector.get_map():
+            self._selector.unregister(self._listener)
 
     def _close_client(self) -> None:
+        self._answers.drop()
         self._selector.unregister(self._client)
         self._client.close()
         self._client = None
@@ -199,7 +258,7 @@ class Server:
                 waiting.close()
 
     def _take_turns(self) -> None:
-        if self._client is not None or self._deaf:
+        if self._client is not None or self._deaf or self._listener is None:
             return
         if self._listener in self._selector.get_map():
             if time.monotonic() - self._waiting_since > self._settings.wait_for_client:
@@ -247,7 +306,8 @@ class Server:
             self._arm.set_tool_force(_numbers(value, 3))
 
     def _advance(self) -> None:
-        self._outbox += self._application.advance(time.monotonic())
+        now = time.monotonic()
+        self._answers.put(self._application.advance(now), now)
 
 
 def _numbers(value, count: int) -> np.ndarray:
