@@ -1,0 +1,144 @@
+"""A pinhole camera with the distortion that ROS calls plumb_bob, as `sensor_msgs/CameraInfo` describes it.
+
+Optical frame: x right, y down, z forward. Pixel coordinates (u, v) have the CENTRE of the first pixel at (0, 0), as
+OpenCV and CameraInfo have it; the picture reaches from -0.5 to width - 0.5. AprilTag libraries count from the pixel's
+corner: their coordinates are larger by 0.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from common.errors import ConfigError
+from common.poses import read_only
+
+PLUMB_BOB = "plumb_bob"
+MAX_ITERATIONS = 50
+TOLERANCE = 1e-10
+"""Of the undistorted direction, where the iteration ends."""
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """Intrinsics of one camera.
+
+    Attributes:
+        name: of the camera, as its calibration file says it.
+        width: of the picture [px].
+        height: of the picture [px].
+        K: camera matrix, shape (3, 3) [px].
+        D: distortion k1, k2, p1, p2, k3, shape (5,).
+        R: rotation from the camera to the rectified camera, shape (3, 3).
+        P: projection of the rectified camera, shape (3, 4) [px, and px m in the last column].
+    """
+
+    name: str
+    width: int
+    height: int
+    K: np.ndarray
+    D: np.ndarray
+    R: np.ndarray
+    P: np.ndarray
+
+    def project(self, points) -> np.ndarray:
+        """Returns the pixels, shape (..., 2) [px], of points in the optical frame, shape (..., 3), z > 0 [m]."""
+        points = np.asarray(points, dtype=float)
+        return self._to_pixels(self._distort(points[..., :2] / points[..., 2:]))
+
+    def rays(self, pixels) -> np.ndarray:
+        """Returns the directions x, y, 1, shape (..., 3), that the pixels, shape (..., 2) [px], look into.
+
+        Raises:
+            ValueError: the distortion cannot be undone there; it folds the picture over.
+        """
+        pixels = np.asarray(pixels, dtype=float)
+        distorted = np.stack(
+            ((pixels[..., 0] - self.K[0, 2]) / self.K[0, 0], (pixels[..., 1] - self.K[1, 2]) / self.K[1, 1]), axis=-1
+        )
+        direction = distorted
+        for _ in range(MAX_ITERATIONS):
+            step = distorted - self._distort(direction)
+            direction = direction + step
+            if np.max(np.abs(step), initial=0.0) < TOLERANCE:
+                return np.concatenate((direction, np.ones((*direction.shape[:-1], 1))), axis=-1)
+        raise ValueError(f"the distortion {self.D.tolist()} of the camera {self.name} cannot be undone everywhere")
+
+    def rectified(self) -> CameraModel:
+        """Returns the camera that the rectified picture seems to come from: without distortion, with P's matrix."""
+        return pinhole(self.name, self.width, self.height, self.P[:, :3])
+
+    def _distort(self, xy: np.ndarray) -> np.ndarray:
+        """Returns where the undistorted directions xy, shape (..., 2), land (Brown-Conrady, as OpenCV has it)."""
+        k1, k2, p1, p2, k3 = self.D
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.stack(
+            (
+                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ),
+            axis=-1,
+        )
+
+    def _to_pixels(self, xy: np.ndarray) -> np.ndarray:
+        return xy * (self.K[0, 0], self.K[1, 1]) + (self.K[0, 2], self.K[1, 2])
+
+
+def pinhole(name: str, width: int, height: int, K) -> CameraModel:
+    """Returns the camera without distortion with the matrix K, shape (3, 3) [px]."""
+    K = read_only(K)
+    P = np.column_stack((K, np.zeros(3)))
+    return CameraModel(name, width, height, K, read_only(np.zeros(5)), read_only(np.eye(3)), read_only(P))
+
+
+def from_calibration(values: Mapping[str, Any]) -> CameraModel:
+    """Returns the camera that a calibration file in the format of camera_calibration_parsers describes.
+
+    Args:
+        values: the yaml file's mapping: image_width, image_height, camera_name, camera_matrix, distortion_model,
+            distortion_coefficients, rectification_matrix, projection_matrix.
+
+    Raises:
+        ConfigError: with all faults.
+    """
+    faults: list[str] = []
+    if not isinstance(values, Mapping):
+        raise ConfigError([f"The calibration is {values!r}, but must be a mapping."])
+    name = values.get("camera_name")
+    if not isinstance(name, str) or not name.strip():
+        faults.append(f"camera_name is {name!r}, but must be a text.")
+    size = []
+    for key in ("image_width", "image_height"):
+        size.append(values.get(key))
+        if isinstance(size[-1], bool) or not isinstance(size[-1], int) or not 0 < size[-1] <= 16384:
+            faults.append(f"{key} is {size[-1]!r}, but must be a whole number of pixels.")
+    if values.get("distortion_model") != PLUMB_BOB:
+        faults.append(f"distortion_model is {values.get('distortion_model')!r}, but must be {PLUMB_BOB}.")
+    K = _matrix(values, "camera_matrix", (3, 3), faults)
+    D = _matrix(values, "distortion_coefficients", (1, 5), faults)
+    R = _matrix(values, "rectification_matrix", (3, 3), faults)
+    P = _matrix(values, "projection_matrix", (3, 4), faults)
+    for key, matrix in (("camera_matrix", K), ("projection_matrix", P)):
+        if matrix is not None and not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+            faults.append(f"{key} has the focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g}, but they must be > 0.")
+    if faults:
+        raise ConfigError(faults)
+    return CameraModel(name, size[0], size[1], K, read_only(D[0]), R, P)
+
+
+def _matrix(values: Mapping[str, Any], key: str, shape: tuple[int, int], faults: list[str]) -> np.ndarray | None:
+    entry = values.get(key)
+    data = entry.get("data") if isinstance(entry, Mapping) else None
+    try:
+        matrix = read_only(np.asarray(data, dtype=float).reshape(shape))
+        if np.all(np.isfinite(matrix)):
+            return matrix
+    except (TypeError, ValueError):
+        pass
+    faults.append(f"{key} is {entry!r}, but must have {shape[0]} x {shape[1]} finite numbers as data.")
+    return None

@@ -1,0 +1,85 @@
+"""The camera model: there and back, against OpenCV, and what it refuses."""
+
+import copy
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.camera_model import CameraModel, from_calibration, pinhole
+from common.errors import ConfigError
+
+XTION = {
+    "image_width": 640,
+    "image_height": 480,
+    "camera_name": "rgb",
+    "camera_matrix": {"rows": 3, "cols": 3, "data": [545.8, 0, 326.2, 0, 547.2, 249.0, 0, 0, 1]},
+    "distortion_model": "plumb_bob",
+    "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0.0439, -0.1180, 0.0017, 0.0032, 0.0]},
+    "rectification_matrix": {"rows": 3, "cols": 3, "data": [1, 0, 0, 0, 1, 0, 0, 0, 1]},
+    "projection_matrix": {"rows": 3, "cols": 4, "data": [540.0, 0, 320.0, 0, 0, 541.0, 240.0, 0, 0, 0, 1, 0]},
+}
+u, v = st.floats(-0.5, 639.5), st.floats(-0.5, 479.5)
+
+
+@pytest.fixture(scope="module")
+def camera() -> CameraModel:
+    return from_calibration(XTION)
+
+
+@given(u, v, st.floats(0.1, 10.0))
+def test_what_a_pixel_looks_at_is_projected_back_onto_it(camera, u, v, z):
+    np.testing.assert_allclose(camera.project(z * camera.rays([u, v])), [u, v], atol=1e-6)
+
+
+@given(st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-0.5, 0.5), st.floats(0.9, 3.0)), min_size=1, max_size=9))
+def test_projection_agrees_with_opencv(camera, points):
+    expected, _ = cv2.projectPoints(np.array(points), np.zeros(3), np.zeros(3), camera.K, camera.D)
+    np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
+
+
+def test_the_principal_point_is_where_the_optical_axis_meets_the_picture(camera):
+    np.testing.assert_allclose(camera.project([0.0, 0.0, 2.0]), [326.2, 249.0])
+
+
+def test_the_rectified_camera_has_no_distortion_and_the_projections_matrix(camera):
+    rectified = camera.rectified()
+    np.testing.assert_array_equal(rectified.K, camera.P[:, :3])
+    np.testing.assert_array_equal(rectified.D, np.zeros(5))
+    np.testing.assert_allclose(rectified.project([0.1, 0.2, 1.0]), [320.0 + 54.0, 240.0 + 108.2])
+
+
+def test_a_distortion_that_folds_the_picture_over_is_refused():
+    model = pinhole("wild", 640, 480, [[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])
+    wild = CameraModel(model.name, 640, 480, model.K, np.array([-5.0, 0, 0, 0, 0]), model.R, model.P)
+    with pytest.raises(ValueError, match="cannot be undone"), np.errstate(all="ignore"):
+        wild.rays([0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "key, value",
+    [
+        ("image_width", 0),
+        ("image_height", 480.0),
+        ("camera_name", ""),
+        ("distortion_model", "rational_polynomial"),
+        ("camera_matrix", {"data": [0.0] * 9}),
+        ("camera_matrix", {"data": [1.0] * 8}),
+        ("distortion_coefficients", {"data": [float("nan")] * 5}),
+        ("rectification_matrix", None),
+        ("projection_matrix", {"data": ["a"] * 12}),
+    ],
+)
+def test_a_bad_calibration_is_refused_and_names_the_key(key, value):
+    calibration = copy.deepcopy(XTION)
+    calibration[key] = value
+    with pytest.raises(ConfigError, match=key):
+        from_calibration(calibration)
+
+
+def test_all_faults_of_a_calibration_are_reported_at_once():
+    with pytest.raises(ConfigError) as error:
+        from_calibration({})
+    assert len(error.value.faults) == 8
