@@ -1,0 +1,68 @@
+"""What the world reads from disk: scenes and panels of this package, meshes of the robot's description."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from common.errors import ConfigError
+from rig_simulation.sunrise.description import SOURCE_TREE as DESCRIPTION
+
+PACKAGE = "rig_simulation"
+SOURCE_TREE = Path(__file__).resolve().parents[3]
+
+
+def read_scene(name: str) -> dict[str, Any]:
+    """Returns the mapping of a scene: one of this package's by its name, or any yaml file by its path.
+
+    Raises:
+        ConfigError: there is none, or it is no yaml.
+    """
+    return _read("scenes", name)
+
+
+def read_panel(name: str) -> dict[str, Any]:
+    """Returns the mapping of a panel, like `read_scene`."""
+    return _read("panels", name)
+
+
+def read_mesh(uri: str) -> str:
+    """Returns the text of a mesh of the robot's description.
+
+    Args:
+        uri: package://rig_description/...
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
+    path = uri.partition("package://rig_description/")[2]
+    for folder in _folders("rig_description", DESCRIPTION):
+        if (folder / path).is_file():
+            return (folder / path).read_text(encoding="utf-8")
+    raise FileNotFoundError(f"the mesh {uri} is not to be found")
+
+
+def _read(kind: str, name: str) -> dict[str, Any]:
+    folders = [folder / "config" / kind for folder in _folders(PACKAGE, SOURCE_TREE)]
+    paths = [Path(name)] if name.endswith(".yaml") else [folder / f"{name}.yaml" for folder in folders]
+    for path in paths:
+        if path.is_file():
+            try:
+                return yaml.safe_load(path.read_text(encoding="utf-8"))
+            except (yaml.YAMLError, UnicodeDecodeError) as error:
+                raise ConfigError([f"The file {path} is no yaml: {str(error).splitlines()[0]}."]) from None
+    known = sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
+    raise ConfigError(
+        [f"There is no file {name!r} among the {kind}; known are {', '.join(known)}, or a path to a yaml."]
+    )
+
+
+def _folders(package: str, source_tree: Path) -> list[Path]:
+    try:
+        import rospkg
+
+        return [source_tree, Path(rospkg.RosPack().get_path(package))]
+    except Exception:  # without ROS, or without that package in it, rospkg fails in several ways
+        return [source_tree]

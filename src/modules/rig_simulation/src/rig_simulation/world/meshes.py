@@ -1,0 +1,44 @@
+"""The meshes of the robot's description, COLLADA with one surface of one colour, as arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+_NAMESPACE = {"c": "http://www.collada.org/2005/11/COLLADASchema"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Surface:
+    """A closed surface of one colour.
+
+    Attributes:
+        vertices: shape (n, 3), in the file's unit.
+        triangles: indices of vertices, shape (m, 3).
+        colour: red, green, blue from 0 to 1, shape (3,).
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    colour: np.ndarray
+
+
+def surface_from_collada(text: str) -> Surface:
+    """Returns the surface in a file as rig_description writes it: each vertex has its own normal with the same index.
+
+    Raises:
+        ValueError: the text is no such file.
+    """
+    root = ET.fromstring(text)
+    positions = root.find(".//c:source[@id='positions']/c:float_array", _NAMESPACE)
+    indices = root.find(".//c:triangles/c:p", _NAMESPACE)
+    colour = root.find(".//c:diffuse/c:color", _NAMESPACE)
+    if positions is None or indices is None or colour is None:
+        raise ValueError("the COLLADA text has no positions, no triangles or no colour")
+    return Surface(
+        np.array(positions.text.split(), dtype=float).reshape(-1, 3),
+        np.array(indices.text.split(), dtype=int).reshape(-1, 3),
+        np.array(colour.text.split(), dtype=float)[:3],
+    )

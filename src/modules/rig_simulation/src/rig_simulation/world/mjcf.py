@@ -1,0 +1,81 @@
+"""Elements of MuJoCo's model format. Lengths in m, angles in rad, poses as 4x4 matrices."""
+
+from __future__ import annotations
+
+import dataclasses
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from common.rotations import quaternion_from_rotation
+
+
+@dataclasses.dataclass(frozen=True)
+class Touch:
+    """What a kind of geom touches: two geoms meet if the kind of one is among the partners of the other.
+
+    Attributes:
+        kind: bit of its own.
+        partners: bits of the kinds that it meets.
+        group: MuJoCo's number for showing or hiding; 3 and above are hidden.
+    """
+
+    kind: int
+    partners: int
+    group: int
+
+
+ROBOT = Touch(kind=1, partners=2, group=3)
+BOARD = Touch(kind=2, partners=1, group=0)
+OBJECT = Touch(kind=2, partners=3, group=0)
+SEEN = Touch(kind=0, partners=0, group=1)
+
+
+def body(parent: ET.Element, name: str, T: np.ndarray) -> ET.Element:
+    """Adds a body at the pose T in its parent, shape (4, 4)."""
+    return ET.SubElement(parent, "body", name=name, pos=numbers(T[:3, 3]), quat=quaternion(T[:3, :3]))
+
+
+def geom(
+    parent, name, touch: Touch, kind: str, size, p=(0, 0, 0), R=None, friction=None, mass=None, colour=None, **more
+):
+    """Adds a geom.
+
+    Args:
+        size: as MuJoCo wants it for this kind: half lengths of a box, radius and half length of a cylinder.
+        p, R: its pose in the body.
+        friction: sliding friction.
+        mass: [kg]; None for the geoms of a body whose mass is given.
+        colour: red, green, blue.
+        more: further attributes of MuJoCo.
+    """
+    values = {
+        "name": name,
+        "type": kind,
+        "pos": numbers(p),
+        "contype": str(touch.kind),
+        "conaffinity": str(touch.partners),
+        "group": str(touch.group),
+        **more,
+    }
+    if size is not None:
+        values["size"] = numbers(size)
+    if R is not None:
+        values["quat"] = quaternion(R)
+    if friction is not None:
+        values["friction"] = numbers((friction, 0.005, 0.0001))
+    values["mass"] = numbers([0.0 if mass is None else mass])
+    if colour is not None:
+        values["rgba"] = numbers((*colour, 1.0))
+    return ET.SubElement(parent, "geom", **values)
+
+
+def quaternion(R: np.ndarray) -> str:
+    """Returns a rotation, shape (3, 3), as MuJoCo writes it: w first."""
+    x, y, z, w = quaternion_from_rotation(R)
+    return numbers((w, x, y, z))
+
+
+def numbers(values) -> str:
+    """Returns numbers as text that gives back the same doubles."""
+    return " ".join(repr(float(value)) for value in values)

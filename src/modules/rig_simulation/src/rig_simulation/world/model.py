@@ -1,0 +1,171 @@
+"""The model of the physics: robot, table, objects, marker panel, camera, light, made from a description of the world.
+
+Two processes that build it from the same description have the same model. The world frame is upright with its origin in
+the arm's base; with an upright arm it is `kuka/base_frame`.
+
+Names: bodies and joints of the robot as in its URDF; `table`; `object/<name>`, each with a free joint of its own name;
+`panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`, which
+look along their own -z with y up, as MuJoCo wants it: the optical frames turned by half a turn about x.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+
+from common.poses import pose
+from common.rotations import rotation_about, rotation_from_zyx, unit
+from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
+from rig_simulation.world.files import read_mesh
+from rig_simulation.world.meshes import Surface, surface_from_collada
+from rig_simulation.world.mjcf import BOARD, ROBOT, SEEN, body, geom, numbers
+from rig_simulation.world.objects import add_object, add_table
+from rig_simulation.world.robot import add_mesh, add_robot
+from rig_simulation.world.scene import CameraPlace, Panel, panel_from, scene_from
+from rig_simulation.world.tags import tag_mesh
+
+TIMESTEP_S = 0.001
+"""The cycle of the simulated controller."""
+FLOOR_BELOW_TABLE = 0.75
+WHITE, BLACK, FLOOR_COLOUR, BOARD_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4), (0.72, 0.6, 0.45)
+
+T_FLANGE_TAG = pose([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], (0.0, 0.0711, 0.0435))
+"""Pose of the panel in the flange: beside it, its face parallel to the flange's axis, its y axis along the flange's z."""
+PLATE_THICKNESS = 0.004
+
+RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.020, 0.0)
+CAMERA_SIZE = (0.018, 0.090, 0.018)
+FOVY_DEG = 45.0
+"""Whoever renders sets the intrinsics of his camera; this is what the data sheet says."""
+
+
+@dataclasses.dataclass(frozen=True)
+class WorldDescription:
+    """All that a process needs to build the world.
+
+    Attributes:
+        robot, flange: as in the parameters kuka/robot and kuka/flange.
+        mounting: roll, pitch, yaw of the base in the upright world [deg].
+        scene: mapping as in the scene's yaml.
+        panel: mapping as in the panel's yaml; None: no panel.
+    """
+
+    robot: str
+    flange: str
+    mounting: tuple[float, float, float]
+    scene: Mapping[str, Any]
+    panel: Mapping[str, Any] | None = None
+
+    def as_fields(self) -> dict[str, Any]:
+        """Returns the fields of the control port's answer to `scene`."""
+        return {**dataclasses.asdict(self), "mounting": list(self.mounting)}
+
+    @staticmethod
+    def from_fields(fields: Mapping[str, Any]) -> WorldDescription:
+        """Returns the description that `as_fields` gave.
+
+        Raises:
+            KeyError: a field is missing.
+        """
+        names = [field.name for field in dataclasses.fields(WorldDescription)]
+        return WorldDescription(**{**{name: fields[name] for name in names}, "mounting": tuple(fields["mounting"])})
+
+
+def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.MjModel:
+    """Returns the model.
+
+    Args:
+        description: what the world is.
+        visuals: with what is only seen, which the physics does not need; joints and bodies are the same without it.
+
+    Raises:
+        ConfigError: the scene or the panel has faults.
+        FileNotFoundError: there is no description of this robot.
+    """
+    return mujoco.MjModel.from_xml_string(mjcf(description, visuals))
+
+
+def mjcf(description: WorldDescription, visuals: bool = True) -> str:
+    """Returns the model as MuJoCo's XML; arguments and errors as for `build_model`."""
+    if description.robot not in ROBOTS or description.flange not in FLANGES:
+        raise FileNotFoundError(f"there is no robot {description.robot} with {description.flange}")
+    scene = scene_from(description.scene)
+    root = ET.Element("mujoco", model="rig")
+    ET.SubElement(root, "compiler", angle="radian", autolimits="true")
+    option = ET.SubElement(root, "option", timestep=str(TIMESTEP_S), integrator="implicitfast")
+    option.attrib.update(cone="elliptic", impratio="10")
+    ET.SubElement(option, "flag", multiccd="enable")
+    _add_visual_settings(root)
+    ET.SubElement(root, "asset")
+    world = ET.SubElement(root, "worldbody")
+    ET.SubElement(world, "light", pos="0.5 0 2.5", dir="0 0 -1", directional="true", diffuse="0.6 0.6 0.6")
+    floor = (0, 0, scene.table.top - FLOOR_BELOW_TABLE)
+    geom(world, "floor", BOARD, "plane", (5, 5, 0.1), p=floor, colour=FLOOR_COLOUR)
+    add_table(world, scene.table)
+    world.find("body[@name='table']/geom").set("rgba", numbers((*BOARD_COLOUR, 1.0)))
+    _add_camera(world, scene.camera)
+    roll, pitch, yaw = np.radians(description.mounting)
+    R_world_base = rotation_from_zyx(yaw, pitch, roll)
+    add_robot(
+        root, world, read_urdf(description.robot, description.flange), R_world_base, _reader() if visuals else None
+    )
+    if description.panel is not None:
+        _add_panel(root, world, panel_from(description.panel), visuals)
+    for name, shape in scene.objects.items():
+        add_object(world, name, shape)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _reader() -> Callable[[str], Surface]:
+    surfaces: dict[str, Surface] = {}
+
+    def read(uri: str) -> Surface:
+        if uri not in surfaces:
+            surfaces[uri] = surface_from_collada(read_mesh(uri))
+        return surfaces[uri]
+
+    return read
+
+
+def _add_visual_settings(root: ET.Element) -> None:
+    visual = ET.SubElement(root, "visual")
+    ET.SubElement(visual, "headlight", ambient="0.35 0.35 0.35", diffuse="0.3 0.3 0.3", specular="0 0 0")
+    ET.SubElement(visual, "map", znear="0.02", zfar="20")
+    ET.SubElement(visual, "quality", shadowsize="0")
+    ET.SubElement(visual, "global", offwidth="1280", offheight="1024")
+    ET.SubElement(root, "statistic", extent="1", center="0.4 -0.4 0.3")
+
+
+def camera_link_pose(camera: CameraPlace) -> np.ndarray:
+    """Returns the pose of `camera_link` in the world, shape (4, 4): x looks at the target, y is level."""
+    ahead = unit(camera.target - camera.position)
+    left = unit(np.cross((0.0, 0.0, 1.0), ahead))
+    return pose(np.column_stack([ahead, left, np.cross(ahead, left)]), camera.position)
+
+
+def _add_camera(world: ET.Element, camera: CameraPlace) -> None:
+    link = body(world, "camera_link", camera_link_pose(camera))
+    geom(link, "camera", SEEN, "box", np.array(CAMERA_SIZE) / 2.0, p=(-CAMERA_SIZE[0], -0.03, 0), colour=BLACK)
+    # Looks along x of camera_link, its own y up.
+    R_link_camera = rotation_about(2, -np.pi / 2.0) @ rotation_about(0, np.pi / 2.0)
+    for name, p in (("rgb", RGB_IN_LINK), ("depth", DEPTH_IN_LINK)):
+        mount = body(link, f"camera/{name}", pose(R_link_camera, p))
+        ET.SubElement(mount, "camera", name=f"camera_{name}_optical_frame", fovy=str(FOVY_DEG))
+
+
+def _add_panel(root: ET.Element, world: ET.Element, panel: Panel, visuals: bool) -> None:
+    flange = world.find(".//body[@name='kuka/flange']")
+    plate = body(flange, "panel", T_FLANGE_TAG)
+    half = (*(panel.size / 2.0), PLATE_THICKNESS / 2.0)
+    geom(plate, "panel/plate", ROBOT, "box", half, p=(0, 0, -PLATE_THICKNESS / 2.0), colour=WHITE, mass=0.1).set(
+        "group", "1"
+    )
+    for tag in panel.tags if visuals else ():
+        add_mesh(root.find("asset"), f"panel/tag_{tag.id}", *tag_mesh(tag.id, tag.size))
+        name = f"panel/tag_{tag.id}"
+        geom(plate, name, SEEN, "mesh", None, p=(*tag.position, 0.0), mesh=name, colour=BLACK)

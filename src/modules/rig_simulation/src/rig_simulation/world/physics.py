@@ -1,0 +1,259 @@
+"""The physics of the world: one model, one state, one clock. Not thread-safe: its owner holds a lock.
+
+Parts are what moves the robot's joints: the arm, the hand. In each step the world computes positions and speeds, lets
+each part write its efforts (`data.ctrl`, `data.qfrc_applied` of its own joints), and moves on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from common.poses import pose
+from common.rotations import quaternion_from_rotation, rotation_about
+from rig_simulation.world.model import WorldDescription, build_model
+from rig_simulation.world.objects import table_pose
+from rig_simulation.world.scene import Scene, SceneObject, scene_from
+
+DROP_M = 0.0008
+"""So high above the table objects are placed; they come to rest on it."""
+DEEPEST_TOUCH_M = 0.001
+PLACEMENTS = 200
+ROBOT = ("kuka/", "reflex/", "panel")
+FREE_QPOS, FREE_QVEL = 7, 6
+
+
+class Part:
+    """Base of what moves joints of the world."""
+
+    def bind(self, world: World) -> None:
+        """Takes the world's model and state, which are new after a change of scene; robot joints keep their values."""
+        raise NotImplementedError
+
+    def before_step(self) -> None:
+        """Writes the efforts of its joints for the step that follows."""
+
+    def after_step(self) -> None:
+        """Reads what the step brought."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ObjectState:
+    """Where an object is.
+
+    Attributes:
+        position: of its middle in the world, shape (3,) [m].
+        quaternion: x, y, z, w.
+        speed: of its middle [m/s].
+        clearance: height of its lowest point above the table top [m].
+        touches: names of the bodies that it touches, sorted.
+    """
+
+    position: tuple[float, ...]
+    quaternion: tuple[float, ...]
+    speed: float
+    clearance: float
+    touches: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Contact:
+    """Where two bodies touch.
+
+    Attributes:
+        bodies: names of both.
+        position: shape (3,) [m].
+        normal: from the first to the second, shape (3,).
+        force: along the normal [N].
+        depth: how far they are pressed into each other [m].
+    """
+
+    bodies: tuple[str, str]
+    position: tuple[float, ...]
+    normal: tuple[float, ...]
+    force: float
+    depth: float
+
+
+class World:
+    """The world.
+
+    Args:
+        description: what it is made of.
+        seed: of where scattered objects are placed.
+
+    Attributes:
+        description: the present one.
+        model, data: MuJoCo's; new ones after a change of scene.
+        steps: how many there were; neither a reset nor a change of scene counts anew.
+        loads: how many models there were; who keeps a copy of the model builds it anew when this changes.
+
+    Raises:
+        ConfigError: the scene or the panel has faults.
+        FileNotFoundError: there is no description of this robot.
+    """
+
+    def __init__(self, description: WorldDescription, seed: int = 0) -> None:
+        self._parts: list[Part] = []
+        self._rng = np.random.default_rng(seed)
+        self.steps = 0
+        self.loads = 0
+        self._load(description)
+
+    @property
+    def timestep(self) -> float:
+        """Length of a step [s]."""
+        return self.model.opt.timestep
+
+    @property
+    def time(self) -> float:
+        """How long the world has lived [s]."""
+        return self.steps * self.timestep
+
+    def add(self, part: Part) -> None:
+        """Adds a part; parts act in the order in which they were added."""
+        self._parts.append(part)
+        part.bind(self)
+        mujoco.mj_forward(self.model, self.data)
+
+    def step(self) -> None:
+        """Lets one time step pass."""
+        mujoco.mj_step1(self.model, self.data)
+        for part in self._parts:
+            part.before_step()
+        mujoco.mj_step2(self.model, self.data)
+        self.steps += 1
+        for part in self._parts:
+            part.after_step()
+
+    def reset(self) -> None:
+        """Puts all objects where the scene wants them, at rest; arm and hand stay as they are.
+
+        Raises:
+            ValueError: the robot is where an object has to go; nothing has changed.
+        """
+        placed = self._placed(self.model, self._scene, self.data)
+        self.data.qpos[:] = placed.qpos
+        self.data.qvel[:] = placed.qvel
+        self.data.qacc_warmstart[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
+    def set_scene(self, values: Mapping[str, Any]) -> None:
+        """Changes the scene; arm and hand stay as they are.
+
+        Args:
+            values: mapping as in a scene's yaml.
+
+        Raises:
+            ConfigError: the scene has faults; nothing has changed.
+            ValueError: the robot is where the table or an object has to go; nothing has changed.
+        """
+        self._load(dataclasses.replace(self.description, scene=values))
+        for part in self._parts:
+            part.bind(self)
+        mujoco.mj_forward(self.model, self.data)
+
+    def objects(self) -> dict[str, ObjectState]:
+        """Returns the state of each object by name."""
+        touches: dict[str, set[str]] = {name: set() for name in self._scene.objects}
+        for contact in self.data.contact[: self.data.ncon]:
+            for one, other in (contact.geom, contact.geom[::-1]):
+                name = self._body_name(one)
+                if name.startswith("object/"):
+                    touches[name[7:]].add(self._body_name(other))
+        return {name: self._object(name, touches[name]) for name in self._scene.objects}
+
+    def contacts(self) -> list[Contact]:
+        """Returns all contacts that bear a force."""
+        found = []
+        force = np.zeros(6)
+        for i in range(self.data.ncon):
+            contact = self.data.contact[i]
+            mujoco.mj_contactForce(self.model, self.data, i, force)
+            if force[0] > 0.0:
+                bodies = self._body_name(contact.geom[0]), self._body_name(contact.geom[1])
+                normal = tuple(contact.frame[:3].tolist())
+                found.append(
+                    Contact(bodies, tuple(contact.pos.tolist()), normal, float(force[0]), float(-contact.dist))
+                )
+        return found
+
+    def _load(self, description: WorldDescription) -> None:
+        model = build_model(description, visuals=False)
+        scene = scene_from(description.scene)
+        self.data = self._placed(model, scene, self.data if self.loads else None)
+        self.model, self.description, self._scene = model, description, scene
+        self.loads += 1
+
+    def _placed(self, model: mujoco.MjModel, scene: Scene, before: mujoco.MjData | None) -> mujoco.MjData:
+        """Returns a state with the robot as `before` and the objects where the scene wants them."""
+        data = mujoco.MjData(model)
+        robot_qpos = model.nq - FREE_QPOS * len(scene.objects)
+        robot_qvel = model.nv - FREE_QVEL * len(scene.objects)
+        if before is not None:
+            data.qpos[:robot_qpos] = before.qpos[:robot_qpos]
+            data.qvel[:robot_qvel] = before.qvel[:robot_qvel]
+        for _ in range(PLACEMENTS if scene.scatter else 1):
+            for i, shape in enumerate(scene.objects.values()):
+                start = robot_qpos + FREE_QPOS * i
+                data.qpos[start : start + FREE_QPOS] = self._place(scene, shape)
+            mujoco.mj_forward(model, data)
+            overlap = _overlap(model, data)
+            if overlap is None:
+                return data
+        raise ValueError(f"There is no room: {overlap[0]} would stand in {overlap[1]}.")
+
+    def _place(self, scene: Scene, shape: SceneObject) -> np.ndarray:
+        shift, turn = np.zeros(2), 0.0
+        if scene.scatter:
+            shift, turn = self._rng.uniform(-scene.scatter, scene.scatter, 2), self._rng.uniform(-np.pi, np.pi)
+        T = table_pose(scene.table) @ pose(
+            rotation_about(2, np.radians(shape.yaw) + turn), (*(shape.position + shift), shape.height / 2.0 + DROP_M)
+        )
+        x, y, z, w = quaternion_from_rotation(T[:3, :3])
+        return np.array([*T[:3, 3], w, x, y, z])
+
+    def _object(self, name: str, touches: set[str]) -> ObjectState:
+        joint = self.data.joint(f"object/{name}")
+        body = self.model.body(f"object/{name}").id
+        w, x, y, z = joint.qpos[3:].tolist()
+        clearance = lowest_point(self.model, self.data, body) - self._scene.table.top
+        speed = float(np.linalg.norm(joint.qvel[:3]))
+        return ObjectState(tuple(joint.qpos[:3].tolist()), (x, y, z, w), speed, clearance, tuple(sorted(touches)))
+
+    def _body_name(self, geom: int) -> str:
+        return _body_name(self.model, geom)
+
+
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float:
+    """Returns the height of the lowest point of an object's shapes in the world [m]."""
+    heights = []
+    first = model.body_geomadr[body]
+    for geom in range(first, first + model.body_geomnum[body]):
+        down = np.abs(data.geom_xmat[geom].reshape(3, 3)[2])
+        size = model.geom_size[geom]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+            reach = down @ size
+        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            reach = down[2] * size[1] + np.hypot(down[0], down[1]) * size[0]
+        else:
+            reach = size[0]
+        heights.append(data.geom_xpos[geom, 2] - reach)
+    return float(min(heights))
+
+
+def _overlap(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[str, str] | None:
+    """Returns the names of two bodies that are in each other, or None; the robot's own parts may be."""
+    for contact in data.contact[: data.ncon]:
+        one, other = (_body_name(model, geom) for geom in contact.geom)
+        if contact.dist < -DEEPEST_TOUCH_M and not (one.startswith(ROBOT) and other.startswith(ROBOT)):
+            return (one, other) if not one.startswith(ROBOT) else (other, one)
+    return None
+
+
+def _body_name(model: mujoco.MjModel, geom: int) -> str:
+    return model.body(model.geom_bodyid[geom]).name

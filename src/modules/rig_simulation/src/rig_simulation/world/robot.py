@@ -1,0 +1,118 @@
+"""The arm and the hand as bodies of the physics: their URDF's frames, masses and shapes under their URDF's names.
+
+What touches are the URDF's plain collision shapes; arm and hand do not touch each other. Meshes are only seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from common.poses import pose
+from common.rotations import rotation_from_zyx
+from rig_simulation.world.meshes import Surface
+from rig_simulation.world.mjcf import ROBOT, SEEN, body, geom, numbers
+
+ROOT = "kuka/base_frame"
+ROBOT_FRICTION = 0.7
+ARMATURE = {"kuka": 0.1, "reflex": 0.0001}
+"""Inertia of the drives that is added to each joint [kg m^2], for the physics' stability."""
+
+
+def add_robot(
+    root: ET.Element, world: ET.Element, urdf: str, R_world_base: np.ndarray, read: Callable[[str], Surface] | None
+) -> None:
+    """Adds the robot of a URDF.
+
+    Args:
+        root: the model, whose assets take the meshes.
+        world: its world body.
+        urdf: text of the description.
+        R_world_base: attitude of the base, shape (3, 3).
+        read: gives the surface of a mesh by its URI; None leaves out all that is only seen.
+
+    Raises:
+        ValueError: the URDF has a shape that is not known here.
+    """
+    description = ET.fromstring(urdf)
+    links = {link.get("name"): link for link in description.findall("link")}
+    joints = description.findall("joint")
+    bodies = {ROOT: body(world, ROOT, pose(R_world_base))}
+    waiting = list(joints)
+    while waiting:
+        ready = [joint for joint in waiting if joint.find("parent").get("link") in bodies]
+        if not ready:
+            raise ValueError(f"the links of the robot description do not hang together from {ROOT}")
+        for joint in ready:
+            child = joint.find("child").get("link")
+            bodies[child] = body(bodies[joint.find("parent").get("link")], child, _origin(joint))
+            _add_joint(bodies[child], joint)
+            waiting.remove(joint)
+    for name, element in bodies.items():
+        _add_link(root, element, links[name], read)
+
+
+def _add_joint(element: ET.Element, joint: ET.Element) -> None:
+    if joint.get("type") == "fixed":
+        return
+    name, limit = joint.get("name"), joint.find("limit")
+    limits = {}
+    if name.startswith("reflex/"):
+        limits = {"range": f"{limit.get('lower')} {limit.get('upper')}"}
+    armature = str(ARMATURE[name.split("/")[0]])
+    ET.SubElement(element, "joint", name=name, axis=joint.find("axis").get("xyz"), armature=armature, **limits)
+
+
+def _add_link(root: ET.Element, element: ET.Element, link: ET.Element, read) -> None:
+    inertial = link.find("inertial")
+    if inertial is not None:
+        inertia = inertial.find("inertia")
+        entries = " ".join(inertia.get(key) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+        position, mass = inertial.find("origin").get("xyz"), inertial.find("mass").get("value")
+        ET.SubElement(element, "inertial", pos=position, mass=mass, fullinertia=entries)
+    name = link.get("name")
+    for i, collision in enumerate(link.findall("collision")):
+        _plain(element, f"{name}/collision_{i}", ROBOT, collision, friction=ROBOT_FRICTION)
+    for i, visual in enumerate(link.findall("visual") if read is not None else []):
+        mesh = visual.find("geometry/mesh")
+        if mesh is None:
+            colour = [float(value) for value in visual.find("material/color").get("rgba").split()[:3]]
+            _plain(element, f"{name}/visual_{i}", SEEN, visual, colour=colour)
+        else:
+            _mesh(root, element, f"{name}/visual_{i}", visual, mesh, read)
+
+
+def _plain(element: ET.Element, name: str, touch, shape: ET.Element, **more) -> None:
+    T = _origin(shape)
+    box, cylinder = shape.find("geometry/box"), shape.find("geometry/cylinder")
+    if box is not None:
+        kind, size = "box", np.array(box.get("size").split(), dtype=float) / 2.0
+    elif cylinder is not None:
+        kind, size = "cylinder", (float(cylinder.get("radius")), float(cylinder.get("length")) / 2.0)
+    else:
+        raise ValueError(f"the shape {name} is neither box nor cylinder")
+    geom(element, name, touch, kind, size, p=T[:3, 3], R=T[:3, :3], **more)
+
+
+def _mesh(root: ET.Element, element: ET.Element, name: str, visual: ET.Element, mesh: ET.Element, read) -> None:
+    surface = read(mesh.get("filename"))
+    asset, T = root.find("asset"), _origin(visual)
+    label = mesh.get("filename").partition("meshes/")[2]
+    if asset.find(f"mesh[@name='{label}']") is None:
+        scale = np.array(mesh.get("scale", "1 1 1").split(), dtype=float)
+        add_mesh(asset, label, surface.vertices * scale, surface.triangles)
+    geom(element, name, SEEN, "mesh", None, p=T[:3, 3], R=T[:3, :3], mesh=label, colour=surface.colour)
+
+
+def add_mesh(asset: ET.Element, name: str, vertices: np.ndarray, triangles: np.ndarray) -> None:
+    """Adds a mesh, vertices of shape (n, 3) [m], triangles of shape (m, 3), to the model's assets."""
+    faces = " ".join(str(index) for index in triangles.ravel())
+    ET.SubElement(asset, "mesh", name=name, vertex=numbers(vertices.ravel()), face=faces)
+
+
+def _origin(element: ET.Element) -> np.ndarray:
+    origin = element.find("origin")
+    roll, pitch, yaw = (float(value) for value in origin.get("rpy").split())
+    return pose(rotation_from_zyx(yaw, pitch, roll), [float(value) for value in origin.get("xyz").split()])

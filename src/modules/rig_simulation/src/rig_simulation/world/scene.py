@@ -1,0 +1,225 @@
+"""What stands in the simulated world besides the rig: the schema of a scene's yaml, and the records made from it.
+
+Lengths in m, angles in deg. The world is upright with its origin in the arm's base; an object's position counts from
+the table's centre along the table's sides, and its own origin is the middle of its height.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from common.config import integer, number, parse, vector
+from common.errors import ConfigError
+
+NAME = re.compile(r"[a-z][a-z0-9_]*")
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """The table: a board with a flat top."""
+
+    centre: np.ndarray = vector(2, "m", doc="middle of the top in the upright world")
+    size: np.ndarray = vector(2, "m", above=0.0, doc="edges along the table's own x and y axes")
+    yaw: float = number("deg", low=-180.0, high=180.0, doc="of the table's x axis")
+    top: float = number("m", doc="height of the top")
+    friction: float = number(above=0.0, high=2.0, doc="sliding friction")
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraPlace:
+    """Where the camera stands and what it looks at."""
+
+    position: np.ndarray = vector(3, "m", doc="of camera_link in the upright world")
+    target: np.ndarray = vector(3, "m", doc="the point that it looks at")
+
+    def faults(self) -> list[str]:
+        """Names what no single field can check."""
+        if np.linalg.norm((self.target - self.position)[:2]) < 1e-3:
+            return ["target must not lie straight above or below the camera."]
+        return []
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneObject:
+    """What every object has."""
+
+    position: np.ndarray = vector(2, "m", doc="from the table's centre along its sides")
+    yaw: float = number("deg", low=-180.0, high=180.0, doc="turn about the vertical")
+    mass: float = number("kg", above=0.0, high=5.0)
+    friction: float = number(above=0.0, high=2.0, doc="sliding friction")
+    colour: np.ndarray = vector(3, low=0.0, high=1.0, doc="red, green, blue")
+
+
+@dataclasses.dataclass(frozen=True)
+class Cup(SceneObject):
+    """A cup: a wall round a bottom, open above."""
+
+    radius: float = number("m", above=0.01, high=0.2, doc="outer radius")
+    height: float = number("m", above=0.01, high=0.5)
+    wall: float = number("m", above=0.001, below=0.01, doc="thickness of wall and bottom")
+
+
+@dataclasses.dataclass(frozen=True)
+class Box(SceneObject):
+    """A solid box."""
+
+    size: np.ndarray = vector(3, "m", above=0.005, high=0.5, doc="edges")
+
+    @property
+    def height(self) -> float:
+        """Edge that stands up [m]."""
+        return float(self.size[2])
+
+
+@dataclasses.dataclass(frozen=True)
+class Ball(SceneObject):
+    """A solid ball."""
+
+    radius: float = number("m", above=0.005, high=0.3)
+
+    @property
+    def height(self) -> float:
+        """Diameter [m]."""
+        return 2.0 * self.radius
+
+
+@dataclasses.dataclass(frozen=True)
+class Cylinder(SceneObject):
+    """A solid cylinder that stands."""
+
+    radius: float = number("m", above=0.005, high=0.2)
+    height: float = number("m", above=0.005, high=0.5)
+
+
+@dataclasses.dataclass(frozen=True)
+class Bottle(SceneObject):
+    """A cylinder with a narrower one on top."""
+
+    radius: float = number("m", above=0.01, high=0.2)
+    height: float = number("m", above=0.05, high=0.5, doc="with the neck")
+    neck_radius: float = number("m", above=0.005, high=0.1)
+    neck_height: float = number("m", above=0.01, high=0.2)
+
+    def faults(self) -> list[str]:
+        """Names what no single field can check."""
+        if self.neck_height >= self.height or self.neck_radius >= self.radius:
+            return ["the neck must be lower and narrower than the bottle."]
+        return []
+
+
+KINDS = {"cup": Cup, "box": Box, "ball": Ball, "cylinder": Cylinder, "bottle": Bottle}
+
+
+@dataclasses.dataclass(frozen=True)
+class Tag:
+    """One tag36h11 on the panel."""
+
+    id: int = integer(low=0, high=4)
+    size: float = number("m", above=0.01, high=0.5, doc="edge of the black square")
+    position: np.ndarray = vector(2, "m", doc="of its centre on the plate")
+
+
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """The marker panel beside the flange.
+
+    Attributes:
+        size: edges of the plate along the tags' x and y axes, shape (2,) [m].
+        tags: what is printed on it.
+    """
+
+    size: np.ndarray
+    tags: tuple[Tag, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """A scene.
+
+    Attributes:
+        table: what the objects stand on.
+        camera: where the camera is.
+        scatter: objects are placed anew by up to so much in x and y [m]; 0 places them exactly.
+        objects: by name.
+    """
+
+    table: Table
+    camera: CameraPlace
+    scatter: float
+    objects: Mapping[str, SceneObject]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Rest:
+    scatter: float = number("m", low=0.0, high=0.2)
+
+
+def scene_from(values: Any) -> Scene:
+    """Returns the scene that a yaml mapping describes.
+
+    Raises:
+        ConfigError: with all faults.
+    """
+    faults: list[str] = []
+    keys = ("table", "camera", "objects")
+    sections = values if isinstance(values, Mapping) else {}
+    rest = _parsed(_Rest, values, "", faults, keys)
+    faults += [f"{key} is missing; it must be a mapping." for key in keys if key not in sections]
+    table = _parsed(Table, sections.get("table", {}), "table/", faults)
+    camera = _parsed(CameraPlace, sections.get("camera", {}), "camera/", faults)
+    objects = {}
+    listed = sections.get("objects", {})
+    if not isinstance(listed, Mapping):
+        faults.append(f"objects is {listed!r}, but must be a mapping of names to objects.")
+        listed = {}
+    for name, entry in listed.items():
+        objects[name] = _object(name, entry, faults)
+    if faults:
+        raise ConfigError(faults)
+    return Scene(table, camera, rest.scatter, objects)
+
+
+def panel_from(values: Any) -> Panel:
+    """Returns the panel that a yaml mapping describes.
+
+    Raises:
+        ConfigError: with all faults.
+    """
+    faults: list[str] = []
+    size = _parsed(_PanelSize, values, "", faults, ("tags",))
+    listed = values.get("tags") if isinstance(values, Mapping) else None
+    if not isinstance(listed, list) or not listed:
+        faults.append(f"tags is {listed!r}, but must be a list of tags.")
+        listed = []
+    tags = [_parsed(Tag, entry, f"tags/{i}/", faults) for i, entry in enumerate(listed)]
+    if faults:
+        raise ConfigError(faults)
+    return Panel(size.size, tuple(tags))
+
+
+@dataclasses.dataclass(frozen=True)
+class _PanelSize:
+    size: np.ndarray = vector(2, "m", above=0.0, high=1.0)
+
+
+def _object(name: Any, entry: Any, faults: list[str]) -> SceneObject | None:
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        faults.append(f"objects/{name} is no name of small letters, digits and underscores.")
+    kind = entry.get("kind") if isinstance(entry, Mapping) else None
+    if kind not in KINDS:
+        faults.append(f"objects/{name}/kind is {kind!r}, but must be one of {', '.join(KINDS)}.")
+        return None
+    return _parsed(KINDS[kind], entry, f"objects/{name}/", faults, ("kind",))
+
+
+def _parsed(schema, values: Any, prefix: str, faults: list[str], others=()):
+    try:
+        return parse(schema, values, prefix, others)
+    except ConfigError as error:
+        faults += error.faults
+        return None
