@@ -140,12 +140,13 @@ def test_silent(server, connect, fault):
     assert client.ask() == ZEROS
 
 
-def test_silent_for_a_share_of_the_answers(connect, fault):
+def test_silent_for_a_share_of_the_answers(server, connect, fault, wait_until):
     client = connect()
     fault("silent", value=0.5)
     for _ in range(100):
         client.send("getPin3")
     client.send("blueOn")
+    wait_until(lambda: server.control.ask("state")["outputs"], SOON_S, "the commands to be followed")
     fault("silent", on=False)
     client.send("getJointsPositions")
     answers = 0

@@ -63,6 +63,10 @@ class Playback:
         """Goes on with empty frames."""
         self._frames, self.playing = self._idle, False
 
+    def restart(self) -> None:
+        """Counts ids and time from the beginning, as a service that was started again; the source goes on."""
+        self._time, self._id = 0.0, 0
+
     def next(self) -> Played:
         """Returns the next frame."""
         interval, message = next(self._frames)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from common.errors import RigError
 from rig_simulation.command_line import finite, parse_options, port, positive
+from rig_simulation.faults import add_option, switch_all
+from rig_simulation.faults_leap import LEAP_FAULTS
 from rig_simulation.leap import motion, wire
 from rig_simulation.leap.guided import GuidedPerson
 from rig_simulation.leap.playback import Playback
@@ -38,6 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
     except RigError as error:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 1
+    switch_all(service.faults, options.fault)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
     control = f"{service.host}:{service.control_port}"
@@ -57,6 +60,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--lenient", action="store_true", help="serve clients that did not ask for frames")
     add("--seed", type=int, default=0, help="of the noise and of the person's variations")
     add("--fields", choices=wire.FIELD_SETS, default="2.x", help="field set of the frames")
+    add_option(parser, LEAP_FAULTS)
     recording = parser.add_argument_group("a recording")
     add = recording.add_argument
     add("--recording", type=Path, metavar="FILE", help="one JSON frame a line, .gz or plain")

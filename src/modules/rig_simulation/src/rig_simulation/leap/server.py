@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import json
 import logging
+import socket
+import struct
 import time
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -13,8 +15,12 @@ from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
 
+from common.errors import DeviceError
 from rig_simulation.control_port import ControlPort, listen
+from rig_simulation.faults import Faults
+from rig_simulation.faults_leap import LEAP_FAULTS, Stream
 from rig_simulation.leap import wire
 from rig_simulation.leap.playback import Playback
 
@@ -24,16 +30,19 @@ LATE_S = 0.05
 CLOSE_TIMEOUT_S = 0.5
 LONGEST_SLEEP_S = 0.2
 GATED_FROM_VERSION = 4
+BACKLOG = 16
+POLL_S = 0.02
+RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
 
 class _Client:
-    """One connection: what it asked for, and the newest frame that waits for it."""
+    """One connection: what it asked for, and the newest frames that wait for it; but for faults it is one frame."""
 
-    def __init__(self, version: int, lenient: bool) -> None:
-        self.version = version
+    def __init__(self, connection: ServerConnection, version: int, lenient: bool) -> None:
+        self.connection, self.version = connection, version
         self.wants = {"background": lenient or version < GATED_FROM_VERSION, "focused": False}
         self.events: list[str] = []
-        self.frame: str | None = None
+        self.frames: list[str] = []
         self.wake = asyncio.Event()
 
     def hear(self, message: str | bytes) -> None:
@@ -46,11 +55,11 @@ class _Client:
             if key in self.wants:
                 self.wants[key] = value is True
 
-    def offer(self, frame: str) -> bool:
-        """Leaves a frame for sending in place of one that still waits; returns whether one was lost so."""
-        if not any(self.wants.values()):
-            return False
-        lost, self.frame = self.frame is not None, frame
+    def offer(self, frames: list[str]) -> int:
+        """Leaves frames for sending in place of those that still wait; returns how many were lost so."""
+        if not frames or not any(self.wants.values()):
+            return 0
+        lost, self.frames = len(self.frames), frames
         self.wake.set()
         return lost
 
@@ -73,6 +82,9 @@ class LeapService:
         lenient: serve clients that asked for nothing, as the bridge for current services does.
         calls: further requests of the control port.
 
+    Attributes:
+        faults: those of LEAP_FAULTS, to be switched at any time.
+
     Raises:
         DeviceError: a port is not to be had.
     """
@@ -90,13 +102,14 @@ class LeapService:
         self._playback, self._fields, self._lenient = playback, fields, lenient
         self._clients: set[_Client] = set()
         self._sent = self._lost = 0
-        self._attached = True
+        self.faults = Faults(LEAP_FAULTS)
+        self._stream = Stream(self.faults)
         self._loop = asyncio.new_event_loop()
         self._stopping = False
-        self._socket = listen(host, port, "the Leap service", backlog=16)
+        self._socket = listen(host, port, "the Leap service", BACKLOG)
         self.host, self.port = self._socket.getsockname()[:2]
         handlers = {**calls, "state": self._state, "play": self._play, "pause": self._pause}
-        handlers.update({"plug": lambda: self._plug(True), "unplug": lambda: self._plug(False)})
+        handlers.update({"plug": lambda: self._plug(True), "unplug": lambda: self._plug(False), **self.faults.requests})
         self._control = ControlPort(handlers, host, control_port)
         self.control_port = self._control.port
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
@@ -115,16 +128,59 @@ class LeapService:
 
     async def _serve(self) -> None:
         options = {"compression": None, "close_timeout": CLOSE_TIMEOUT_S, "ping_interval": None}
-        async with serve(self._converse, sock=self._socket, **options):
-            start = time.monotonic()
-            while not self._stopping:
-                played = self._playback.next()
-                due = start + played.time
-                late = time.monotonic() - due > LATE_S
-                await self._sleep_until(due)
-                if self._attached and not late:
-                    for client in self._clients:
-                        self._lost += client.offer(played.text)
+        while not self._stopping:
+            async with serve(self._converse, sock=self._socket, process_request=self._meet, **options):
+                await self._play_frames()
+            while not self._stopping and not self._started_again():
+                await asyncio.sleep(POLL_S)
+
+    async def _play_frames(self) -> None:
+        start = time.monotonic()
+        while not self._stopping and not self.faults.is_on("restarted"):
+            self._follow_faults()
+            played = self._playback.next()
+            due = start + played.time
+            late = time.monotonic() - due > LATE_S
+            await self._sleep_until(due)
+            if self._attached and not late:
+                frames = self._stream.pass_on(played.text, due)
+                for client in self._clients:
+                    self._lost += client.offer(frames)
+
+    @property
+    def _attached(self) -> bool:
+        return not self.faults.is_on("unplugged")
+
+    def _started_again(self) -> bool:
+        if self.faults.is_on("restarted"):
+            return False
+        try:
+            self._socket = listen(self.host, self.port, "the Leap service", BACKLOG)
+        except DeviceError:  # for a moment the port may belong to another program
+            return False
+        self._playback.restart()
+        return True
+
+    def _follow_faults(self) -> None:
+        changes = self.faults.changes()
+        for client in self._clients:
+            if "unplugged" in changes:
+                client.tell(wire.device_event(client.version, self._attached, self._attached))
+            if changes.get("cut") is not None:
+                _reset(client.connection)
+            if "half_open" in changes:
+                transport = client.connection.transport
+                transport.resume_reading() if changes["half_open"] is None else transport.pause_reading()
+
+    async def _meet(self, connection: ServerConnection, _: Request) -> Response | None:
+        await self._while_half_open()
+        if self.faults.is_on("cut"):
+            _reset(connection)
+        return None
+
+    async def _while_half_open(self) -> None:
+        while self.faults.is_on("half_open") and not self._stopping:
+            await asyncio.sleep(POLL_S)
 
     async def _sleep_until(self, due: float) -> None:
         await asyncio.sleep(0)
@@ -136,7 +192,7 @@ class LeapService:
         if version is None:
             await connection.close(1001)
             return
-        client = _Client(version, self._lenient)
+        client = _Client(connection, version, self._lenient)
         sender = asyncio.ensure_future(self._send(connection, client))
         self._clients.add(client)
         try:
@@ -155,10 +211,11 @@ class LeapService:
             while True:
                 await client.wake.wait()
                 client.wake.clear()
+                await self._while_half_open()
                 while client.events:
                     await connection.send(client.events.pop(0))
-                frame, client.frame = client.frame, None
-                if frame is not None:
+                frames, client.frames = client.frames, []
+                for frame in frames:
                     await connection.send(frame)
                     self._sent += 1
 
@@ -179,12 +236,7 @@ class LeapService:
         self._do(self._playback.pause)
 
     def _plug(self, attached: bool) -> None:
-        def plug() -> None:
-            self._attached = attached
-            for client in self._clients:
-                client.tell(wire.device_event(client.version, attached, attached))
-
-        self._do(plug)
+        self.faults.switch("unplugged", not attached)
 
     def _do(self, action: Callable[[], None]) -> None:
         """Does something in the thread of the loop, which owns clients and playback, and waits for it."""
@@ -193,3 +245,8 @@ class LeapService:
             action()
 
         asyncio.run_coroutine_threadsafe(act(), self._loop).result(5.0)
+
+
+def _reset(connection: ServerConnection) -> None:
+    connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
+    connection.transport.abort()
