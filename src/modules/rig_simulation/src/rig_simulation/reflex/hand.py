@@ -6,7 +6,8 @@ import math
 import random
 from typing import Any
 
-from rig_simulation.reflex.finger import CELLS, MAX_SPOOL_RAD, Finger
+from rig_simulation.reflex.finger import Finger
+from rig_simulation.reflex.mechanics import CELLS, FINGERS, FreeMechanics, Mechanics
 from rig_simulation.reflex.servo import TICK_RAD, TURN_TICKS, Servo
 from rig_simulation.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand, pack_state
 
@@ -15,6 +16,7 @@ LEAST_SLACK_RAD = 0.04
 MOST_SLACK_RAD = 0.14
 PRESHAPE_STOPS_RAD = (-0.3, 2.0)
 LOOSEST_SPOOL_RAD = -20.0
+MAX_SPOOL_RAD = 4.0
 
 _NAMES = ("f1", "f2", "f3", "preshape")
 _CLOSING = (1, -1, 1, -1)
@@ -27,11 +29,13 @@ class SimulatedHand:
 
     Args:
         seed: of its individual values (slack, zeros, rest counts of cells) and of its noise.
+        mechanics: what the motors move; None: a hand with nothing to touch.
     """
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, mechanics: Mechanics | None = None) -> None:
         self._rng = random.Random(seed)
-        self.fingers = [Finger(self._rng) for _ in range(3)]
+        self._mechanics = mechanics or FreeMechanics()
+        self._fingers = [Finger(self._rng) for _ in range(FINGERS)]
         # Shaft position of each motor where its angle is 0.
         self._open = [float(self._rng.randrange(TURN_TICKS)) for _ in _NAMES]
         self.servos = []
@@ -53,10 +57,11 @@ class SimulatedHand:
         for i, servo in enumerate(self.servos):
             stops = PRESHAPE_STOPS_RAD if i == _PRESHAPE else (LOOSEST_SPOOL_RAD, MAX_SPOOL_RAD)
             low, high = sorted(self._shaft(i, stop) for stop in stops)
-            resistance = 0.0 if i == _PRESHAPE else self.fingers[i].resistance(self.angle(i))
+            resistance = self._mechanics.resistance(i)
+            if i != _PRESHAPE:
+                resistance += self._fingers[i].resistance(self.angle(i))
             servo.step(dt, low, high, _CLOSING[i] * resistance)
-        for i, finger in enumerate(self.fingers):
-            finger.flex(self.angle(i))
+        self._mechanics.pull([self.angle(i) for i in range(4)])
 
     def angle(self, motor: int) -> float:
         """Returns a motor's spool angle [rad]."""
@@ -70,7 +75,7 @@ class SimulatedHand:
             for i, mode in enumerate(command.modes):
                 if mode in (IDLE, VELOCITY, POSITION):
                     self.modes[i] = mode
-                    self.servos[i].torque = mode == POSITION
+                    self.servos[i].switch(mode == POSITION)
             return
         self.targets_received += 1
         for servo, value in zip(self.servos, command.values):
@@ -84,8 +89,8 @@ class SimulatedHand:
         servos = self.servos
         return pack_state(
             device_time=int(self._clock * 1e6) % 2**32,
-            pressures=[finger.pressures() for finger in self.fingers],
-            encoders=[finger.encoder() for finger in self.fingers],
+            pressures=[finger.pressures(self._mechanics.touch(i)) for i, finger in enumerate(self._fingers)],
+            encoders=[finger.encoder(self._mechanics.proximal(i)) for i, finger in enumerate(self._fingers)],
             errors=[servo.error for servo in servos],
             positions=[servo.position % 65536 if servo.present else 0 for servo in servos],
             speeds=[servo.speed_register() for servo in servos],
@@ -113,18 +118,18 @@ class SimulatedHand:
         """Presses a cell of finger 0, 1 or 2, or all its cells, by `value` counts."""
         if cell is not None and not 0 <= cell < CELLS:
             raise ValueError(f"Cells are 0..{CELLS - 1}, not {cell}.")
-        _finger(self.fingers, finger).press(cell, int(value))
+        self._fingers[_finger(finger)].press(cell, int(value))
 
     def block(self, finger: int, proximal: float | None, stiffness: float = 400.0) -> None:
         """Puts an obstacle at a proximal angle [rad], None takes it away; `stiffness` in 0.1 % of load per rad."""
         if proximal is not None and not 0 <= proximal <= math.pi:
             raise ValueError(f"A proximal angle lies in 0..pi, not {proximal}.")
-        one = _finger(self.fingers, finger)
-        one.obstacle, one.obstacle_stiffness = proximal, stiffness
+        self._fingers[_finger(finger)].block(proximal, stiffness)
+        self._mechanics.block(finger, proximal)
 
     def stick_encoder(self, finger: int, on: bool) -> None:
         """Lets a knuckle encoder stick."""
-        _finger(self.fingers, finger).stick(bool(on))
+        self._fingers[_finger(finger)].stick(bool(on), self._mechanics.proximal(finger))
 
     def unplug_servo(self, motor: int, on: bool) -> None:
         """Lets a servo fall silent: its position is 0."""
@@ -151,8 +156,9 @@ class SimulatedHand:
         """Returns the truth, for the control port."""
         return {
             "angles": [self.angle(i) for i in range(4)],
-            "proximal": [finger.proximal for finger in self.fingers],
-            "distal": [finger.distal for finger in self.fingers],
+            "proximal": [self._mechanics.proximal(i) for i in range(FINGERS)],
+            "distal": [self._mechanics.distal(i) for i in range(FINGERS)],
+            "touch": [list(self._mechanics.touch(i)) for i in range(FINGERS)],
             "positions": [servo.position for servo in self.servos],
             "goals": [servo.goal for servo in self.servos],
             "speed_settings": [servo.speed_setting for servo in self.servos],
@@ -180,7 +186,7 @@ def _motor(motor: int) -> int:
     return motor
 
 
-def _finger(fingers: list[Finger], finger: int) -> Finger:
-    if finger not in range(3):
+def _finger(finger: int) -> int:
+    if finger not in range(FINGERS):
         raise ValueError(f"Fingers are 0..2 (f1, f2, f3), not {finger}.")
-    return fingers[finger]
+    return finger

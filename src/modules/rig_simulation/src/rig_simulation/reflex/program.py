@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
         link = HandLink(options.interface, options.port)
         try:
             hand, lock = SimulatedHand(options.seed), threading.Lock()
-            with ControlPort(_handlers(hand, lock), port=options.control_port) as control:
+            with ControlPort(handlers(hand, lock), port=options.control_port) as control:
                 print(
                     f"reflex_hand: on {options.interface}, UDP port {link.port}, "
                     f"control port {control.host}:{control.port}",
@@ -53,17 +53,24 @@ def run(hand: SimulatedHand, link: HandLink, lock: threading.Lock, stop: threadi
         now = time.monotonic()
         with lock:
             hand.step(min(now - before, LONGEST_STEP_S))
-            if not hand.silent:
-                link.send(hand.packet())
-            for data in link.collect():
-                command = read_command(data)
-                if command and not hand.silent:
-                    hand.handle(command)
+            exchange(hand, link)
         before = now
         due = max(due + PERIOD_S, now)
 
 
-def _handlers(hand: SimulatedHand, lock: threading.Lock) -> dict[str, Callable]:
+def exchange(hand: SimulatedHand, link: HandLink) -> None:
+    """Sends the hand's state, then follows what was received."""
+    if not hand.silent:
+        link.send(hand.packet())
+    for data in link.collect():
+        command = read_command(data)
+        if command and not hand.silent:
+            hand.handle(command)
+
+
+def handlers(hand: SimulatedHand, lock: threading.Lock) -> dict[str, Callable]:
+    """Returns what the hand's control port does; each request holds the lock."""
+
     def locked(method: Callable) -> Callable:
         @wraps(method)
         def call(**fields):

@@ -13,6 +13,11 @@ POWER_UP_TICKS = 13000
 SPEED_UNIT_RAD_S = 0.114 * 2 * math.pi / 60
 NO_LOAD_SPEED_RAD_S = 55 * 2 * math.pi / 60
 MAX_EFFORT = 1000
+MAX_TORQUE_NM = 2.5
+"""At 12 V."""
+OVERLOAD_EFFORT = 950
+OVERLOAD_TIME_S = 2.0
+OVERLOAD_BIT = 1 << 5
 STALL_EFFORT_PER_TICK = 10
 FRICTION = 25
 
@@ -39,6 +44,8 @@ class Servo:
         self._reported_minus_shaft = POWER_UP_TICKS + self.shaft % TURN_TICKS - self.shaft
         self.goal = self.position
         self.torque = False
+        self.error &= ~OVERLOAD_BIT
+        self._overload_time = 0.0
         self.speed_setting = 0
         self.velocity = 0.0
         self.effort = 0.0
@@ -52,8 +59,15 @@ class Servo:
         """Counts from another turn from now on."""
         self._reported_minus_shaft += turns * TURN_TICKS
 
+    def switch(self, torque: bool) -> None:
+        """Switches torque on or off; after an overload it stays off until power comes anew."""
+        self.torque = torque and self._overload_time < OVERLOAD_TIME_S
+
     def step(self, dt: float, low: float, high: float, resistance: float) -> None:
         """Moves for `dt` [s] towards the goal, between the stops `low` and `high` [ticks of the shaft].
+
+        What it presses against slows it down, to a standstill at its largest torque. Too long near that it switches
+        its torque off. A shaft without torque stays: the gear holds it.
 
         Args:
             dt: time [s].
@@ -65,11 +79,12 @@ class Servo:
         if not self.torque:
             self.velocity, self.effort = 0.0, 0.0
             return
-        speed = NO_LOAD_SPEED_RAD_S
+        wanted = self.goal - self._reported_minus_shaft
+        opposing = math.copysign(1.0, wanted - before) * resistance
+        speed = NO_LOAD_SPEED_RAD_S * max(0.0, min(1.0, 1.0 - opposing / MAX_EFFORT))
         if self.speed_setting & _SPEED_MASK:
             speed = min(speed, (self.speed_setting & _SPEED_MASK) * SPEED_UNIT_RAD_S)
         reach = speed / TICK_RAD * dt
-        wanted = self.goal - self._reported_minus_shaft
         moved = before + max(-reach, min(reach, wanted - before))
         self.shaft = max(low, min(high, moved))
         self.velocity = (self.shaft - before) * TICK_RAD / dt
@@ -77,6 +92,13 @@ class Servo:
         if self.shaft in (low, high):
             self.effort += STALL_EFFORT_PER_TICK * (wanted - self.shaft)
         self.effort = max(-MAX_EFFORT, min(MAX_EFFORT, self.effort))
+        self._watch_load(dt)
+
+    def _watch_load(self, dt: float) -> None:
+        self._overload_time = self._overload_time + dt if abs(self.effort) >= OVERLOAD_EFFORT else 0.0
+        if self._overload_time >= OVERLOAD_TIME_S:
+            self.error |= OVERLOAD_BIT
+            self.torque = False
 
     def speed_register(self) -> int:
         """The present-speed register."""
