@@ -200,7 +200,7 @@ class Application:
             ("Torques_m_J", answer(lambda: f"{java_numbers.vector(arm.measured_torques)}\n")),
             ("Eef_pos", answer(self._tool_text)),
             ("Eef_force", answer(self._force_text)),
-            ("Eef_moment", answer(lambda: f"{java_numbers.vector(np.zeros(3))}\n")),
+            ("Eef_moment", answer(lambda: f"{java_numbers.vector(arm.tool_moment)}\n")),
             ("handGuiding", answer(lambda: DONE)),
             ("preciseHandGuiding1", answer(lambda: DONE)),
             ("preciseHandGuiding2", answer(lambda: DONE)),

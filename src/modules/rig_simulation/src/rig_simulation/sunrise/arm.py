@@ -5,8 +5,10 @@ Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torque
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +25,13 @@ PAUSE_TIME_S = 0.25
 """A planned motion is brought to a stop, and to its speed again, in this time."""
 SAFETY_PERIOD_STEPS = 4
 MAX_CATCH_UP_S = 1.0
+BACK_OFF_SPEED_RAD_S = 0.05
+BACK_OFF_SHARE = 0.1
+"""A planned motion is backed off at this share of its speed."""
+FREE_SHARE = 0.5
+"""The arm is backed off until no external torque is above this share of the limit."""
+WAY_STEP_RAD = 1e-3
+WAY_STEPS = 1000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +51,17 @@ class ArmSettings:
     trajectory_time: float = MIN_TRAJECTORY_TIME_S
 
 
+class Surroundings(Protocol):
+    """What the arm moves in and touches."""
+
+    def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
+        """Lets dt [s] pass, at whose end the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,).
+
+        Returns:
+            torques of touch and load on the joints, shape (7,) [Nm].
+        """
+
+
 @dataclasses.dataclass
 class _Servo:
     law: Law
@@ -55,6 +75,7 @@ class Arm:
     Args:
         robot: kinematics, limits, dynamics.
         settings: limits of the safety stop, law of the servo.
+        surroundings: in which it moves; None: it touches nothing.
 
     Attributes:
         time: up to which the arm has moved [s].
@@ -67,9 +88,10 @@ class Arm:
         max_tool_speed: highest speed of the tool point so far [m/s].
     """
 
-    def __init__(self, robot: Robot, settings: ArmSettings) -> None:
+    def __init__(self, robot: Robot, settings: ArmSettings, surroundings: Surroundings | None = None) -> None:
         self.robot = robot
         self.settings = settings
+        self._surroundings = surroundings
         self.time: float | None = None
         self.q = np.zeros(7)
         self.v = np.zeros(7)
@@ -93,6 +115,10 @@ class Arm:
         self._breaking = False
         self._joint_torque = np.zeros(7)
         self._tool_force = np.zeros(3)
+        self._touch_torque = np.zeros(7)
+        self._way: collections.deque[np.ndarray] = collections.deque(maxlen=WAY_STEPS)
+        self._backing_off = False
+        self._back_drives = Drives(np.full(7, BACK_OFF_SPEED_RAD_S), self.acceleration, settings.trajectory_time)
         self._steps = 0
 
     def advance(self, now: float) -> None:
@@ -102,7 +128,7 @@ class Arm:
         """
         if self.time is None or now - self.time > MAX_CATCH_UP_S + CYCLE_S:
             self.time = now if self.time is None else now - MAX_CATCH_UP_S
-        if self.resting:
+        if self.asleep:
             self.time = max(self.time, now)
             return
         for _ in range(int((now - self.time) / CYCLE_S + 1e-9)):
@@ -113,6 +139,8 @@ class Arm:
         v_before = self.v
         if self._motion is not None:
             self._step_motion(dt)
+        elif self._backing_off:
+            self._step_back(dt)
         elif self._servo is not None and self.safety_stop is None:
             self._step_servo(self._servo, dt)
         else:
@@ -120,14 +148,23 @@ class Arm:
         self.a = (self.v - v_before) / dt
         if self.time is not None:
             self.time += dt
+        if self._surroundings is not None:
+            self._touch_torque = self._surroundings.follow(self.q, self.v, dt)
         self._steps += 1
-        if self._steps % SAFETY_PERIOD_STEPS == 0 or self.resting:
+        comes_to_rest = self.resting and v_before.any()
+        if self._steps % SAFETY_PERIOD_STEPS == 0 or comes_to_rest:
             self._check_safety()
 
     @property
     def resting(self) -> bool:
         """Whether nothing moves and nothing will by itself."""
-        return self._motion is None and (self._servo is None or self.safety_stop is not None) and not self.v.any()
+        moved = self._motion is not None or (self._servo is not None and self.safety_stop is None) or self._backing_off
+        return not moved and not self.v.any()
+
+    @property
+    def asleep(self) -> bool:
+        """Whether time may pass unseen: the arm rests and there is nothing around it that could move."""
+        return self.resting and self._surroundings is None
 
     @property
     def in_motion(self) -> bool:
@@ -201,6 +238,19 @@ class Arm:
         if self.v.any():
             raise ValueError("The arm is still braking.")
         self.safety_stop = None
+        self._backing_off = False
+
+    def back_off(self) -> None:
+        """Moves an arm that stands in a safety stop slowly back on the way it came, until nothing presses on it.
+
+        So does a person with the jog keys of the pendant.
+
+        Raises:
+            ValueError: no stop is active.
+        """
+        if self.safety_stop is None:
+            raise ValueError("No safety stop is active, so there is nothing to back off from.")
+        self._backing_off = True
 
     @property
     def tool(self) -> np.ndarray:
@@ -210,24 +260,39 @@ class Arm:
     @property
     def tool_force(self) -> np.ndarray:
         """Force on the tool point, shape (3,) [N], along the tool's axes."""
-        return self._tool_force
+        return self._tool_force + self._touch_wrench[:3]
+
+    @property
+    def tool_moment(self) -> np.ndarray:
+        """Moment on the tool point, shape (3,) [Nm], about the tool's axes."""
+        return self._touch_wrench[3:]
 
     @property
     def external_torques(self) -> np.ndarray:
         """Torques on the joints from outside, shape (7,) [Nm]."""
+        torque = self._joint_torque + self._touch_torque
         if not self._tool_force.any():
-            return self._joint_torque
-        return self._joint_torque + self.robot.jacobian(self.q, self.T_flange_tool)[:3].T @ self._tool_force
+            return torque
+        return torque + self.robot.jacobian(self.q, self.T_flange_tool)[:3].T @ self._tool_force
 
     @property
     def measured_torques(self) -> np.ndarray:
-        """Torques of gravity and motion plus those from outside, shape (7,) [Nm]."""
-        return self.robot.torques(self.q, self.v, self.a) + self.external_torques
+        """Torques that the drives bear, of gravity and motion less what is borne from outside, shape (7,) [Nm]."""
+        return self.robot.torques(self.q, self.v, self.a) - self.external_torques
+
+    @property
+    def _touch_wrench(self) -> np.ndarray:
+        """Force and moment on the tool point that explain the torques of touch best, shape (6,)."""
+        if not self._touch_torque.any():
+            return np.zeros(6)
+        return self.robot.wrench(self.q, self.T_flange_tool, self._touch_torque)
 
     def _step_motion(self, dt: float) -> None:
         if self._break_when is not None and self._break_when(self):
             self._breaking = True
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
+        if self._still_backing_off(self._motion_time > 0.0):
+            wanted = -BACK_OFF_SHARE
         change = dt / PAUSE_TIME_S
         rate = self._motion_rate + min(max(wanted - self._motion_rate, -change), change)
         self._motion_time += 0.5 * (rate + self._motion_rate) * dt
@@ -239,6 +304,19 @@ class Arm:
             self.v = np.zeros(7)
         elif rate == 0.0:
             self.v = np.zeros(7)
+
+    def _step_back(self, dt: float) -> None:
+        if self._way and np.max(np.abs(self._way[-1] - self.q)) < WAY_STEP_RAD:
+            self._way.pop()
+        if self._still_backing_off(bool(self._way)):
+            self._move(self._back_drives.towards(self._way[-1] - self.q, self.v, dt), dt)
+        else:
+            self._move(self._drives.brake(self.v, dt), dt)
+
+    def _still_backing_off(self, way_left: bool) -> bool:
+        free = np.max(np.abs(self.external_torques)) <= FREE_SHARE * self.settings.torque_limit
+        self._backing_off = self._backing_off and way_left and not free
+        return self._backing_off
 
     def _step_servo(self, servo: _Servo, dt: float) -> None:
         if servo.integrates:
@@ -258,6 +336,8 @@ class Arm:
         self.max_tool_speed = max(self.max_tool_speed, self.tool_speed)
         if self.safety_stop is not None:
             return
+        if not self._way or np.max(np.abs(self._way[-1] - self.q)) > WAY_STEP_RAD:
+            self._way.append(self.q)
         cause = self._torque_fault()
         if not cause and self.tool_speed > self.settings.speed_limit:
             cause = f"The tool moves at {self.tool_speed:.3f} m/s (limit {self.settings.speed_limit:g})."

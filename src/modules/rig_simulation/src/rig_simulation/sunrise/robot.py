@@ -76,6 +76,14 @@ class Robot:
         J = pin.computeJointJacobian(self._model, self._data, q, self._last_joint)
         return (self._flange_in_joint * pin.SE3(T_flange_tool)).actionInverse @ J
 
+    def wrench(self, q: np.ndarray, T_flange_tool: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Returns force [N] and moment [Nm] at the tool point, in the tool's axes, shape (6,), behind joint torques.
+
+        Damped least squares: seven torques for six numbers, and near a singularity not all of these show in them.
+        """
+        J = self.jacobian(q, T_flange_tool)
+        return np.linalg.solve(J @ J.T + DAMPING * np.eye(6), J @ torque)
+
     def torques(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Returns the joint torques, shape (7,) [Nm], of gravity and motion at angles, speeds and accelerations."""
         return np.array(pin.rnea(self._model, self._data, q, v, a))

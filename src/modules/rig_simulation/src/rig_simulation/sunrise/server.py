@@ -58,8 +58,10 @@ class Server:
         port: of the toolbox server; 0 takes any free port, see `port`.
         control_port: likewise.
         log: takes one sentence about each change of state.
+        clock: time that the arm lives in [s]; it may run faster, slower or in steps.
 
     Attributes:
+        lock: held while anything of the arm or its surroundings changes.
         faults: those of ARM_FAULTS, to be switched at any time.
 
     Raises:
@@ -74,15 +76,17 @@ class Server:
         port: int,
         control_port: int,
         log: Callable[[str], None] = lambda _: None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
         self._settings = settings
         self._log = log
+        self._clock = clock
         self._panel = Panel()
         self.faults = Faults(ARM_FAULTS)
         self._answers = Answers(self.faults)
         self._encoders = Encoders(self.faults)
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
         self._stop = threading.Event()
         self._client: socket.socket | None = None
         self._lines = LineSplitter()
@@ -94,6 +98,7 @@ class Server:
         handlers = {
             "state": self._state,
             "release": self._release,
+            "back_off": self._back_off,
             "set_external_torque": self._set_external_torque,
             "set_tcp_force": self._set_tcp_force,
             **self.faults.requests,
@@ -111,10 +116,9 @@ class Server:
         try:
             while not self._stop.is_set():
                 self._wait()
-                with self._lock:
+                with self.lock:
                     self._follow_faults()
-                    self._advance()
-                    self._send()
+                    self.advance()
                     self._take_turns()
         finally:
             self._control.close()
@@ -123,6 +127,12 @@ class Server:
             if self._client is not None:
                 self._client.close()
             self._selector.close()
+
+    def advance(self) -> None:
+        """Moves on to the time that the clock shows now, and sends the answers that are due."""
+        with self.lock:
+            self._advance()
+            self._send()
 
     def stop(self) -> None:
         """Makes `run` return soon; may be called from a signal handler."""
@@ -134,7 +144,7 @@ class Server:
         self._waiting_since = time.monotonic()
 
     def _wait(self) -> None:
-        calm = self._arm.resting and not self._application.busy
+        calm = self._arm.asleep and not self._application.busy
         tick = RESTING_TICK_S if calm else MOVING_TICK_S
         if self.faults.is_on("half_open"):
             self._stop.wait(tick)
@@ -168,7 +178,7 @@ class Server:
         if not data:
             self._lose_client("it closed the connection without `end`")
         for line in lines:
-            with self._lock:
+            with self.lock:
                 self._take_line(line)
                 self._send()
                 if self._application.ended:
@@ -182,7 +192,7 @@ class Server:
             self._arm.attach(np.eye(4))
             self._answers.put("done\nnak\n", now)
         else:
-            self._answers.put(self._application.receive(line, now), now)
+            self._answers.put(self._application.receive(line, self._clock()), now)
 
     def _send(self) -> None:
         for piece in self._answers.take(time.monotonic()):
@@ -241,7 +251,7 @@ class Server:
             self._deaf = True
             self._log(f"lost the client: {reason}; the port is deaf from now on")
             return
-        with self._lock:
+        with self.lock:
             self._application.abandon()
         self._log(f"lost the client: {reason}; the arm stops")
 
@@ -271,7 +281,7 @@ class Server:
             self._start_application()
 
     def _state(self) -> dict:
-        with self._lock:
+        with self.lock:
             self._advance()
             arm = self._arm
             return {
@@ -290,24 +300,29 @@ class Server:
             }
 
     def _release(self) -> None:
-        with self._lock:
+        with self.lock:
             self._advance()
             self._arm.release()
             self._log("released")
 
+    def _back_off(self) -> None:
+        with self.lock:
+            self._advance()
+            self._arm.back_off()
+            self._log("the arm backs off")
+
     def _set_external_torque(self, value: list[float]) -> None:
-        with self._lock:
+        with self.lock:
             self._advance()
             self._arm.set_external_torque(_numbers(value, 7))
 
     def _set_tcp_force(self, value: list[float]) -> None:
-        with self._lock:
+        with self.lock:
             self._advance()
             self._arm.set_tool_force(_numbers(value, 3))
 
     def _advance(self) -> None:
-        now = time.monotonic()
-        self._answers.put(self._application.advance(now), now)
+        self._answers.put(self._application.advance(self._clock()), time.monotonic())
 
 
 def _numbers(value, count: int) -> np.ndarray:

@@ -35,7 +35,7 @@ FLOOR_BELOW_TABLE = 0.75
 WHITE, BLACK, FLOOR_COLOUR, BOARD_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4), (0.72, 0.6, 0.45)
 
 T_FLANGE_TAG = pose([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], (0.0, 0.0711, 0.0435))
-"""Pose of the panel in the flange: beside it, its face parallel to the flange's axis, its y axis along the flange's z."""
+"""Pose of the panel in the flange: beside it, its face along the flange's axis, its y axis along the flange's z."""
 PLATE_THICKNESS = 0.004
 
 RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.020, 0.0)

@@ -12,13 +12,18 @@ import numpy as np
 
 from common.poses import pose
 from common.rotations import rotation_from_zyx
+from rig_simulation.sunrise.robot import JOINTS
 from rig_simulation.world.meshes import Surface
 from rig_simulation.world.mjcf import ROBOT, SEEN, body, geom, numbers
 
 ROOT = "kuka/base_frame"
 ROBOT_FRICTION = 0.7
-ARMATURE = {"kuka": 0.1, "reflex": 0.0001}
-"""Inertia of the drives that is added to each joint [kg m^2], for the physics' stability."""
+ARM_STIFFNESS = (10000.0, 10000.0, 10000.0, 10000.0, 6000.0, 6000.0, 6000.0)
+"""Of the arm's gears [Nm/rad]: of the order that is published for arms of this build, 6000 to 15000."""
+ARM_DAMPING = (250.0, 250.0, 140.0, 140.0, 40.0, 40.0, 40.0)
+"""Of the arm's gears [Nm s/rad]: a blow dies out within a swing or two."""
+ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001
+"""Inertia added to each joint [kg m^2], for the physics' stability."""
 
 
 def add_robot(
@@ -57,12 +62,12 @@ def add_robot(
 def _add_joint(element: ET.Element, joint: ET.Element) -> None:
     if joint.get("type") == "fixed":
         return
-    name, limit = joint.get("name"), joint.find("limit")
-    limits = {}
-    if name.startswith("reflex/"):
-        limits = {"range": f"{limit.get('lower')} {limit.get('upper')}"}
-    armature = str(ARMATURE[name.split("/")[0]])
-    ET.SubElement(element, "joint", name=name, axis=joint.find("axis").get("xyz"), armature=armature, **limits)
+    name, limit, axis = joint.get("name"), joint.find("limit"), joint.find("axis").get("xyz")
+    if name in JOINTS:
+        drive = {"damping": str(ARM_DAMPING[JOINTS.index(name)]), "armature": str(ARM_ARMATURE)}
+    else:
+        drive = {"range": f"{limit.get('lower')} {limit.get('upper')}", "armature": str(HAND_ARMATURE)}
+    ET.SubElement(element, "joint", name=name, axis=axis, **drive)
 
 
 def _add_link(root: ET.Element, element: ET.Element, link: ET.Element, read) -> None:
