@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from rig_simulation.faults import Fault, Faults, Value, add_option, share_of, switch_all
 from rig_simulation.faults_arm import ARM_FAULTS
+from rig_simulation.faults_hand import HAND_FAULTS
+from rig_simulation.faults_leap import LEAP_FAULTS
 
 KNOWN = (
     Fault("cut", "the cable is cut"),
@@ -159,7 +161,7 @@ def test_the_command_line_refuses_nonsense(capsys, text, sentence):
     assert sentence in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("known", [ARM_FAULTS], ids=["arm"])
+@pytest.mark.parametrize("known", [ARM_FAULTS, LEAP_FAULTS, HAND_FAULTS], ids=["arm", "leap", "hand"])
 def test_every_default_is_in_its_range_and_every_name_is_one_of_its_own(known):
     for fault in known:
         assert fault.value is None or fault.value.low <= fault.value.default <= fault.value.high

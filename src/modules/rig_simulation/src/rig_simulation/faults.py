@@ -26,12 +26,14 @@ class Value:
         doc: what it says, with its unit.
         default: taken where none is given.
         low, high: its range.
+        whole: whether it counts something.
     """
 
     doc: str
     default: float
     low: float
     high: float
+    whole: bool = False
 
 
 def share_of(what: str) -> Value:
@@ -201,7 +203,8 @@ def _check_value(fault: Fault, value: float | None) -> float:
         return 1.0
     if value is None:
         return fault.value.default
-    if not _is_number(value) or not fault.value.low <= value <= fault.value.high:
+    inside = _is_number(value) and fault.value.low <= value <= fault.value.high
+    if not inside or (fault.value.whole and value != int(value)):
         allowed = f"{fault.value.low:g} to {fault.value.high:g}"
         raise ValueError(f"The value of the fault {fault.name!r} is {fault.value.doc}, {allowed}, not {value!r}.")
     return float(value)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import socket
 import struct
 import time
 
 from common.errors import DeviceError
+from rig_simulation.faults import Faults
+from rig_simulation.faults_hand import HAND_FAULTS, Wire
 from rig_simulation.reflex.wire import GROUP, STATE_BYTES
 
 OTHER_HAND_WAIT_S = 0.15
@@ -24,6 +27,10 @@ class HandLink:
         interface: name of the network interface, such as lo.
         port: UDP port; 0 takes a free one, see `port`.
 
+    Attributes:
+        faults: those of HAND_FAULTS, to be switched at any time.
+        wire: what they do.
+
     Raises:
         DeviceError: the interface or port cannot be used, or another hand already sends there.
     """
@@ -32,6 +39,8 @@ class HandLink:
         host = _address(interface)
         group = socket.inet_aton(GROUP)
         where = socket.inet_aton(host) + struct.pack("@i", socket.if_nametoindex(interface))
+        self.faults = Faults(HAND_FAULTS)
+        self.wire = Wire(self.faults)
         self._inbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._outbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -57,10 +66,9 @@ class HandLink:
 
     def send(self, data: bytes) -> None:
         """Sends a packet; what the network refuses is lost, as on a cable that is out."""
-        try:
-            self._outbox.sendto(data, (GROUP, self.port))
-        except OSError:
-            return
+        for packet in self.wire.outgoing(data, time.monotonic()):
+            with contextlib.suppress(OSError):
+                self._outbox.sendto(packet, (GROUP, self.port))
 
     def collect(self) -> list[bytes]:
         """Returns the datagrams of others that came in since the last call, in their order."""
@@ -69,7 +77,7 @@ class HandLink:
             try:
                 data, source = self._inbox.recvfrom(MAX_DATAGRAM_BYTES)
             except BlockingIOError:
-                return found
+                return self.wire.incoming(found)
             if source != self._own:
                 found.append(data)
 

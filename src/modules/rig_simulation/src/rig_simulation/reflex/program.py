@@ -13,6 +13,8 @@ from functools import wraps
 from common.errors import RigError
 from rig_simulation.command_line import parse_options, port
 from rig_simulation.control_port import ControlPort
+from rig_simulation.faults import add_option, switch_all
+from rig_simulation.faults_hand import HAND_FAULTS
 from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.reflex.link import HandLink
 from rig_simulation.reflex.wire import read_command
@@ -30,7 +32,9 @@ def main(arguments: list[str] | None = None) -> int:
         link = HandLink(options.interface, options.port)
         try:
             hand, lock = SimulatedHand(options.seed), threading.Lock()
-            with ControlPort(handlers(hand, lock), port=options.control_port) as control:
+            switch_all(link.faults, options.fault)
+            requests = {**handlers(hand, lock), **link.faults.requests}
+            with ControlPort(requests, port=options.control_port) as control:
                 print(
                     f"reflex_hand: on {options.interface}, UDP port {link.port}, "
                     f"control port {control.host}:{control.port}",
@@ -59,7 +63,8 @@ def run(hand: SimulatedHand, link: HandLink, lock: threading.Lock, stop: threadi
 
 
 def exchange(hand: SimulatedHand, link: HandLink) -> None:
-    """Sends the hand's state, then follows what was received."""
+    """Sends the hand's state, then follows what was received, with the faults of the link."""
+    link.wire.follow(hand)
     if not hand.silent:
         link.send(hand.packet())
     for data in link.collect():
@@ -100,4 +105,5 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--port", type=port, default=11333, help="UDP port; 0: any free one (default: 11333)")
     parser.add_argument("--control-port", type=port, default=11433, help="TCP port; 0: any free one (default: 11433)")
     parser.add_argument("--seed", type=int, default=0, help="of the hand's slack, zeros and noise (default: 0)")
+    add_option(parser, HAND_FAULTS)
     return parse_options(parser, arguments)
