@@ -131,7 +131,7 @@ class Arm:
         if self.asleep:
             self.time = max(self.time, now)
             return
-        for _ in range(int((now - self.time) / CYCLE_S + 1e-9)):
+        for _ in range(int((now - self.time) / CYCLE_S + 1e-6)):
             self.step(CYCLE_S)
 
     def step(self, dt: float) -> None:

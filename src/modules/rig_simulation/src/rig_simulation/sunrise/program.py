@@ -6,12 +6,14 @@ import argparse
 import math
 import signal
 import sys
+import time
+from collections.abc import Callable
 
 from common.errors import DeviceError
 from rig_simulation.command_line import angle, not_negative, parse_options, port, positive
 from rig_simulation.faults import add_option, switch_all
 from rig_simulation.faults_arm import ARM_FAULTS
-from rig_simulation.sunrise.arm import Arm, ArmSettings
+from rig_simulation.sunrise.arm import Arm, ArmSettings, Surroundings
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.sunrise.robot import Robot
 from rig_simulation.sunrise.server import Server, ServerSettings
@@ -22,40 +24,70 @@ NAME = "sunrise_controller"
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulated controller; returns the exit code."""
-    options = parse_options(_parser(), arguments)
-    arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
-    server_settings = ServerSettings(
-        options.wiped_window, options.wait_for_client, options.deaf_after_lost_client, options.end_exits
-    )
+    parser = Parser(NAME, description="Simulated KUKA Sunrise controller with the toolbox server on it.")
+    add_options(parser)
+    parser.add_argument("--control-port", type=port, default=30011, help="port for tests; 0 takes any free port")
+    options = parse_options(parser, arguments)
     try:
-        arm = Arm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings)
-        server = Server(arm, server_settings, options.host, options.port, options.control_port, _log)
+        server = make_server(options)
     except (DeviceError, FileNotFoundError, ValueError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 1
     switch_all(server.faults, options.fault)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())
-    control = f"{server.host}:{server.control_port}"
-    print(f"{NAME}: listening on {server.host}:{server.port}, control port {control}", flush=True)
+    print(ready_line(server), flush=True)
     server.run()
     return 0
+
+
+def make_server(
+    options: argparse.Namespace, surroundings: Surroundings | None = None, clock: Callable[[], float] = time.monotonic
+) -> Server:
+    """Returns the server that the options describe, with an arm of its own.
+
+    Args:
+        options: with what `add_options` adds, and `control_port`.
+        surroundings: what the arm moves in.
+        clock: time that it lives in [s].
+
+    Raises:
+        DeviceError: a port is not to be had.
+        FileNotFoundError: there is no description of the robot.
+    """
+    arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
+    settings = ServerSettings(
+        options.wiped_window, options.wait_for_client, options.deaf_after_lost_client, options.end_exits
+    )
+    arm = Arm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, surroundings)
+    return Server(arm, settings, options.host, options.port, options.control_port, _log, clock)
+
+
+def ready_line(server: Server) -> str:
+    """Returns what a program prints when the server listens."""
+    return f"{NAME}: listening on {server.host}:{server.port}, control port {server.host}:{server.control_port}"
 
 
 def _log(sentence: str) -> None:
     print(f"{NAME}: {sentence}", file=sys.stderr, flush=True)
 
 
-class _Parser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
+    """A command line of which a mistake is one sentence and exit code 1."""
+
+    def __init__(self, name: str, description: str) -> None:
+        super().__init__(prog=f"{name}.py", description=description)
+        self._name = name
+
     def error(self, message: str) -> None:
-        self.exit(1, f"{NAME}: {message}\n")
+        """Ends the program."""
+        self.exit(1, f"{self._name}: {message}\n")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog=f"{NAME}.py", description="Simulated KUKA Sunrise controller with the toolbox server on it.")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of the simulated controller, apart from its control port."""
     parser.add_argument("--host", default="127.0.0.1", help="loopback address to listen on")
     parser.add_argument("--port", type=port, default=30001, help="port of the toolbox server; 0 takes any free port")
-    parser.add_argument("--control-port", type=port, default=30011, help="port for tests; 0 takes any free port")
     parser.add_argument("--robot", choices=ROBOTS, default=ROBOTS[0], help="which arm")
     parser.add_argument("--flange", choices=FLANGES, default=FLANGES[0], help="which media flange")
     parser.add_argument(
@@ -94,4 +126,3 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--safety-torque", type=positive, default=25.0, help="external torque of the safety stop, Nm")
     parser.add_argument("--safety-speed", type=positive, default=0.8, help="tool speed of the safety stop, m/s")
     add_option(parser, ARM_FAULTS)
-    return parser

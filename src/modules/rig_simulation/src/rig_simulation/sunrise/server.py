@@ -121,12 +121,16 @@ class Server:
                     self.advance()
                     self._take_turns()
         finally:
-            self._control.close()
-            if self._listener is not None:
-                self._listener.close()
-            if self._client is not None:
-                self._client.close()
-            self._selector.close()
+            self.close()
+
+    def close(self) -> None:
+        """Closes everything; may be called twice."""
+        self._control.close()
+        if self._listener is not None:
+            self._listener.close()
+        if self._client is not None:
+            self._client.close()
+        self._selector.close()
 
     def advance(self) -> None:
         """Moves on to the time that the clock shows now, and sends the answers that are due."""

@@ -22,6 +22,7 @@ from common.poses import pose
 from common.rotations import rotation_about, rotation_from_zyx, unit
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.world.files import read_mesh
+from rig_simulation.world.hand_model import prepare_hand
 from rig_simulation.world.meshes import Surface, surface_from_collada
 from rig_simulation.world.mjcf import BOARD, ROBOT, SEEN, body, geom, numbers
 from rig_simulation.world.objects import add_object, add_table
@@ -114,6 +115,7 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     add_robot(
         root, world, read_urdf(description.robot, description.flange), R_world_base, _reader() if visuals else None
     )
+    prepare_hand(root)
     if description.panel is not None:
         _add_panel(root, world, panel_from(description.panel), visuals)
     for name, shape in scene.objects.items():
