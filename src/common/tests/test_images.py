@@ -74,3 +74,10 @@ def test_an_uncalibrated_camera_is_refused():
     message.K = [0.0] * 9
     with pytest.raises(ValueError, match="not calibrated"):
         images.camera_model_from_info(message)
+
+
+def test_depth_in_metres_says_nan_where_there_is_none():
+    images, _ = messages()
+    metres = images.metres_from_millimetres(np.array([[0, 1, 3500]], np.uint16))
+    assert metres.dtype == np.float32
+    np.testing.assert_allclose(metres, [[np.nan, 0.001, 3.5]])

@@ -59,6 +59,13 @@ def picture_from_image(message: Image) -> np.ndarray:
     return picture.astype(kind, copy=False)
 
 
+def metres_from_millimetres(depth: np.ndarray) -> np.ndarray:
+    """Returns a depth picture of whole millimetres, 0 = none, as float32 in metres, NaN = none (REP 118)."""
+    metres = depth * np.float32(0.001)
+    metres[depth == 0] = np.nan
+    return metres
+
+
 def camera_info_message(model: CameraModel, frame: str, stamp: rospy.Time) -> CameraInfo:
     """Returns the message that describes the camera."""
     message = CameraInfo(height=model.height, width=model.width, distortion_model=PLUMB_BOB)

@@ -1,0 +1,1 @@
+"""The simulated RGB-D camera: pictures of the simulated world as an Xtion Pro Live would take them."""

@@ -1,0 +1,46 @@
+"""Fields of noise, fresh for every picture at the price of a copy: cut at random from one large field.
+
+Two cuts share values, but hardly ever at the same pixel, so a pixel's values in successive pictures are independent.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+SPARE_PX = 1024
+"""By how much the large field is longer than a cut, in both directions."""
+
+
+class NoiseField:
+    """Noise of mean 0 and standard deviation 1.
+
+    Args:
+        height, width: of a cut [px].
+        channels: 1 or 3.
+        correlation: standard deviation of the Gaussian that the white noise is smoothed with [px]; 0 = none.
+        rng: source of the field and of the cuts.
+    """
+
+    def __init__(self, height: int, width: int, channels: int, correlation: float, rng: np.random.Generator) -> None:
+        field = rng.standard_normal((height + SPARE_PX, width + SPARE_PX, channels), dtype=np.float32)
+        if correlation > 0.0:
+            field = cv2.GaussianBlur(field, (0, 0), correlation)
+        field = field.reshape(height + SPARE_PX, width + SPARE_PX, channels)
+        self._field = (field - field.mean()) / field.std()
+        self._size = (height, width)
+        self._rng = rng
+
+    def scaled(self, sigma: float, kind: type) -> NoiseField:
+        """Returns the field with standard deviation `sigma`, rounded where `kind` is a type of whole numbers."""
+        other = object.__new__(NoiseField)
+        field = self._field * sigma
+        other._field = np.rint(field).astype(kind) if np.issubdtype(kind, np.integer) else field.astype(kind)
+        other._size, other._rng = self._size, self._rng
+        return other
+
+    def cut(self) -> np.ndarray:
+        """Returns the next cut, shape (height, width) or (height, width, channels); a view, not to be written to."""
+        row, column = self._rng.integers(0, SPARE_PX, 2)
+        cut = self._field[row : row + self._size[0], column : column + self._size[1]]
+        return cut[..., 0] if cut.shape[2] == 1 else cut

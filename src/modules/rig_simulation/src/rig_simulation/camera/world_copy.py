@@ -1,0 +1,55 @@
+"""A copy of the simulated world that follows the original through its control port."""
+
+from __future__ import annotations
+
+import mujoco
+
+from common.errors import ConfigError, DeviceError
+from rig_simulation.control_port import ControlClient
+from rig_simulation.world.model import WorldDescription, build_model
+
+
+class WorldCopy:
+    """The same model as the world's, in the state of the last snapshot.
+
+    Args:
+        client: of the world's control port.
+
+    Attributes:
+        model, data: MuJoCo's; None before the first `follow`. A new model after a change of scene.
+    """
+
+    def __init__(self, client: ControlClient) -> None:
+        self._client = client
+        self._load: int | None = None
+        self.model: mujoco.MjModel | None = None
+        self.data: mujoco.MjData | None = None
+
+    def follow(self) -> bool:
+        """Takes the world's present state over, and returns whether the model is a new one.
+
+        Raises:
+            DeviceError: the world does not answer, or not with its state; the next call builds the model anew.
+        """
+        try:
+            snapshot = self._client.ask("snapshot")
+            new = snapshot["loads"] != self._load
+            if new:
+                self._load = self._build()
+                snapshot = self._client.ask("snapshot")
+            self.data.qpos[:] = snapshot["qpos"]
+        except DeviceError:
+            self._load = None
+            raise
+        except (KeyError, TypeError, ValueError, FileNotFoundError, ConfigError) as error:
+            self._load = None
+            raise DeviceError(f"The simulated world's answer does not fit: {type(error).__name__}: {error}.") from None
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        return new
+
+    def _build(self) -> int:
+        fields = self._client.ask("scene")
+        self.model = build_model(WorldDescription.from_fields(fields))
+        self.data = mujoco.MjData(self.model)
+        return fields["loads"]

@@ -1,0 +1,173 @@
+"""The simulated RGB-D camera as a node, with the topics of openni2_camera.
+
+Topics, in the node's namespace, taken only while somebody listens: `rgb/image_raw` (rgb8), `depth/image_raw` (16UC1,
+mm, 0 = none), `depth/image` (32FC1, m, NaN = none), `depth_registered/image_raw` (16UC1, in the colour camera's
+pixels); beside each of the three pictures `camera_info`. All pictures of one moment have one stamp.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import CameraInfo, Image
+
+from common.camera_model import from_calibration
+from common.config import integer, number, parse, text
+from common.errors import DeviceError
+from common.ros.diagnostics import Diagnostics
+from common.ros.images import camera_info_message, image_message, metres_from_millimetres
+from rig_simulation.camera.config import ColourConfig, DepthConfig
+from rig_simulation.camera.rgbd_camera import DEPTH_FRAME, RGB_FRAME, RgbdCamera
+from rig_simulation.camera.world_copy import WorldCopy
+from rig_simulation.control_port import ControlClient, ControlPort
+from rig_simulation.faults import Faults
+from rig_simulation.faults_camera import CAMERA_FAULTS, Exposure, Stream
+
+HOST = "127.0.0.1"
+RETRY_PERIOD_S = 0.5
+REMIND_S = 10.0
+TIMEOUT_S = 1.0
+SMOOTHING = 0.1
+"""Weight of the newest value in the times that diagnostics show."""
+SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraConfig:
+    """Private parameters of the node, beside the SECTIONS."""
+
+    rate: float = number("Hz", above=0.0, high=60.0, doc="pictures a second")
+    samples: int = integer(low=0, high=8, doc="of a colour pixel, against stairs along edges")
+    seed: int = integer(low=0, high=2**31 - 1, doc="of the unit's errors and of all noise")
+    host: str = text(doc="address of the simulated world")
+    port: int = integer(low=1, high=65535, doc="its control port")
+    control_port: int = integer(low=0, high=65535, doc="the camera's own control port, for faults")
+
+
+class Camera:
+    """Follows the world, takes pictures and publishes them.
+
+    Args:
+        config: private parameters.
+        camera: what takes the pictures.
+        rgb_info, depth_info: calibrations as messages.
+        faults: those of CAMERA_FAULTS.
+    """
+
+    def __init__(
+        self, config: CameraConfig, camera: RgbdCamera, rgb_info: CameraInfo, depth_info: CameraInfo, faults: Faults
+    ) -> None:
+        self._period = 1.0 / config.rate
+        self._world = WorldCopy(ControlClient(config.host, config.port, TIMEOUT_S))
+        self._camera = camera
+        self._faults = faults
+        self._stream = Stream(faults)
+        self._trouble = f"The simulated world at {config.host}:{config.port} has not answered yet."
+        self._published = self._overruns = 0
+        self._milliseconds: dict[str, float] = {}
+        self._rgb, self._depth, self._metric, self._registered = (
+            rospy.Publisher(topic, Image, queue_size=1)
+            for topic in ("rgb/image_raw", "depth/image_raw", "depth/image", "depth_registered/image_raw")
+        )
+        self._infos = [
+            (rospy.Publisher("rgb/camera_info", CameraInfo, queue_size=1), rgb_info),
+            (rospy.Publisher("depth/camera_info", CameraInfo, queue_size=1), depth_info),
+            (rospy.Publisher("depth_registered/camera_info", CameraInfo, queue_size=1), rgb_info),
+        ]
+        Diagnostics("camera", self._diagnose)
+
+    def run(self) -> None:
+        """Publishes until ROS shuts down; waits where the world does not answer."""
+        due = time.monotonic()
+        while not rospy.is_shutdown():
+            try:
+                if self._world.follow():
+                    self._camera.attach(self._world.model)
+            except DeviceError as error:
+                if self._trouble != str(error):
+                    rospy.logwarn("No pictures: %s", error)
+                self._trouble = str(error)
+                due = time.monotonic() + RETRY_PERIOD_S
+            else:
+                if self._trouble:
+                    rospy.loginfo("The simulated world answers; pictures come.")
+                    self._trouble = ""
+                self._publish_next()
+                due += self._period
+                if due < time.monotonic():
+                    self._overruns += 1
+                    due = time.monotonic()
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _publish_next(self) -> None:
+        stamp = rospy.Time.now()
+        exposure = self._stream.next(lambda: Exposure(self._take(), stamp), stamp, time.monotonic())
+        if exposure is None:
+            return
+        started = time.perf_counter()
+        pictures, stamp = exposure.pictures, exposure.stamp
+        if pictures.colour is not None:
+            self._rgb.publish(image_message(pictures.colour, "rgb8", RGB_FRAME, stamp))
+        if pictures.registered is not None:
+            self._registered.publish(image_message(pictures.registered, "16UC1", RGB_FRAME, stamp))
+        if pictures.depth is not None:
+            self._depth.publish(image_message(pictures.depth, "16UC1", DEPTH_FRAME, stamp))
+            if self._metric.get_num_connections():
+                self._metric.publish(
+                    image_message(metres_from_millimetres(pictures.depth), "32FC1", DEPTH_FRAME, stamp)
+                )
+        for publisher, info in self._infos:
+            info.header.stamp = stamp
+            publisher.publish(info)
+        self._published += 1
+        self._count({**pictures.seconds, "publish": time.perf_counter() - started})
+
+    def _take(self):
+        return self._camera.take(
+            self._world.data,
+            colour=self._rgb.get_num_connections() > 0,
+            depth=self._depth.get_num_connections() > 0 or self._metric.get_num_connections() > 0,
+            registered=self._registered.get_num_connections() > 0,
+        )
+
+    def _count(self, seconds: dict[str, float]) -> None:
+        for stage, value in seconds.items():
+            before = self._milliseconds.get(stage, 1000.0 * value)
+            self._milliseconds[stage] = before + SMOOTHING * (1000.0 * value - before)
+
+    def _diagnose(self) -> tuple[int, str, dict[str, object]]:
+        active = sorted(self._faults.active())
+        values = {"pictures": self._published, "late_pictures": self._overruns, "faults": ", ".join(active)}
+        values.update({f"{stage}_ms": f"{value:.1f}" for stage, value in list(self._milliseconds.items())})
+        if self._trouble:
+            return DiagnosticStatus.ERROR, self._trouble, values
+        if active:
+            return DiagnosticStatus.WARN, f"Faults are on: {', '.join(active)}.", values
+        return DiagnosticStatus.OK, "Pictures come.", values
+
+
+def main() -> None:
+    """Runs the node with its private parameters."""
+    values = rospy.get_param("~", {})
+    sections = {name: values.get(name, {}) for name in SECTIONS}
+    config = parse(CameraConfig, values, prefix="~", others=SECTIONS)
+    rgb, depth = from_calibration(sections["rgb_calibration"]), from_calibration(sections["depth_calibration"])
+    camera = RgbdCamera(
+        rgb,
+        depth,
+        parse(ColourConfig, sections["colour"], prefix="~colour/"),
+        parse(DepthConfig, sections["depth"], prefix="~depth/"),
+        config.samples,
+        config.seed,
+    )
+    now = rospy.Time.now()
+    rgb_info, depth_info = camera_info_message(rgb, RGB_FRAME, now), camera_info_message(depth, DEPTH_FRAME, now)
+    faults = Faults(CAMERA_FAULTS)
+    with ControlPort(faults.requests, HOST, config.control_port):
+        try:
+            Camera(config, camera, rgb_info, depth_info, faults).run()
+        finally:
+            camera.close()
