@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Node that switches the faults of the simulated devices."""
+
+from common.ros.node import run
+from rig_simulation.ros.fault_service import NAME, main
+
+run(NAME, main)

@@ -1,0 +1,79 @@
+"""The service `simulation/fault`: switches the faults of all simulated devices from one place.
+
+It hands the request to the control port of the device; which faults there are, the devices themselves say.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import rospy
+
+from common.config import integer, parse, text
+from common.errors import DeviceError
+from rig_msgs.srv import SimulationFault, SimulationFaultRequest, SimulationFaultResponse
+from rig_simulation.control_port import ControlClient
+
+NAME = "simulation_faults"
+TIMEOUT_S = 2.0
+DEFAULTS = {"host": "127.0.0.1", "arm_port": 30011, "leap_port": 16437, "hand_port": 11433, "camera_port": 30031}
+
+
+@dataclasses.dataclass(frozen=True)
+class FaultServiceConfig:
+    """Private parameters of the node."""
+
+    host: str = text(doc="address of the simulated devices")
+    arm_port: int = integer(low=1, high=65535, doc="control port of the arm")
+    leap_port: int = integer(low=1, high=65535, doc="control port of the Leap service")
+    hand_port: int = integer(low=1, high=65535, doc="control port of the hand")
+    camera_port: int = integer(low=1, high=65535, doc="control port of the camera")
+
+
+class FaultService:
+    """Offers the service."""
+
+    def __init__(self, config: FaultServiceConfig) -> None:
+        ports = {
+            "arm": config.arm_port,
+            "leap": config.leap_port,
+            "hand": config.hand_port,
+            "camera": config.camera_port,
+        }
+        self._devices = {name: ControlClient(config.host, port, TIMEOUT_S) for name, port in ports.items()}
+        rospy.Service("simulation/fault", SimulationFault, self._switch)
+
+    def _switch(self, request: SimulationFaultRequest) -> SimulationFaultResponse:
+        if request.device not in self._devices:
+            known = ", ".join(self._devices)
+            return SimulationFaultResponse(False, f"The device {request.device!r} is not known; known are {known}.")
+        for name in ("value", "duration"):
+            if not math.isfinite(getattr(request, name)):
+                return SimulationFaultResponse(False, f"The {name} {getattr(request, name)} is not a finite number.")
+        try:
+            message = self._ask(self._devices[request.device], request)
+        except DeviceError as error:
+            return SimulationFaultResponse(False, str(error))
+        rospy.loginfo("Faults of the simulated %s: %s", request.device, message)
+        return SimulationFaultResponse(True, message)
+
+    @staticmethod
+    def _ask(device: ControlClient, request: SimulationFaultRequest) -> str:
+        if not request.fault:
+            listed = device.ask("faults")["faults"]
+            return " ".join(f"{fault['name']}: {fault['doc']}{' (on)' if fault['on'] else ''}." for fault in listed)
+        active = device.ask(
+            "fault",
+            name=request.fault,
+            on=request.on,
+            value=request.value or None,
+            duration=request.duration or None,
+        )["active"]
+        return f"{', '.join(active)} on." if active else "none is on."
+
+
+def main() -> None:
+    """Runs the node with its private parameters."""
+    FaultService(parse(FaultServiceConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~"))
+    rospy.spin()

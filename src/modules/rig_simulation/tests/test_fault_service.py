@@ -1,0 +1,80 @@
+"""The service that switches faults of all simulated devices."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def leap():
+    """A control port with the faults of the Leap service."""
+    from rig_simulation.control_port import ControlPort
+    from rig_simulation.faults import Faults
+    from rig_simulation.faults_leap import LEAP_FAULTS
+
+    faults = Faults(LEAP_FAULTS)
+    with ControlPort(faults.requests) as port:
+        port.faults = faults
+        yield port
+
+
+@pytest.fixture
+def service(ros, leap, free_port):
+    import rospy
+
+    from rig_msgs.srv import SimulationFault
+
+    ros.run("rig_simulation", "fault_service.py", f"_leap_port:={leap.port}", f"_arm_port:={free_port()}")
+    rospy.wait_for_service("simulation/fault", 30.0)
+    return rospy.ServiceProxy("simulation/fault", SimulationFault)
+
+
+def test_a_fault_is_switched_on_and_off(service, leap):
+    answer = service("leap", "slow", True, 0.5, 0.0)
+    assert (answer.success, answer.message) == (True, "slow on.")
+    assert leap.faults.active() == {"slow": 0.5}
+    answer = service("leap", "cut", True, 0.0, 60.0)
+    assert answer.message == "cut, slow on."
+    for name in ("slow", "cut"):
+        answer = service("leap", name, False, 0.0, 0.0)
+    assert (answer.success, answer.message) == (True, "none is on.")
+    assert leap.faults.active() == {}
+
+
+def test_the_faults_of_a_device_are_listed(service, leap):
+    leap.faults.switch("frozen")
+    answer = service("leap", "", True, 0.0, 0.0)
+    assert answer.success
+    assert "frozen: the same frame comes again and again (on)." in answer.message
+    assert "hand_lost: frames hold no hand." in answer.message
+
+
+@pytest.mark.parametrize(
+    ("request_fields", "sentence"),
+    [
+        (("foot", "cut", True, 0.0, 0.0), "The device 'foot' is not known; known are arm, leap, hand, camera."),
+        (("leap", "dance", True, 0.0, 0.0), "The fault 'dance' is not known here; known are bursts, cut"),
+        (("leap", "slow", True, 100.0, 0.0), "0.001 to 60, not 100.0."),
+        (("leap", "cut", True, float("nan"), 0.0), "The value nan is not a finite number."),
+        (("leap", "cut", True, 0.0, -1.0), "above 0, not -1.0."),
+        (("arm", "cut", True, 0.0, 0.0), "does not answer"),
+    ],
+)
+def test_nonsense_and_absent_devices_are_refused_in_a_sentence(service, leap, request_fields, sentence):
+    answer = service(*request_fields)
+    assert not answer.success
+    assert sentence in answer.message
+    assert leap.faults.active() == {}
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"), [("_leap_port:=0", "~leap_port is 0"), ("_prt:=5", "~prt is not a known key")]
+)
+def test_bad_parameters_are_one_sentence(ros, argument, sentence):
+    node = ros.run("rig_simulation", "fault_service.py", argument)
+    assert node.wait(30.0) == 1
+    log = node.log_path.read_text()
+    assert sentence in log
+    assert "Traceback" not in log
