@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rig_simulation.faults import Fault, Faults, Value, add_option, share_of, switch_all
-from rig_simulation.faults_arm import ARM_FAULTS
-from rig_simulation.faults_hand import HAND_FAULTS
-from rig_simulation.faults_leap import LEAP_FAULTS
+from rig_simulation.faults_table import FAULTS, table
+
+HANDBOOK = Path(__file__).parents[4] / "docs" / "faults.md"
 
 KNOWN = (
     Fault("cut", "the cable is cut"),
@@ -161,8 +162,12 @@ def test_the_command_line_refuses_nonsense(capsys, text, sentence):
     assert sentence in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("known", [ARM_FAULTS, LEAP_FAULTS, HAND_FAULTS], ids=["arm", "leap", "hand"])
-def test_every_default_is_in_its_range_and_every_name_is_one_of_its_own(known):
-    for fault in known:
+@pytest.mark.parametrize("device", FAULTS)
+def test_every_default_is_in_its_range_and_every_name_is_one_of_its_own(device):
+    for fault in FAULTS[device]:
         assert fault.value is None or fault.value.low <= fault.value.default <= fault.value.high
-    assert len({fault.name for fault in known}) == len(known)
+    assert len({fault.name for fault in FAULTS[device]}) == len(FAULTS[device])
+
+
+def test_the_handbook_shows_the_faults_that_there_are():
+    assert table() in HANDBOOK.read_text(), f"put this into {HANDBOOK}:\n{table()}"
