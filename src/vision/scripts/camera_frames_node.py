@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Node that publishes the frames of the RGB-D camera."""
+
+from common.ros.node import run
+from vision.ros.camera_frames import main
+
+run("camera_frames", main)

@@ -1,0 +1,32 @@
+"""The frames of the RGB-D camera: where its two cameras stand in camera_link, and their optical frames.
+
+camera_link and the two camera frames: x ahead, y left, z up. Optical frames: x right, y down, z ahead.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from common.config import vector
+from common.poses import pose
+
+R_CAMERA_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraFramesConfig:
+    """The schema of camera_frames.yaml."""
+
+    rgb: np.ndarray = vector(3, "m", low=-1.0, high=1.0, doc="colour camera in camera_link")
+    depth: np.ndarray = vector(3, "m", low=-1.0, high=1.0, doc="infrared camera in camera_link")
+
+
+def camera_frames(config: CameraFramesConfig) -> list[tuple[str, str, np.ndarray]]:
+    """Returns parent, child and the child's pose in the parent, shape (4, 4), of each frame below camera_link."""
+    frames = []
+    for name, position in (("rgb", config.rgb), ("depth", config.depth)):
+        frames.append(("camera_link", f"camera_{name}_frame", pose(p=position)))
+        frames.append((f"camera_{name}_frame", f"camera_{name}_optical_frame", pose(R_CAMERA_OPTICAL)))
+    return frames

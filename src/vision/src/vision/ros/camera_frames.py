@@ -1,0 +1,21 @@
+"""Publishes the frames of the RGB-D camera, which never move in it."""
+
+from __future__ import annotations
+
+import rospy
+import tf2_ros
+
+from common.config import parse
+from common.ros.conversions import stamped_transform
+from vision.camera_frames import CameraFramesConfig, camera_frames
+
+
+def main() -> None:
+    """Runs the node with its private parameters."""
+    config = parse(CameraFramesConfig, rospy.get_param("~", {}), prefix="~")
+    stamp = rospy.Time.now()
+    broadcaster = tf2_ros.StaticTransformBroadcaster()
+    broadcaster.sendTransform(
+        [stamped_transform(T, parent, child, stamp) for parent, child, T in camera_frames(config)]
+    )
+    rospy.spin()

@@ -1,0 +1,84 @@
+"""When a stream of pictures counts as alive, slow, empty, frozen, vanished."""
+
+import dataclasses
+
+import pytest
+
+from vision.stream_watch import StreamWatch, WatchConfig
+
+CONFIG = WatchConfig(silence=0.8, min_rate=10.0, min_depth=0.05, pictures=True)
+
+
+def watch_of(count: int, period: float = 1 / 15, **changes) -> tuple[StreamWatch, float]:
+    """Returns a watch that saw `count` new pictures, and the time of the last."""
+    watch = StreamWatch("depth camera", dataclasses.replace(CONFIG, **changes))
+    for i in range(count):
+        watch.arrived(100.0 + i, period * i)
+        watch.looked(i, period * i)
+    return watch, period * (count - 1)
+
+
+def test_before_the_first_message_it_waits():
+    watch, _ = watch_of(0)
+    assert watch.health(1000.0).state == "waiting"
+
+
+def test_new_pictures_often_enough_are_life():
+    watch, now = watch_of(40)
+    assert watch.health(now).state == "alive"
+    assert watch.health(now).usable
+    assert watch.rate(now) == pytest.approx(15.0, abs=0.01)
+
+
+def test_nothing_for_too_long_is_vanished_and_comes_back():
+    watch, now = watch_of(40)
+    assert watch.health(now + 0.79).state != "vanished"
+    health = watch.health(now + 0.9)
+    assert (health.state, health.usable) == ("vanished", False)
+    assert "0.9 s" in health.sentence
+    watch.arrived(200.0, now + 1.0)
+    watch.looked(-1, now + 1.0)
+    assert watch.health(now + 1.0).usable
+
+
+def test_the_same_stamp_again_and_again_is_frozen():
+    watch, now = watch_of(40)
+    for i in range(20):
+        watch.arrived(139.0, now + 0.05 * i)
+    health = watch.health(now + 0.95)
+    assert (health.state, "same stamp" in health.sentence) == ("frozen", True)
+
+
+def test_the_same_picture_under_new_stamps_is_frozen():
+    watch, now = watch_of(40)
+    for i in range(20):
+        watch.arrived(200.0 + i, now + 0.05 * i)
+        watch.looked(39, now + 0.05 * i)
+    health = watch.health(now + 0.95)
+    assert (health.state, "same picture" in health.sentence) == ("frozen", True)
+
+
+def test_pictures_that_nobody_takes_are_not_frozen():
+    watch, now = watch_of(40)
+    watch.look_away()
+    for i in range(60):
+        watch.arrived(200.0 + i, now + i / 15)
+    assert watch.health(now + 59 / 15).state == "alive"
+
+
+def test_depth_without_depth_is_empty():
+    watch, now = watch_of(40)
+    watch.looked(-1, now, filled=0.01)
+    assert watch.health(now).state == "empty"
+    watch.arrived(200.0, now + 1.0)
+    watch.looked(-1, now + 1.0, filled=0.01)
+    assert watch.health(now + 1.0).state == "empty"
+    watch.looked(-2, now, filled=0.5)
+    assert watch.health(now).state == "alive"
+
+
+def test_few_pictures_are_slow_but_usable():
+    watch, now = watch_of(20, period=0.5)
+    health = watch.health(now)
+    assert (health.state, health.usable) == ("slow", True)
+    assert watch_of(20, period=0.5, min_rate=0.0)[0].health(now).state == "alive"
