@@ -18,11 +18,16 @@ FIST = np.radians([115.0, 115.0, 100.0, 0.0])
 
 
 class Driver:
-    """The calibration services of the hand's driver, and the order in which they were called."""
+    """What the hand's driver offers, and the order in which its services were called.
+
+    It publishes the state of a hand that stands at 1 rad, with what presses on a cell of the index finger.
+    """
 
     def __init__(self):
         import rospy
         from std_srvs.srv import Empty
+
+        from reflex_msgs.msg import Hand
 
         self.calls = []
         self.commands_at_calls = []
@@ -31,6 +36,25 @@ class Driver:
             rospy.Service(f"reflex_takktile/{name}", Empty, self._answer(name))
             for name in ("calibrate_fingers", "calibrate_tactile")
         ]
+        self.pressure = 0.0
+        self._states = rospy.Publisher("reflex_takktile/hand_state", Hand, queue_size=10)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._publish, daemon=True)
+        self._thread.start()
+
+    def fall_silent(self):
+        self._stop.set()
+        self._thread.join()
+
+    def _publish(self):
+        from reflex_msgs.msg import Hand
+
+        while not self._stop.wait(0.025):
+            hand = Hand()
+            for motor in hand.motor:
+                motor.joint_angle = 1.0
+            hand.finger[0].pressure[3] = self.pressure
+            self._states.publish(hand)
 
     def _answer(self, name):
         from std_srvs.srv import EmptyResponse
@@ -43,6 +67,8 @@ class Driver:
         return answer
 
     def end(self):
+        self.fall_silent()
+        self._states.unregister()
         for service in self._services:
             service.shutdown()
 
@@ -185,6 +211,67 @@ def test_a_silent_tracker_opens_the_hand(ros, driver, tracker, wait_until):
     tracker.stop()
     wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose")
     assert b"no tracking frames come in" in process.log_path.read_bytes()
+
+
+def test_a_finger_that_presses_stops_and_follows_again(ros, driver, tracker, wait_until):
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    def status():
+        return {v.key: v.value for v in diagnostics[-1].status[0].values} if diagnostics else {}
+
+    diagnostics = ros.record("/diagnostics", DiagnosticArray)
+    rospy.set_param("leap_hand", LIMITS)
+    tracker.show(make_hand(20.0))
+    process = ros.run("leap_hand", "leap_hand_node.py")
+    wait_until(lambda: is_near(driver, FIST), 40.0, "the fist")
+    driver.pressure = 60.0
+    stopped = [1.0, *FIST[1:]]
+    wait_until(lambda: is_near(driver, stopped), 10.0, "the index finger to stop where it stands")
+    wait_until(lambda: status().get("limited") == "index (cell 3: 60 counts)", 10.0, "diagnostics to name it")
+    driver.pressure = 30.0
+    sent = len(driver.commands)
+    wait_until(lambda: len(driver.commands) > sent + 20, 10.0, "more commands")
+    assert is_near(driver, stopped)
+    driver.pressure = 0.0
+    wait_until(lambda: is_near(driver, FIST), 10.0, "the fist again")
+    wait_until(lambda: status().get("limited") == "" and status()["limit_trips"] == "1", 10.0, "diagnostics")
+    assert b"The index is not closed further (cell 3: 60 counts)." in process.log_path.read_bytes()
+
+
+def test_a_pressing_finger_stops_without_a_new_tracking_frame(ros, driver, tracker, wait_until):
+    import rospy
+
+    rospy.set_param("leap_hand", LIMITS)
+    tracker.show(make_hand(20.0))
+    ros.run("leap_hand", "leap_hand_node.py")
+    wait_until(lambda: is_near(driver, FIST), 40.0, "the fist")
+    tracker.stop()
+    driver.pressure = 60.0
+    wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the hand to open without frames")
+    assert driver.commands[-2].radian_commands[0] == pytest.approx(1.0)
+
+
+def test_without_the_hands_state_no_finger_closes(ros, driver, tracker, wait_until):
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    diagnostics = ros.record("/diagnostics", DiagnosticArray)
+    rospy.set_param("leap_hand", LIMITS)
+    tracker.show(make_hand(62.5))
+    ros.run("leap_hand", "leap_hand_node.py")
+    wait_until(lambda: is_near(driver, FIST / 2.0), 40.0, "half of the fist")
+    driver.fall_silent()
+    tracker.show(make_hand(20.0))
+    words = "no finger closes further"
+    wait_until(lambda: diagnostics and words in diagnostics[-1].status[0].message, 10.0, "the node to say so")
+    assert diagnostics[-1].status[0].level == 1
+    tracker.show(None)
+    wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose")
+    tracker.show(make_hand(20.0))
+    sent = len(driver.commands)
+    wait_until(lambda: len(driver.commands) > sent + 20, 10.0, "more commands")
+    assert is_near(driver, np.zeros(4))
 
 
 @pytest.mark.parametrize(

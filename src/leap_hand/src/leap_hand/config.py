@@ -1,4 +1,4 @@
-"""What leap_hand.yaml holds: which angles of the human hand stand for an open and a closed robot hand."""
+"""What leap_hand.yaml holds: how the human hand stands for the robot hand, and how firmly that grips."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.config import vector
+from common.config import flag, number, vector
 
 FINGERS = ("index", "middle", "thumb", "spread")
 """Order of the angles of the human hand and of the commands of the robot hand."""
@@ -14,7 +14,7 @@ FINGERS = ("index", "middle", "thumb", "spread")
 
 @dataclass(frozen=True)
 class HandConfig:
-    """The parameters under `leap_hand/`: per finger [open, closed], of the human and of the robot hand."""
+    """The parameters under `leap_hand/`: per finger [open, closed], of the human and of the robot hand; force limit."""
 
     index_human: np.ndarray = vector(2, "deg", low=0.0, high=180.0, doc="palm normal to index tip")
     index_robot: np.ndarray = vector(2, "deg", low=0.0, high=180.0, doc="command to the index finger")
@@ -24,6 +24,19 @@ class HandConfig:
     thumb_robot: np.ndarray = vector(2, "deg", low=0.0, high=180.0, doc="command to the thumb")
     spread_human: np.ndarray = vector(2, "deg", low=0.0, high=180.0, doc="index bone to middle bone")
     spread_robot: np.ndarray = vector(2, "deg", low=0.0, high=90.0, doc="command to the spread")
+    force_limit: bool = flag(doc="stop fingers that press", absent=True)
+    force_limit_pressure: float = number(
+        "counts", above=0.0, high=200.0, doc="of a tactile cell; above it the finger stops", absent=40.0
+    )
+    force_limit_load: float = number(
+        "0.1 % of the largest torque", above=0.0, high=1000.0, doc="above it the finger stops", absent=230.0
+    )
+    force_limit_release: float = number(
+        above=0.0, below=1.0, doc="share of both limits below which the finger may close again", absent=0.5
+    )
+    force_limit_silence: float = number(
+        "s", low=0.1, high=5.0, doc="without a state of the hand for so long no finger closes", absent=0.5
+    )
 
     @property
     def human(self) -> np.ndarray:
