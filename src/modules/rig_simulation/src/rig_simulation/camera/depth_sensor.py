@@ -81,9 +81,9 @@ class DepthSensor:
         if config.warp_sd > 0.0:
             nodes = self._fb * config.warp_sd * rng.standard_normal(WARP_NODES, dtype=np.float32)
             self._warp = cv2.resize(nodes, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
-        self._noise = NoiseField(camera.height, camera.width, 1, config.correlation, rng)
-        self._jitter = None
-        if config.edge_jitter > 0.0:
+        self._noise = self._jitter = None
+        if config.noise or config.min_signal > 0.0 or config.edge_jitter > 0.0:
+            self._noise = NoiseField(camera.height, camera.width, 1, config.correlation, rng)
             self._jitter = self._noise.scaled(config.edge_jitter, np.int16)
         self._u = (np.arange(camera.width) - camera.K[0, 2]).astype(np.float32)
         self._v = (np.arange(camera.height) - camera.K[1, 2]).astype(np.float32)[:, None]

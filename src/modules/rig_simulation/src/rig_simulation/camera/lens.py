@@ -44,21 +44,18 @@ class Lens:
 
     def __init__(self, camera: CameraModel, sample_offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self.camera = camera
+        focal, centre = np.diag(camera.K)[:2], camera.K[:2, 2]
         u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-        scaled = camera.rays(np.stack((u, v), axis=-1))[..., :2] * (camera.K[0, 0], camera.K[1, 1])
-        low = np.floor(scaled.min(axis=(0, 1))) - MARGIN_PX
-        high = np.ceil(scaled.max(axis=(0, 1))) + MARGIN_PX
+        # On the camera's own grid of pixels: without distortion, nothing has to be interpolated.
+        straight = camera.rays(np.stack((u, v), axis=-1))[..., :2] * focal + centre
+        low = np.floor(straight.min(axis=(0, 1))) - MARGIN_PX
+        high = np.ceil(straight.max(axis=(0, 1))) + MARGIN_PX
         width, height = (high - low + 1.0).astype(int)
-        self.window = Window(
-            int(width),
-            int(height),
-            left=(low[0] - 0.5) / camera.K[0, 0],
-            right=(high[0] + 0.5) / camera.K[0, 0],
-            bottom=-(high[1] + 0.5) / camera.K[1, 1],
-            top=-(low[1] - 0.5) / camera.K[1, 1],
-        )
-        columns = scaled[..., 0] - low[0] - sample_offset[0]
-        rows = high[1] - scaled[..., 1] - sample_offset[1]
+        left, top = (low - 0.5 - centre) / focal
+        right, bottom = (high + 0.5 - centre) / focal
+        self.window = Window(int(width), int(height), left, right, -bottom, -top)
+        columns = straight[..., 0] - low[0] - sample_offset[0]
+        rows = high[1] - straight[..., 1] - sample_offset[1]
         self._smooth = cv2.convertMaps(columns.astype(np.float32), rows.astype(np.float32), cv2.CV_16SC2)
         self._nearest = np.stack((np.rint(columns), np.rint(rows)), axis=-1).astype(np.int16)
 

@@ -1,0 +1,227 @@
+"""The simulated depth sensor: each effect against its figure, and off when it is switched off."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.camera_model import pinhole
+from common.config import parse
+from common.errors import ConfigError
+from rig_simulation.camera.config import ColourConfig, DepthConfig
+from rig_simulation.camera.depth_sensor import DepthSensor, axial_sigma, hidden
+from rig_simulation.camera.lens import Lens
+
+F, BASELINE = 570.0, 0.075
+WIDTH, HEIGHT = 320, 240
+FILE = yaml.safe_load((Path(__file__).parents[1] / "config" / "camera.yaml").read_text())
+IDEAL = {
+    **FILE["depth"],
+    "noise": False,
+    "edge_jitter": 0.0,
+    "quantisation": 0.0,
+    "shadows": False,
+    "max_angle": 90.0,
+    "min_signal": 0.0,
+    "scale_error_sd": 0.0,
+    "warp_sd": 0.0,
+    "projector_baseline": BASELINE,
+}
+
+
+@pytest.fixture(scope="module")
+def lens() -> Lens:
+    return Lens(pinhole("depth", WIDTH, HEIGHT, [[F, 0, 159.5], [0, F, 119.5], [0, 0, 1]]))
+
+
+def sensor(lens: Lens, seed: int = 1, infrared_offset: float = 0.0, **changes) -> DepthSensor:
+    config = parse(DepthConfig, {**IDEAL, **changes})
+    return DepthSensor(lens, config, np.random.default_rng(seed), infrared_offset)
+
+
+def window_of(lens: Lens, inverse_depth) -> np.ndarray:
+    """Returns the window's picture of a function of x (right) and y (down) in the plane at 1 m, 30 m at most."""
+    window = lens.window
+    x = window.left + (np.arange(window.width) + 0.5) / window.width * (window.right - window.left)
+    y = window.bottom + (np.arange(window.height) + 0.5) / window.height * (window.top - window.bottom)
+    x, y = np.meshgrid(x, -y)
+    return np.maximum(np.broadcast_to(inverse_depth(x, y), x.shape), 1 / 30).astype(np.float32)
+
+
+def wall(lens: Lens, z: float) -> np.ndarray:
+    return window_of(lens, lambda x, y: 1.0 / z)
+
+
+def white(lens: Lens, grey: int = 255) -> np.ndarray:
+    return np.full((lens.window.height, lens.window.width, 3), grey, np.uint8)
+
+
+def take(lens: Lens, z: float, count: int = 1, **changes) -> np.ndarray:
+    camera = sensor(lens, **changes)
+    return np.stack([camera.take(wall(lens, z), white(lens)) for _ in range(count)]).astype(float)
+
+
+@settings(deadline=None, max_examples=40)
+@given(z=st.floats(0.46, 3.49))
+def test_an_ideal_sensor_tells_the_truth_to_the_millimetre(lens, z):
+    np.testing.assert_allclose(take(lens, z), 1000.0 * z, atol=0.51)
+
+
+@settings(deadline=None, max_examples=40)
+@given(nx=st.floats(-0.7, 0.7), ny=st.floats(-0.7, 0.7))
+def test_an_ideal_sensor_sees_slanted_planes_as_they_are(lens, nx, ny):
+    """A plane n . p = 1 has the inverse depth n . ray."""
+    w = window_of(lens, lambda x, y: 1.0 + nx * x + ny * y)
+    u, v = np.meshgrid(np.arange(WIDTH) - 159.5, np.arange(HEIGHT) - 119.5)
+    truth = 1000.0 / (1.0 + (nx * u + ny * v) / F)
+    np.testing.assert_allclose(sensor(lens).take(w, white(lens)), truth, atol=0.8)
+
+
+@pytest.mark.parametrize("z", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("quantisation", [0.0, 0.125])
+def test_the_noise_has_the_published_standard_deviation(lens, z, quantisation):
+    depth = take(lens, z, count=30, noise=True, quantisation=quantisation)
+    assert np.all(depth > 0.0)
+    assert depth.std() == pytest.approx(1000.0 * axial_sigma(z), rel=0.06)
+    assert depth.mean() == pytest.approx(1000.0 * z, abs=0.15 * 1000.0 * axial_sigma(z))
+
+
+@pytest.mark.parametrize("z, millimetres", [(0.5, 1.2), (1.0, 1.9), (2.0, 6.1)])
+def test_the_published_standard_deviation(z, millimetres):
+    assert 1000.0 * axial_sigma(z) == pytest.approx(millimetres, abs=0.05)
+
+
+def test_noise_of_neighbours_is_alike_and_of_successive_pictures_is_not(lens):
+    depth = take(lens, 1.0, count=40, noise=True)
+    depth -= depth.mean()
+
+    def alike(a, b):
+        return float((a * b).mean() / depth.var())
+
+    # Blurring with a standard deviation s leaves a correlation exp(-d^2 / 4 s^2) at the distance d.
+    assert alike(depth[..., :-2], depth[..., 2:]) == pytest.approx(np.exp(-4 / 16), abs=0.1)
+    assert abs(alike(depth[..., :-12], depth[..., 12:])) < 0.05
+    assert abs(alike(depth[:-1], depth[1:])) < 0.05
+    rough = take(lens, 1.0, count=20, noise=True, correlation=0.0)
+    rough -= rough.mean()
+    assert abs((rough[..., :-1] * rough[..., 1:]).mean() / rough.var()) < 0.05
+
+
+@pytest.mark.parametrize("z", [0.5, 1.0, 2.0])
+def test_depth_comes_in_steps_of_an_eighth_of_a_pixel_of_disparity(lens, z):
+    values = np.unique(take(lens, z, count=10, noise=True, quantisation=0.125))
+    steps = 8.0 * F * BASELINE / (values / 1000.0)
+    np.testing.assert_allclose(steps, np.rint(steps), atol=8.0 * F * BASELINE * 0.0006 / z**2)
+    assert np.median(np.diff(values)) == pytest.approx(1000.0 * z**2 / (8.0 * F * BASELINE), abs=1.01)
+
+
+@pytest.mark.parametrize("z, seen", [(0.44, False), (0.46, True), (3.49, True), (3.51, False)])
+@pytest.mark.parametrize("quantisation", [0.0, 0.001])
+def test_nothing_is_seen_out_of_range(lens, z, seen, quantisation):
+    assert np.all((take(lens, z, quantisation=quantisation) > 0) == seen)
+
+
+@pytest.mark.parametrize("z", [0.2, 25.0])
+def test_far_out_of_range_is_not_taken_for_something_else(lens, z):
+    assert not take(lens, z, noise=True, quantisation=0.125).any()
+
+
+def box_before_wall(lens: Lens) -> np.ndarray:
+    """Columns 100 to 199 at 0.8 m, the rest at 1.6 m."""
+    return window_of(lens, lambda x, y: np.where(np.abs(F * x + 159.5 - 149.5) < 50.0, 1 / 0.8, 1 / 1.6))
+
+
+def test_the_projectors_shadow_lies_to_the_left_as_wide_as_the_disparities_differ(lens):
+    depth = sensor(lens, shadows=True).take(box_before_wall(lens), white(lens))
+    lost = np.flatnonzero(depth[120] == 0)
+    width = F * BASELINE * (1 / 0.8 - 1 / 1.6)
+    assert (lost.max(), len(lost)) == (99, pytest.approx(width, abs=1.0))
+    assert sensor(lens).take(box_before_wall(lens), white(lens)).all()
+
+
+def test_registered_depth_also_misses_what_the_infrared_camera_does_not_see(lens):
+    depth = sensor(lens, shadows=True, infrared_offset=-0.025).take(box_before_wall(lens), white(lens))
+    lost = np.flatnonzero(depth[120] == 0)
+    left, right = lost[lost < 100], lost[lost >= 200]
+    assert (left.max(), len(left)) == (99, pytest.approx(F * 0.050 * 0.625, abs=1.0))
+    assert (right.min(), len(right)) == (200, pytest.approx(F * 0.025 * 0.625, abs=1.0))
+
+
+@settings(deadline=None, max_examples=40)
+@given(slope=st.floats(-0.9, 0.9), fb=st.sampled_from([-14.0, 43.0]))
+def test_a_plane_hides_no_part_of_itself(slope, fb):
+    w = 1.0 + slope * (np.arange(WIDTH, dtype=np.float32) - 159.5) / F
+    assert not hidden(w[None], fb).any()
+
+
+def tilted(lens: Lens, angle: float) -> np.ndarray:
+    """A plane 1 m away, turned by the angle about the vertical [deg]."""
+    return window_of(lens, lambda x, y: 1.0 + np.tan(np.radians(angle)) * x)
+
+
+@pytest.mark.parametrize("angle, seen", [(60.0, True), (78.0, True), (82.0, False)])
+def test_steep_surfaces_are_not_seen(lens, angle, seen):
+    centre = sensor(lens, max_angle=80.0).take(tilted(lens, angle), white(lens))[100:140, 158:162]
+    assert np.all((centre > 0) == seen)
+
+
+def test_steep_surfaces_are_noisier(lens):
+    camera = sensor(lens, noise=True)
+    for angle, sigma in ((30.0, 0.0019), (75.0, 0.0019 + 0.0025)):
+        depth = np.stack([camera.take(tilted(lens, angle), white(lens))[:, 159:161] for _ in range(60)]).astype(float)
+        assert (depth - depth.mean(axis=0)).std() == pytest.approx(1000.0 * sigma, rel=0.12)
+
+
+@pytest.mark.parametrize(
+    "z, grey, angle, seen", [(1.0, 0, 0, True), (2.5, 0, 0, False), (2.5, 200, 0, True), (1.0, 0, 78, False)]
+)
+def test_dark_far_and_steep_surfaces_return_too_little_light(lens, z, grey, angle, seen):
+    w = window_of(lens, lambda x, y: (1.0 + np.tan(np.radians(angle)) * x) / z)
+    depth = sensor(lens, min_signal=0.01).take(w, white(lens, grey))[100:140, 158:162]
+    assert np.mean(depth > 0) == pytest.approx(float(seen), abs=0.05)
+    assert sensor(lens).take(w, white(lens, grey))[100:140, 158:162].all()
+
+
+def test_edges_are_ragged_but_nothing_floats_between_the_surfaces(lens):
+    depth = sensor(lens, edge_jitter=0.8).take(box_before_wall(lens), white(lens))
+    assert set(np.unique(depth)) == {800, 1600}
+    edge = (depth[:, 80:120] == 1600).sum(axis=1)
+    assert 0.5 < edge.std() < 1.5
+    assert (sensor(lens).take(box_before_wall(lens), white(lens)) == 800).sum(axis=1).std() == 0.0
+
+
+def test_a_unit_has_its_own_error_of_scale_and_warp():
+    lens = Lens(pinhole("depth", 64, 48, [[F, 0, 31.5], [0, F, 23.5], [0, 0, 1]]))
+    scales, warps = [], []
+    for seed in range(40):
+        scales.append(sensor(lens, seed, scale_error_sd=0.005).scale)
+        depth = sensor(lens, seed, warp_sd=0.0015).take(wall(lens, 1.0), white(lens)).astype(float)
+        warps.append(depth - 1000.0)
+    assert np.std(scales) == pytest.approx(0.005, rel=0.3)
+    assert 0.7 < np.std(warps) < 1.8
+    depth = sensor(lens, 3, scale_error_sd=0.005).take(wall(lens, 2.0), white(lens))
+    assert depth.mean() == pytest.approx(2000.0 * scales[3], abs=0.6)
+
+
+def test_the_same_seed_gives_the_same_pictures(lens):
+    everything = {key: FILE["depth"][key] for key in IDEAL}
+    pictures = [
+        [camera.take(box_before_wall(lens), white(lens)) for _ in range(3)]
+        for camera in (sensor(lens, seed, **everything) for seed in (5, 5, 6))
+    ]
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    assert np.any(pictures[0][0] != pictures[2][0])
+    assert np.any(pictures[0][0] != pictures[0][1])
+
+
+def test_the_packages_file_fits_its_schemas():
+    parse(ColourConfig, FILE["colour"])
+    parse(DepthConfig, FILE["depth"])
+
+
+def test_a_range_without_room_is_refused():
+    with pytest.raises(ConfigError, match="min_range"):
+        parse(DepthConfig, {**IDEAL, "min_range": 2.0, "max_range": 1.0})

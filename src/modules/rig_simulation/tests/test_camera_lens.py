@@ -1,0 +1,63 @@
+"""The lens: what the camera's pixels see in the pinhole window, against the camera model."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.camera_model import CameraModel, pinhole
+from rig_simulation.camera.lens import Lens
+
+K = np.array([[150.0, 0.0, 82.0], [0.0, 148.0, 57.5], [0.0, 0.0, 1.0]])
+BARREL = np.array([0.08, -0.12, 0.002, 0.003, 0.0])
+
+
+@pytest.fixture(scope="module")
+def camera() -> CameraModel:
+    plain = pinhole("small", 160, 120, K)
+    return CameraModel("small", 160, 120, plain.K, BARREL, plain.R, plain.P)
+
+
+def directions(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Returns x (to the right) and y (up) of the window's pixel centres in the plane at 1 m, rows from the bottom."""
+    window = lens.window
+    x = window.left + (np.arange(window.width) + 0.5) / window.width * (window.right - window.left)
+    y = window.bottom + (np.arange(window.height) + 0.5) / window.height * (window.top - window.bottom)
+    return np.meshgrid(x, y)
+
+
+def test_each_pixel_sees_its_own_ray(camera):
+    lens = Lens(camera)
+    x, y = directions(lens)
+    u, v = np.meshgrid(np.arange(160), np.arange(120))
+    rays = camera.rays(np.stack((u, v), axis=-1))
+    # The map's coordinates are whole 1/32 px.
+    np.testing.assert_allclose(lens.look(x.astype(np.float32)), rays[..., 0], atol=0.5 / 32 / 150 + 1e-5)
+    np.testing.assert_allclose(lens.look(y.astype(np.float32)), -rays[..., 1], atol=0.5 / 32 / 148 + 1e-5)
+
+
+def test_the_nearest_pixel_is_at_most_half_a_pixel_away(camera):
+    lens = Lens(camera)
+    x, _ = directions(lens)
+    straight = lens.look_beside(x.astype(np.float32), np.zeros((120, 160, 2), np.int16))
+    assert np.abs(straight - lens.look(x.astype(np.float32))).max() <= 0.52 / 150
+
+
+def test_a_shift_goes_to_the_right_and_up(camera):
+    lens = Lens(camera)
+    shift = np.broadcast_to(np.array([2, 1], np.int16), (120, 160, 2))
+    for picture, step in zip(directions(lens), (2 / 150, 1 / 148)):
+        picture = picture.astype(np.float32)
+        moved = lens.look_beside(picture, shift) - lens.look_beside(picture, np.zeros_like(shift))
+        np.testing.assert_allclose(moved, step, atol=1e-5)
+
+
+@settings(deadline=None, max_examples=30)
+@given(dx=st.floats(-0.5, 0.5), dy=st.floats(-0.5, 0.5))
+def test_a_window_sampled_beside_its_centres_shows_the_same(camera, dx, dy):
+    lens = Lens(camera, (dx, dy))
+    x, y = directions(lens)
+    expected = Lens(camera).look(x.astype(np.float32))
+    np.testing.assert_allclose(lens.look((x + dx / 150).astype(np.float32)), expected, atol=1.1 / 32 / 150)
+    expected = Lens(camera).look(y.astype(np.float32))
+    np.testing.assert_allclose(lens.look((y + dy / 148).astype(np.float32)), expected, atol=1.1 / 32 / 148)
