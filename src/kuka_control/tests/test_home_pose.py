@@ -61,7 +61,7 @@ def check(home, model, workspace, tool_length):
 @given(heading=st.floats(-math.pi, math.pi), tool_length=st.floats(0.0, 0.2), size=st.floats(0.01, 100.0))
 def test_every_direction_and_tool(model, heading, tool_length, size):
     workspace = workspace_of(model, [size * math.cos(heading), size * math.sin(heading), 0.0])
-    home = home_pose(model, workspace, translation(0.0, 0.0, tool_length))
+    home = home_pose(Kinematics(model, translation(0.0, 0.0, tool_length)), workspace)
     check(home, model, workspace, tool_length)
     sign = 1.0 if workspace.center_line[0] >= 0.0 else -1.0
     assert np.array_equal(np.sign(home.q[[1, 3, 5]]), [sign, -sign, sign])
@@ -84,7 +84,7 @@ def test_every_direction_and_tool(model, heading, tool_length, size):
 )
 def test_which_way_joint_1_turns_and_the_arm_leans(model, center_line, joint_1, signs):
     workspace = workspace_of(model, np.array(center_line, dtype=float))
-    home = home_pose(model, workspace, TOOL)
+    home = home_pose(Kinematics(model, TOOL), workspace)
     check(home, model, workspace, TOOL_LENGTH)
     assert math.degrees(home.q[0]) == pytest.approx(joint_1, abs=1e-6)
     assert tuple(np.sign(home.q[[1, 3, 5]])) == signs
@@ -92,7 +92,7 @@ def test_which_way_joint_1_turns_and_the_arm_leans(model, center_line, joint_1, 
 
 def test_home_of_the_default_parameters():
     model = MODELS[0]
-    home = home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL)
+    home = home_pose(Kinematics(model, TOOL), workspace_of(model, [1.0, -1.0, 0.0]))
     np.testing.assert_allclose(np.degrees(home.q), (-45.0, 29.593, 0.0, -63.391, 0.0, 87.016, 0.0), atol=1e-3)
     np.testing.assert_allclose(home.centre, (0.42214, -0.42214, 0.4), atol=1e-5)
 
@@ -100,7 +100,7 @@ def test_home_of_the_default_parameters():
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 @pytest.mark.parametrize("center_line", [[1.0, -1.0, 0.0], [-1.0, 0.2, 0.0]])
 def test_inverse_kinematics_starts_from_home_without_a_step(model, center_line):
-    home = home_pose(model, workspace_of(model, center_line), TOOL)
+    home = home_pose(Kinematics(model, TOOL), workspace_of(model, center_line))
     arm = Kinematics(model, TOOL)
     result = arm.inverse(home.T_base_tool, home.q)
     np.testing.assert_allclose(result.q, home.q, atol=1e-9)
@@ -110,7 +110,7 @@ def test_inverse_kinematics_starts_from_home_without_a_step(model, center_line):
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 def test_tool_that_is_too_long_is_named(model):
     with pytest.raises(HomeError, match=r"out of reach: with a tool of 0\.6 m .* probably the tool is too long"):
-        home_pose(model, workspace_of(model, [1.0, -1.0, 0.0]), translation(0.0, 0.0, 0.6))
+        home_pose(Kinematics(model, translation(0.0, 0.0, 0.6)), workspace_of(model, [1.0, -1.0, 0.0]))
 
 
 def test_joint_out_of_range_is_named():
@@ -120,7 +120,7 @@ def test_joint_out_of_range_is_named():
     with pytest.raises(
         HomeError, match=r"needs joint 6 at 12\d\.\d deg \(range -120 to 120 deg\); probably the tool is"
     ):
-        home_pose(model, high, translation(0.0, 0.0, 0.16))
+        home_pose(Kinematics(model, translation(0.0, 0.0, 0.16)), high)
 
 
 def test_settings_that_can_be_reached_lead_home_and_others_are_refused():
@@ -140,7 +140,7 @@ def test_settings_that_can_be_reached_lead_home_and_others_are_refused():
         )
         tool_length = rng.uniform(0.0, 0.4)
         try:
-            home = home_pose(model, workspace, translation(0.0, 0.0, tool_length))
+            home = home_pose(Kinematics(model, translation(0.0, 0.0, tool_length)), workspace)
         except HomeError:
             refused += 1
             continue
@@ -153,16 +153,16 @@ def test_custom_home_is_where_its_joints_bring_the_tool():
     model = MODELS[0]
     workspace = workspace_of(model, [1.0, -1.0, 0.0])
     q = CUSTOM + np.radians([5.0, 5.0, 0.0, 5.0, 3.0, 0.0, 10.0])
-    home = custom_home(model, workspace, TOOL, q)
+    home = custom_home(Kinematics(model, TOOL), workspace, q)
     np.testing.assert_array_equal(home.q, q)
-    np.testing.assert_array_equal(home.T_base_flange, forward(model, q))
+    np.testing.assert_allclose(home.T_base_flange, forward(model, q), atol=1e-15)
     np.testing.assert_allclose(home.T_base_tool, home.T_base_flange @ translation(0.0, 0.0, TOOL_LENGTH), atol=1e-12)
     np.testing.assert_array_equal(home.centre, home.T_base_tool[:3, 3])
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 def test_custom_home_of_the_default_parameters_is_accepted(model):
-    custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL, CUSTOM)
+    custom_home(Kinematics(model, TOOL), workspace_of(model, [1.0, -1.0, 0.0]), CUSTOM)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_custom_home_of_the_default_parameters_is_accepted(model):
 def test_custom_home_that_cannot_be_is_refused(q, words):
     model = MODELS[0]
     with pytest.raises(HomeError, match=words):
-        custom_home(model, workspace_of(model, [1.0, -1.0, 0.0]), TOOL, q)
+        custom_home(Kinematics(model, TOOL), workspace_of(model, [1.0, -1.0, 0.0]), q)
 
 
 degrees = st.floats(-180.0, 180.0)
@@ -217,7 +217,7 @@ def test_any_tool_on_any_arm_has_the_pose_of_the_law_at_home_or_is_refused():
         T = pose(rotation_from_zyx(*rng.uniform(-math.pi, math.pi, 3)), rng.uniform(-0.15, 0.15, 3))
         bearings = directions(workspace.center_line, rng.uniform(-180.0, 180.0, 3))
         try:
-            home = home_pose(model, workspace, T, bearings)
+            home = home_pose(Kinematics(model, T), workspace, bearings)
         except HomeError as error:
             assert re.search("out of reach|needs joint", str(error))
             continue
@@ -232,7 +232,7 @@ def test_a_tool_within_the_arms_plane_leaves_joints_3_5_and_7_at_zero(model, hea
     workspace = workspace_of(model, [math.cos(heading), math.sin(heading), 0.0])
     T = pose(rotation_about(1, pitch), (x, 0.0, z))
     try:
-        home = home_pose(model, workspace, T)
+        home = home_pose(Kinematics(model, T), workspace)
     except HomeError as error:
         assert re.search("joint [46]|out of reach", str(error)), error
         return
@@ -244,17 +244,18 @@ def test_a_tool_within_the_arms_plane_leaves_joints_3_5_and_7_at_zero(model, hea
 def test_a_tool_turned_about_the_flanges_axis_turns_joint_7_alone(heading, turn, length):
     model = MODELS[0]
     workspace = workspace_of(model, [math.cos(heading), math.sin(heading), 0.0])
-    plain = home_pose(model, workspace, translation(0.0, 0.0, length))
-    home = home_pose(model, workspace, pose(rotation_about(2, turn), (0.0, 0.0, length)))
+    plain = home_pose(Kinematics(model, translation(0.0, 0.0, length)), workspace)
+    home = home_pose(Kinematics(model, pose(rotation_about(2, turn), (0.0, 0.0, length))), workspace)
     check_any(home, model, workspace, pose(rotation_about(2, turn), (0, 0, length)), directions(workspace.center_line))
     np.testing.assert_allclose(home.q - plain.q, [0, 0, 0, 0, 0, 0, -turn], atol=1e-9)
 
 
 def test_a_tool_whose_x_axis_points_back_along_the_flange_is_refused_with_the_cause():
+    turned = pose(rotation_about(2, math.pi), (0, 0, 0.1))
     with pytest.raises(
         HomeError, match=r"needs joint [57] at -?180.0 deg .*; probably tool_transform turns the tool too"
     ):
-        home_pose(MODELS[0], workspace_of(MODELS[0], [1.0, -1.0, 0.0]), pose(rotation_about(2, math.pi), (0, 0, 0.1)))
+        home_pose(Kinematics(MODELS[0], turned), workspace_of(MODELS[0], [1.0, -1.0, 0.0]))
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
@@ -269,7 +270,7 @@ def test_on_a_ceiling_the_tool_points_away_from_the_base(model, heading, yaw):
         outer_sphere=0.79,
     )
     bearings = directions(workspace.center_line, (180.0, 0.0, yaw))
-    home = home_pose(model, workspace, TOOL, bearings)
+    home = home_pose(Kinematics(model, TOOL), workspace, bearings)
     check_any(home, model, workspace, TOOL, bearings)
     np.testing.assert_allclose(home.T_base_tool[:3, 2], [0.0, 0.0, 1.0], atol=1e-9)
     np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-9)
@@ -282,19 +283,19 @@ def test_on_a_wall_a_centre_line_that_points_down_keeps_the_arm_in_its_plane(mod
     line = np.array(line, dtype=float)
     workspace = workspace_of(model, line, z_lower=0.4, z_upper=0.8, inner_sphere=0.65, outer_sphere=0.79)
     bearings = directions(line, mounting)
-    home = home_pose(model, workspace, TOOL, bearings)
+    home = home_pose(Kinematics(model, TOOL), workspace, bearings)
     check_any(home, model, workspace, TOOL, bearings)
     np.testing.assert_allclose(home.T_base_tool[:3, 2], line, atol=1e-9)
     np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-9)
     with pytest.raises(HomeError, match="out of reach: .* on a wall with center_line down or sideways"):
-        home_pose(model, workspace, TOOL, directions(line, [-angle for angle in mounting]))
+        home_pose(Kinematics(model, TOOL), workspace, directions(line, [-angle for angle in mounting]))
 
 
 def test_joint_1_stays_in_its_quarter_where_the_wrist_is_behind_the_base_axis():
     model = MODELS[0]
     workspace = workspace_of(model, [1.0, 0.1, 0.0], z_lower=0.9, z_upper=1.1, inner_sphere=0.6, outer_sphere=0.79)
     bearings = directions([1.0, 0.1, 0.0], (0.0, 90.0, 0.0))
-    home = home_pose(model, workspace, TOOL, bearings)
+    home = home_pose(Kinematics(model, TOOL), workspace, bearings)
     check_any(home, model, workspace, TOOL, bearings)
     wrist = home.T_base_flange[:3, 3] - model.wrist_flange * home.T_base_flange[:3, 2]
     assert wrist[0] < 0.0 and abs(home.q[0]) < math.pi / 2
@@ -303,4 +304,4 @@ def test_joint_1_stays_in_its_quarter_where_the_wrist_is_behind_the_base_axis():
 def test_the_usual_workspace_on_a_ceiling_is_refused_with_the_cause():
     workspace = workspace_of(MODELS[0], [1.0, -1.0, 0.0])
     with pytest.raises(HomeError, match="needs joint 6 .* on a ceiling far from the base"):
-        home_pose(MODELS[0], workspace, TOOL, directions(workspace.center_line, (180.0, 0.0, 0.0)))
+        home_pose(Kinematics(MODELS[0], TOOL), workspace, directions(workspace.center_line, (180.0, 0.0, 0.0)))

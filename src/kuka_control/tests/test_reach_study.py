@@ -34,7 +34,7 @@ def study(tolerances=WIDE, tool=TOOL_M, count=150, seed=0, attitudes=6, space=No
     random = np.random.default_rng(seed)
     positions = volume_samples(space, count, random)
     kinematics = Kinematics(MODEL, translation(0.0, 0.0, tool))
-    q_home = home_pose(MODEL, space, TOOL).q
+    q_home = home_pose(Kinematics(MODEL, TOOL), space).q
     bearings = directions(space.center_line)
     return study_reach(kinematics, bearings, q_home, positions, tolerances, attitudes, random)
 
@@ -42,7 +42,7 @@ def study(tolerances=WIDE, tool=TOOL_M, count=150, seed=0, attitudes=6, space=No
 @given(headings)
 def test_at_zero_the_tool_has_the_attitude_of_the_home_position(heading):
     space = workspace(heading)
-    R_home = home_pose(MODEL, space, TOOL).T_base_tool[:3, :3]
+    R_home = home_pose(Kinematics(MODEL, TOOL), space).T_base_tool[:3, :3]
     np.testing.assert_allclose(tool_attitude(directions(space.center_line), 0.0, 0.0, 0.0), R_home, atol=1e-9)
 
 

@@ -56,6 +56,11 @@ def text(doc: str = "") -> Any:
     return _field(_Text(), doc)
 
 
+def path(doc: str = "", absent=REQUIRED) -> Any:
+    """The absolute path of a file, or an empty string for none."""
+    return _field(_Path(), doc, absent)
+
+
 def choice(*options: str, doc: str = "") -> Any:
     """One of the given strings."""
     return _field(_Choice(options), doc)
@@ -196,6 +201,16 @@ class _Text:
 
     def allowed(self) -> str:
         return "a string that is not empty"
+
+
+class _Path:
+    def read(self, value):
+        if not isinstance(value, str) or (value and not value.startswith("/")):
+            raise ValueError
+        return value
+
+    def allowed(self) -> str:
+        return "an absolute path, or empty"
 
 
 @dataclasses.dataclass(frozen=True)

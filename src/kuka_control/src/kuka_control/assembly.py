@@ -10,7 +10,7 @@ from common.mounting import Directions, directions
 from common.poses import inverse
 from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig
 from kuka_control.home_pose import Home, custom_home, home_pose
-from kuka_control.kinematics import Kinematics
+from kuka_control.kinematics import DhDeviations, Kinematics, kinematics_of
 from kuka_control.motion_limits import MotionLimits, ShapeLimits, SpeedLimits, Unlimited
 from kuka_control.ptp_loop import PtpLoop, PtpSettings
 from kuka_control.real_time_loop import RealTimeLoop, RealTimeSettings
@@ -45,16 +45,23 @@ class Rig:
     chain: TargetChain
 
     @classmethod
-    def of(cls, config: ArmConfig) -> Rig:
+    def of(cls, config: ArmConfig, dh: DhDeviations | None = None) -> Rig:
         """Returns the rig that a configuration describes.
 
+        Args:
+            config: the parameters.
+            dh: what the file says that the parameter dh_parameters names; None if it names none.
+
         Raises:
+            ValueError: a file is named, but not handed in.
             HomeError: the home position cannot be reached or lies outside the workspace.
         """
+        if config.dh_parameters and dh is None:
+            raise ValueError(f"what {config.dh_parameters} says has to be read and handed in")
         model = robot_model(config.robot, config.flange)
         T_flange_tool = config.T_flange_tool
         bearings = directions(config.center_line, config.mounting)
-        kinematics = Kinematics(model, T_flange_tool)
+        kinematics = kinematics_of(model, T_flange_tool, dh)
         workspace = Workspace(
             center_line=config.center_line,
             opening_angle=config.opening_angle_rad,
@@ -65,9 +72,9 @@ class Rig:
             joint_2_height=model.base_shoulder,
         )
         if config.use_home_pos:
-            home = custom_home(model, workspace, T_flange_tool, np.radians(config.home_pos))
+            home = custom_home(kinematics, workspace, np.radians(config.home_pos))
         else:
-            home = home_pose(model, workspace, T_flange_tool, bearings)
+            home = home_pose(kinematics, workspace, bearings)
         chain = TargetChain(home.centre, workspace, kinematics)
         return cls(model, T_flange_tool, bearings, kinematics, workspace, home, chain)
 

@@ -10,13 +10,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from common.config import choice, flag, integer, number, text, vector
+from common.config import choice, flag, integer, number, path, text, vector
 from common.mounting import mounting_field
 from common.tool import ToolConfig
-from kuka_control.robot_model import FLANGE_HEIGHTS, robot_model
+from kuka_control.robot_model import FLANGE_HEIGHTS, ROBOTS, robot_model
 from kuka_control.workspace import workspace_faults
 
-ROBOTS = ("LBR7R800", "LBR14R820")
 UPLOADED = ("ws_center", "joints_home")
 """Keys under `kuka/` that the controller itself writes."""
 
@@ -29,6 +28,7 @@ class ArmConfig(ToolConfig):
     flange: str = choice(*FLANGE_HEIGHTS, doc="the media flange on the arm")
     ip: str = text(doc="address of the robot's controller")
     port: int = integer(low=1, high=65535, doc="TCP port of the toolbox server on the robot's controller")
+    dh_parameters: str = path(doc="file of a calibrated arm's parameters; empty: as in its data sheet", absent="")
     center_line: np.ndarray = vector(3, doc="horizontal direction from the base to the middle of the workspace")
     opening_angle: float = number("deg", above=0.0, below=180.0, doc="angle between the workspace's side planes")
     z_lower_limit: float = number("m", above=0.1, doc="lowest height of the tool")

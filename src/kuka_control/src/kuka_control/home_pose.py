@@ -8,6 +8,9 @@ attitude fits into the plane, such as a mere length, joints 5 and 7 are zero too
 
 Where the arm does not stand upright, down is the world's (see common.mounting) and the plane contains the base's z
 axis, which the elbow is up along. Base frame, metres, radians.
+
+All this is of an arm as in its data sheet. A calibrated one has its tool exactly there too, and joints that differ by
+its deviations.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from common.errors import RigError
 from common.mounting import Directions, directions
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about
-from kuka_control.kinematics import forward
+from kuka_control.kinematics import Kinematics
 from kuka_control.robot_model import RobotModel
 from kuka_control.workspace import Infeasible, Workspace
 
@@ -53,22 +56,21 @@ class Home:
     centre: np.ndarray
 
 
-def home_pose(
-    model: RobotModel, workspace: Workspace, T_flange_tool: np.ndarray, bearings: Directions | None = None
-) -> Home:
+def home_pose(kinematics: Kinematics, workspace: Workspace, bearings: Directions | None = None) -> Home:
     """Returns the home position above the workspace's center_line.
 
     Args:
-        model: the arm.
+        kinematics: of the arm with its tool.
         workspace: of the tool.
-        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m].
         bearings: which way is down and ahead; None: the arm stands upright.
 
     Raises:
         HomeError: the workspace centre is out of reach or a joint would be out of its range.
     """
     bearings = directions(workspace.center_line) if bearings is None else bearings
-    T_base_flange = pose(bearings.R_base_tool, workspace.centre) @ inverse(T_flange_tool)
+    model, T_flange_tool = kinematics.model, kinematics.T_flange_tool
+    T_base_tool = pose(bearings.R_base_tool, workspace.centre)
+    T_base_flange = T_base_tool @ inverse(T_flange_tool)
     wrist = T_base_flange[:3, 3] - model.wrist_flange * T_base_flange[:3, 2]
     side = -1.0 if wrist[:2] @ workspace.center_line[:2] < 0.0 else 1.0  # a wrist behind the base axis counts as -out
     out, up = side * math.hypot(wrist[0], wrist[1]), wrist[2] - model.base_shoulder
@@ -94,10 +96,13 @@ def home_pose(
         raise HomeError(
             f"The home position at the workspace centre, with {_tool(T_flange_tool)}, needs {outside}; {cause}."
         )
-    return _home(model, q, T_flange_tool, workspace.centre)
+    refined = kinematics.refined(q, T_base_tool)
+    if refined is None:
+        raise HomeError(f"The calibrated arm does not reach the home position at the workspace centre; {cause}.")
+    return _home(kinematics, refined, workspace.centre)
 
 
-def custom_home(model: RobotModel, workspace: Workspace, T_flange_tool: np.ndarray, q: np.ndarray) -> Home:
+def custom_home(kinematics: Kinematics, workspace: Workspace, q: np.ndarray) -> Home:
     """Returns the home position with the joints `q`, shape (7,) [rad]; the tool point there becomes the centre.
 
     Raises:
@@ -106,10 +111,10 @@ def custom_home(model: RobotModel, workspace: Workspace, T_flange_tool: np.ndarr
     q = np.asarray(q, dtype=float)
     if q.shape != (7,) or not np.all(np.isfinite(q)):
         raise HomeError(f"home_pos needs seven finite numbers, not {q.tolist()}.")
-    outside = _out_of_range(model, q)
+    outside = _out_of_range(kinematics.model, q)
     if outside:
         raise HomeError(f"home_pos has {outside}.")
-    home = _home(model, q, T_flange_tool, None)
+    home = _home(kinematics, q, None)
     result = workspace.constrain(home.centre)
     if isinstance(result, Infeasible):
         raise HomeError(f"home_pos brings the tool point out of the workspace: {result}.")
@@ -117,14 +122,14 @@ def custom_home(model: RobotModel, workspace: Workspace, T_flange_tool: np.ndarr
         raise HomeError(
             f"home_pos brings the tool point to ({', '.join(f'{c:.3f}' for c in home.centre)}) m, which is outside the "
             f"workspace ({', '.join(map(str, result.bounds))}); change home_pos, the limits, or the tool "
-            f"({_tool(T_flange_tool)})."
+            f"({_tool(kinematics.T_flange_tool)})."
         )
     return home
 
 
-def _home(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray, centre: np.ndarray | None) -> Home:
-    T_base_flange = forward(model, q)
-    T_base_tool = T_base_flange @ T_flange_tool
+def _home(kinematics: Kinematics, q: np.ndarray, centre: np.ndarray | None) -> Home:
+    T_base_tool = kinematics.forward(q)
+    T_base_flange = T_base_tool @ inverse(kinematics.T_flange_tool)
     return Home(
         q=read_only(q),
         T_base_tool=read_only(T_base_tool),

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 from common.config import choice, integer, number, parse, text
-from kuka_control.config import ROBOTS, ArmConfig, PtpConfig, RealTimeConfig, neighbours
-from kuka_control.robot_model import FLANGE_HEIGHTS
+from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
+from kuka_control.robot_model import FLANGE_HEIGHTS, ROBOTS
 
 
 @dataclass(frozen=True)

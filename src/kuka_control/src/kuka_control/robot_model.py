@@ -35,6 +35,8 @@ _ARMS = {
     "LBR14R820": ((0.360, 0.420, 0.400), (85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0)),
 }
 
+ROBOTS = tuple(_ARMS)
+
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:

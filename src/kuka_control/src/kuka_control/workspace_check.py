@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -12,11 +12,14 @@ from common.errors import ConfigError
 from kuka_control.assembly import Rig
 from kuka_control.config import ArmConfig, neighbours
 from kuka_control.home_pose import HomeError
+from kuka_control.kinematics import DhDeviations
 from kuka_control.robot_model import robot_model
 from kuka_control.workspace import workspace_faults
 
 
-def checked_rig(values: Mapping, prefix: str = "") -> tuple[ArmConfig, Rig]:
+def checked_rig(
+    values: Mapping, prefix: str = "", read_dh: Callable[[ArmConfig], DhDeviations | None] = lambda config: None
+) -> tuple[ArmConfig, Rig]:
     """Returns the parameters and the arm with workspace and home that they describe.
 
     Unlike a controller, which stops at the first kind of fault, this also looks at the geometry of a workspace of which
@@ -25,6 +28,7 @@ def checked_rig(values: Mapping, prefix: str = "") -> tuple[ArmConfig, Rig]:
     Args:
         values: what the yaml or the parameter server holds, of either controller.
         prefix: stands before each key in the messages, such as "kuka/".
+        read_dh: reads the file that the parameter dh_parameters names.
 
     Raises:
         ConfigError: with all faults, one sentence each.
@@ -34,7 +38,7 @@ def checked_rig(values: Mapping, prefix: str = "") -> tuple[ArmConfig, Rig]:
     except ConfigError as error:
         raise ConfigError([*error.faults, *_further_faults(values, prefix, error.faults)]) from error
     try:
-        return config, Rig.of(config)
+        return config, Rig.of(config, read_dh(config))
     except HomeError as error:
         raise ConfigError([str(error)]) from error
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kuka_control.kinematics import Kinematics, jacobian
+from kuka_control.kinematics import Kinematics
 
 RCOND = 0.02
 """Directions in which the arm is so near to a singular pose that torques tell nothing about the wrench are left out."""
@@ -18,6 +18,5 @@ def moment_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -
         q: joints, shape (7,) [rad].
         torques: external joint torques, shape (7,) [Nm].
     """
-    J = jacobian(kinematics.model, q, kinematics.T_flange_tool)
-    wrench = np.linalg.lstsq(J.T, torques, rcond=RCOND)[0]
+    wrench = np.linalg.lstsq(kinematics.jacobian(q).T, torques, rcond=RCOND)[0]
     return kinematics.forward(q)[:3, :3].T @ wrench[3:]

@@ -22,7 +22,7 @@ import numpy as np
 from common.poses import inverse as inverse_pose
 from common.poses import read_only
 from kuka_control.kinematics.arcs import TURN, Interval, nearest
-from kuka_control.kinematics.chain import Vector, combination, cross, forward, zyz_axes
+from kuka_control.kinematics.chain import Vector, combination, cross, forward, jacobian, zyz_axes
 from kuka_control.kinematics.elbow_circle import BRANCHES, Branch, ElbowCircle, Limits, wrapped
 from kuka_control.robot_model import RobotModel
 
@@ -66,6 +66,9 @@ class IkFailure(str, Enum):
         "The tool pose is out of reach, unless the arm is folded differently first: joint 2, 4 or 6 turned over."
     )
     NO_ARM_ANGLE = "The tool pose is out of reach: at every arm angle some joint would be beyond its limit."
+    NOT_REFINED = (
+        "The tool pose is out of reach: the calibrated arm does not come there, one as in the data sheet would."
+    )
 
     def __str__(self) -> str:
         return self.value
@@ -98,13 +101,18 @@ class _Candidate:
 
 
 class Kinematics:
-    """An arm with its tool.
+    """An arm with its tool, as in its data sheet.
+
+    Attributes:
+        calibrated: whether this arm is another than the one that the robot's controller reckons with.
 
     Args:
         model: the arm.
         T_flange_tool: pose of the tool in the flange, shape (4, 4) [m]; the flange itself where left out.
         elbow_preference: arm angle that the elbow slowly goes to [rad]; 0 is up.
     """
+
+    calibrated = False
 
     def __init__(
         self, model: RobotModel, T_flange_tool: np.ndarray | None = None, elbow_preference: float = 0.0
@@ -125,6 +133,21 @@ class Kinematics:
         """Returns the pose of the tool in the base, shape (4, 4) [m], at joints q, shape (7,) [rad]."""
         return forward(self.model, q) @ self.T_flange_tool
 
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Returns the geometric Jacobian of the tool point in the base frame, shape (6, 7); rows 0-2 linear."""
+        return jacobian(self.model, q, self.T_flange_tool)
+
+    def refined(self, q: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray | None:
+        """Returns joints near to q that bring the very arm to a pose that q brings the arm of the data sheet to.
+
+        Here that is the same arm. A calibrated one may not come there: then None.
+
+        Args:
+            q: shape (7,) [rad].
+            T_base_tool: shape (4, 4) [m].
+        """
+        return q
+
     def inverse(self, T_base_tool: np.ndarray, near: np.ndarray, keep_branch: bool = False) -> IkResult:
         """Returns joints that bring the tool to a pose, close to `near`.
 
@@ -138,13 +161,8 @@ class Kinematics:
         Raises:
             ValueError: the pose is not finite or not rigid, or `near` is not seven finite numbers.
         """
-        present = np.asarray(near, dtype=float)
+        T, present = self._checked(T_base_tool, near)
         seed = present.tolist()
-        if present.shape != (7,) or not all(map(isfinite, seed)):
-            raise ValueError(f"the present joints must be seven finite numbers, not {seed}")
-        T = np.asarray(T_base_tool, dtype=float)
-        if T.shape != (4, 4) or not np.isfinite(T).all():
-            raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")
         flange, position = _axes_and_position(T @ self._T_tool_flange)
         w = combination(1.0, position, -self.model.wrist_flange, flange[2])
         w = (w[0], w[1], w[2] - self.model.base_shoulder)
@@ -172,6 +190,21 @@ class Kinematics:
                 return IkResult(None, IkFailure.OTHER_BRANCH)
         best = self._led_back(circle, best, seed, zero)
         return IkResult(read_only(best.q), arm_angle=wrapped(best.angle + zero), branch=Branch.of(best.q))
+
+    @staticmethod
+    def _checked(T_base_tool: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns both as arrays.
+
+        Raises:
+            ValueError: they have not the right shape, or are not finite.
+        """
+        present = np.asarray(near, dtype=float)
+        if present.shape != (7,) or not all(map(isfinite, present.tolist())):
+            raise ValueError(f"the present joints must be seven finite numbers, not {present.tolist()}")
+        T = np.asarray(T_base_tool, dtype=float)
+        if T.shape != (4, 4) or not np.isfinite(T).all():
+            raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")
+        return T, present
 
     def _continued(self, circle: ElbowCircle, seed: list[float]) -> _Candidate | None:
         """Returns the best joints of the present branch, or of one that joint 2 or joint 6 enters through zero."""

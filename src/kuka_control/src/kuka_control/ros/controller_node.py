@@ -25,6 +25,7 @@ from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
 from kuka_control.control_loop import ControlLoop
 from kuka_control.controller import Controller, Inputs
 from kuka_control.ros.desired_tool import DesiredTool
+from kuka_control.ros.dh_file import dh_deviations
 from kuka_control.ros.services import Services
 from kuka_control.ros.state_publisher import Snapshot, StatePublisher
 from kuka_control.ros.workspace_markers import publish_workspace
@@ -54,7 +55,7 @@ def ptp_main() -> None:
 def _run(schema: type[ArmConfig], make_loop: Callable[[ArmConfig, Rig], ControlLoop]) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     config = wait_for_config(schema, "kuka", others=neighbours(schema))
-    rig = Rig.of(config)
+    rig = Rig.of(config, dh_deviations(config))
     arm = _connect(config, rig)
     try:
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())

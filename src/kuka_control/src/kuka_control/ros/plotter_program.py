@@ -18,6 +18,7 @@ from kuka_control import workspace_report
 from kuka_control.plot.figure import SIZE_INCH, draw
 from kuka_control.plot.picture import Picture
 from kuka_control.reach_study import study_reach
+from kuka_control.ros.dh_file import dh_deviations
 from kuka_control.ros.parameter_server import NoMaster, NoParameters, parameters, read_yaml, shipped
 from kuka_control.workspace_check import checked_rig
 from kuka_control.workspace_samples import constrained_samples, volume_samples
@@ -46,7 +47,7 @@ def _run(options: argparse.Namespace) -> None:
         _check_window()
     else:
         _check_picture_name(options.save)
-    config, rig = checked_rig(*_values(options))
+    config, rig = checked_rig(*_values(options), dh_deviations)
     tolerances = tuple(options.tolerances or (_server_tolerances() if options.from_server else TOLERANCES_DEG))
     random = np.random.default_rng(options.seed)
     positions = volume_samples(rig.workspace, options.samples, random)

@@ -114,15 +114,17 @@ class StatePublisher:
     def _publish_joints(self, snapshot: Snapshot) -> None:
         """Joints and frames, each only if it was read anew."""
         arm, now, transforms = snapshot.arm, rospy.Time.now(), []
+        # No pose can be asked for while a PTP motion runs, and the robot's controller knows of no calibration.
+        reckoned = snapshot.moving_ptp or self._rig.kinematics.calibrated
         if arm.joints is not self._published.joints:
             self._joints.publish(_joints_message(jointPositions, arm.joints, now))
             message = JointState(name=JOINT_NAMES, position=arm.joints.tolist())
             message.header.stamp = now
             self._joint_states.publish(message)
-            if snapshot.moving_ptp:  # no pose can be asked for while a PTP motion runs
+            if reckoned:
                 T_base_tool = self._rig.kinematics.forward(arm.joints)
                 transforms.append(stamped_transform(self._rig.T_base_flange(T_base_tool), BASE, FLANGE_MEASURED, now))
-        if arm.T_base_tool is not self._published.T_base_tool and not transforms:
+        if arm.T_base_tool is not self._published.T_base_tool and not reckoned:
             T_base_flange = self._rig.T_base_flange(arm.T_base_tool)
             transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
         aim = snapshot.step.aim

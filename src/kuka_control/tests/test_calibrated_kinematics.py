@@ -1,0 +1,257 @@
+"""Laws of the kinematics of a calibrated arm: right or refused, steady, and as the data sheet if nothing deviates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.config import parse
+from common.errors import ConfigError
+from common.poses import pose, translation
+from common.rotations import rotation_about
+from kuka_control.kinematics import Branch, CalibratedKinematics, DhDeviations, IkFailure, Kinematics, kinematics_of
+from kuka_control.kinematics.dh import MAX_ANGLE_DEG, MAX_LENGTH_MM, nominal_table
+from kuka_control.robot_model import robot_model
+
+EXAMPLE = Path(__file__).parents[1] / "config" / "dh_parameters_example.yaml"
+MODELS = [robot_model("LBR7R800", "MF_elektrisch"), robot_model("LBR14R820", "MF_touch_pneumatisch")]
+TOOL = pose(rotation_about(0, 0.2), (0.02, -0.01, 0.106))
+HOME = np.radians([-45.0, 30.0, 0.0, -65.0, 0.0, 85.0, 0.0])
+NONE = np.zeros(28)
+models = pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def deviations(model, shares):
+    """The deviations that are these shares, shape (28,) from -1 to 1, of what is plausible."""
+    a, alpha, d, theta = np.reshape(shares, (4, 7))
+    values = {"delta_a": MAX_LENGTH_MM * a, "delta_alpha": alpha, "delta_d": MAX_LENGTH_MM * d, "delta_theta": theta}
+    found = parse(DhDeviations, {"robot": model.name, "serial": "1", "date": "2020-01-31", **values})
+    assert MAX_ANGLE_DEG == 1.0
+    return found
+
+
+def arm_of(model, shares):
+    return CalibratedKinematics(model, nominal_table(model).plus(deviations(model, shares)), TOOL)
+
+
+def random_arm(model, rng, most=1.0):
+    return arm_of(model, rng.uniform(-most, most, 28))
+
+
+def inner_joints(model, rng):
+    """Joints in their ranges; joint 4 neither nearly outstretched nor nearly at its end."""
+    q = rng.uniform(model.lower, model.upper)
+    q[3] = rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(20.0, 110.0))
+    return q
+
+
+def check(arm, result, T):
+    assert result.failure is None
+    np.testing.assert_allclose(arm.forward(result.q), T, atol=1e-9)
+    assert np.all(arm.model.lower <= result.q) and np.all(result.q <= arm.model.upper)
+    assert result.branch == Branch.of(result.q)
+
+
+def turn(axis, angle):
+    return pose(rotation_about(axis, angle))
+
+
+@models
+@given(seeds)
+def test_forward_kinematics_are_the_product_of_the_table(model, seed):
+    rng = np.random.default_rng(seed)
+    shares, q = rng.uniform(-1.0, 1.0, 28), rng.uniform(model.lower, model.upper)
+    off = deviations(model, shares)
+    d = [model.base_shoulder, 0.0, model.shoulder_elbow, 0.0, model.elbow_wrist, 0.0, model.wrist_flange]
+    T = np.eye(4)
+    for i, alpha in enumerate((-90.0, 90.0, 90.0, -90.0, -90.0, 90.0, 0.0)):
+        T = T @ turn(2, q[i] + np.radians(off.delta_theta[i]))
+        T = T @ translation(1e-3 * off.delta_a[i], 0.0, d[i] + 1e-3 * off.delta_d[i])
+        T = T @ turn(0, np.radians(alpha + off.delta_alpha[i]))
+    np.testing.assert_allclose(arm_of(model, shares).forward(q), T @ TOOL, atol=1e-12)
+
+
+@models
+@given(seeds)
+def test_the_jacobian_is_the_derivative(model, seed):
+    rng = np.random.default_rng(seed)
+    arm, q = random_arm(model, rng), rng.uniform(model.lower, model.upper)
+    J, R = arm.jacobian(q), arm.forward(q)[:3, :3]
+    for i in range(7):
+        step = 1e-6 * np.eye(7)[i]
+        before, after = arm.forward(q - step), arm.forward(q + step)
+        np.testing.assert_allclose((after - before)[:3, 3] / 2e-6, J[:3, i], atol=1e-7)
+        np.testing.assert_allclose(pin.log3(before[:3, :3].T @ after[:3, :3]) / 2e-6, R.T @ J[3:, i], atol=1e-7)
+
+
+@models
+@given(seeds)
+def test_without_deviations_it_is_the_arm_of_the_data_sheet(model, seed):
+    rng = np.random.default_rng(seed)
+    plain, arm = Kinematics(model, TOOL), arm_of(model, NONE)
+    q, near = inner_joints(model, rng), rng.uniform(model.lower, model.upper)
+    np.testing.assert_allclose(arm.forward(q), plain.forward(q), atol=1e-12)
+    np.testing.assert_allclose(arm.jacobian(q), plain.jacobian(q), atol=1e-12)
+    expected, found = plain.inverse(plain.forward(q), near), arm.inverse(plain.forward(q), near)
+    assert found.branch == expected.branch and found.arm_angle == pytest.approx(expected.arm_angle, abs=1e-6)
+    np.testing.assert_allclose(found.q, expected.q, atol=1e-6)
+
+
+@models
+def test_a_file_without_deviations_is_the_closed_form_itself(model):
+    assert type(kinematics_of(model, TOOL, None)) is type(kinematics_of(model, TOOL, deviations(model, NONE)))
+    assert not kinematics_of(model, TOOL, None).calibrated
+    off = kinematics_of(model, TOOL, deviations(model, np.eye(28)[27]))
+    assert off.calibrated
+    np.testing.assert_allclose(off.forward(HOME)[:3, 3], Kinematics(model, TOOL).forward(HOME)[:3, 3], atol=1e-3)
+
+
+@models
+@pytest.mark.parametrize("degrees", [0.5, 3.0, 15.0])
+@settings(deadline=None, max_examples=60)
+@given(seed=seeds)
+def test_every_pose_near_the_present_one_is_reached(model, degrees, seed):
+    rng = np.random.default_rng(seed)
+    arm, q = random_arm(model, rng), inner_joints(model, rng)
+    near = np.clip(q + np.radians(rng.uniform(-degrees, degrees, 7)), model.lower, model.upper)
+    T = arm.forward(q)
+    check(arm, arm.inverse(T, near), T)
+
+
+@models
+def test_poses_all_over_are_reached_from_home_or_refused_but_never_missed(model):
+    rng = np.random.default_rng(1)
+    refused = 0
+    for k in range(1000):
+        if k % 20 == 0:
+            arm = random_arm(model, rng, most=0.4)
+        T = arm.forward(rng.uniform(model.lower, model.upper))
+        result = arm.inverse(T, HOME)
+        if result.q is None:
+            assert isinstance(result.failure, IkFailure)
+            refused += 1
+        else:
+            check(arm, result, T)
+    assert refused < 50, "outstretched and fully bent arms alone"
+
+
+@models
+@given(seeds)
+def test_a_tool_that_stands_still_leaves_the_joints_where_they_are(model, seed):
+    rng = np.random.default_rng(seed)
+    arm, q = random_arm(model, rng), rng.uniform(model.lower, model.upper)
+    T, present = arm.forward(q), q
+    for _ in range(5):
+        present = arm.inverse(T, present, keep_branch=True).q
+    np.testing.assert_allclose(present, q, atol=1e-8)
+
+
+@models
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_paths_are_followed_with_small_steps_and_the_elbow_of_the_closed_form(model, seed):
+    """As a hand moves the tool; the arm of the data sheet on the same way sets the measure."""
+    rng = np.random.default_rng(seed)
+    plain, arm = Kinematics(model, TOOL), random_arm(model, rng)
+    t = np.linspace(0.0, 2.0 * np.pi, 300)[:, None]
+    way = 0.1 * np.sin(t) * rng.normal(size=3) + 0.05 * np.sin(2.0 * t) * rng.normal(size=3)
+    tilt = 0.15 * np.sin(t) * rng.normal(size=3)
+    T_home = arm.forward(HOME)
+    q, q_plain = HOME, plain.inverse(T_home, HOME).q
+    least = np.radians([0.0, 0.0, 0.0, 20.0, 0.0, 0.0, 0.0])
+    for p, r in zip(way, tilt):
+        T = pose(T_home[:3, :3] @ pin.exp3(r), T_home[:3, 3] + p)
+        result, expected = arm.inverse(T, q, keep_branch=True), plain.inverse(T, q_plain, keep_branch=True)
+        if result.q is None or expected.q is None:
+            break
+        check(arm, result, T)
+        turns = np.abs([result.q, expected.q])
+        if np.any(turns < least) or np.any(turns > model.upper - np.radians(5.0)):
+            break  # near an end of the reach or of a range both must hurry, and not at the same place
+        assert np.abs(result.q - q).max() < 2.0 * np.abs(expected.q - q_plain).max() + np.radians(0.5)
+        assert abs(result.arm_angle - expected.arm_angle) < np.radians(6.0)
+        q, q_plain = result.q, expected.q
+    np.testing.assert_array_less(np.abs(q - HOME), np.pi)
+
+
+@models
+def test_joints_keep_to_their_ranges_where_the_closed_form_is_at_an_end(model):
+    """With the joint zeros off, poses with joints at their ends are reached by the other joints, or refused."""
+    rng = np.random.default_rng(2)
+    reached = 0
+    for _ in range(200):
+        arm, q = random_arm(model, rng), inner_joints(model, rng)
+        joint = rng.choice([0, 1, 2, 4, 5, 6])
+        q[joint] = rng.choice([model.lower[joint], model.upper[joint]])
+        T = arm.forward(q) @ pose(p=rng.uniform(-0.002, 0.002, 3))
+        result = arm.inverse(T, q)
+        if result.q is not None:
+            check(arm, result, T)
+            reached += 1
+    assert reached > 120
+
+
+@models
+def test_what_only_the_arm_of_the_data_sheet_reaches_is_refused_by_name(model):
+    """Both arms 5 mm shorter: the outstretched one does not come to the end of the reach in the data sheet."""
+    shares = np.zeros(28)
+    shares[[14 + 2, 14 + 4]] = -1.0
+    plain, arm = Kinematics(model, TOOL), arm_of(model, shares)
+    T = plain.forward(np.radians([20, 50, 30, -2, 40, 60, 70]))
+    for near in (HOME, np.radians([20, 50, 30, -5, 40, 60, 70])):
+        result = arm.inverse(T, near)
+        assert result.q is None and str(result.failure).startswith("The tool pose is out of reach")
+    assert arm.refined(HOME, pose(p=(3.0, 0.0, 0.0))) is None
+
+
+@pytest.mark.parametrize("T", [np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0]), np.eye(3)])
+def test_what_is_no_pose_is_refused(T):
+    with pytest.raises(ValueError):
+        arm_of(MODELS[0], NONE).inverse(T, HOME)
+
+
+@pytest.mark.parametrize("near", [np.full(7, np.nan), np.zeros(6)])
+def test_present_joints_must_be_seven_numbers(near):
+    with pytest.raises(ValueError, match="seven finite numbers"):
+        arm_of(MODELS[0], NONE).inverse(np.eye(4), near)
+
+
+def example(**changes):
+    return parse(DhDeviations, {**yaml.safe_load(EXAMPLE.read_text()), **changes}, "arm.yaml: ")
+
+
+def test_the_example_is_good_and_says_its_units():
+    found = example()
+    assert found.any and found.robot == MODELS[0].name
+    for line in EXAMPLE.read_text().splitlines():
+        assert line.startswith("#") or not line or any(unit in line for unit in ("# mm", "# deg", "no unit")), line
+
+
+@pytest.mark.parametrize(
+    "key, value, allowed",
+    [
+        ("delta_a", [0, 0, 0, 0, 0, 0, 5.1], r"7 finite numbers, each in \[-5, 5\] mm"),
+        ("delta_d", [0.34, 0, 0.4, 0, 400.0, 0, 0.161], r"each in \[-5, 5\] mm"),
+        ("delta_alpha", [-1.01, 0, 0, 0, 0, 0, 0], r"each in \[-1, 1\] deg"),
+        ("delta_theta", [0, 0, float("nan"), 0, 0, 0, 0], r"each in \[-1, 1\] deg"),
+        ("delta_theta", [0] * 6, "7 finite numbers"),
+        ("robot", "LBR8", "one of LBR7R800, LBR14R820"),
+        ("serial", 123, "a string that is not empty"),
+        ("date", "", "a string that is not empty"),
+    ],
+)
+def test_a_value_that_is_not_plausible_is_refused_with_its_key_and_range(key, value, allowed):
+    with pytest.raises(ConfigError, match=rf"^arm.yaml: {key} is .*, but must be .*{allowed}"):
+        example(**{key: value})
+
+
+def test_a_key_that_is_not_known_is_refused():
+    with pytest.raises(ConfigError, match="delta_q is not a known key"):
+        example(delta_q=[0] * 7)
