@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Service node that detects AprilTags in a picture in a file."""
+
+from apriltag_ros.ros.single_image_server import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The ROS edge of the detector: parameters, messages, nodes."""

@@ -1,0 +1,22 @@
+"""The node's private parameters as typed settings."""
+
+from __future__ import annotations
+
+import rospy
+
+from apriltag_ros.settings import TAG_KEYS, DetectorSettings, detector_settings, targets
+from apriltag_ros.target import Target
+
+OTHERS = ("queue_size", "camera_frame", "tag_border")
+"""Keys in the published package's launch files that nothing here depends on."""
+
+
+def read() -> tuple[DetectorSettings, tuple[Target, ...]]:
+    """Returns the settings and what is to be looked for.
+
+    Raises:
+        ConfigError: with all faults.
+    """
+    values = rospy.get_param("~", {})
+    settings = detector_settings(values, prefix="~", others=OTHERS)
+    return settings, targets({key: values.get(key) for key in TAG_KEYS})

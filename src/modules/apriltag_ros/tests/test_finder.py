@@ -1,0 +1,77 @@
+"""The library behind its adapter: which corner is which, where a pixel's centre is, what a pattern looks like."""
+
+from __future__ import annotations
+
+import apriltag
+import numpy as np
+import pytest
+from tag_renderer import CODES, cells, render
+
+from apriltag_ros.families import pattern
+from apriltag_ros.finder import TagFinder
+from apriltag_ros.settings import detector_settings
+from apriltag_ros.target import CORNERS
+from common.camera_model import pinhole
+from common.poses import pose
+from common.rotations import rotation_about
+
+FACING = np.diag([1.0, -1.0, -1.0])
+"""A tag upright in front of the camera and facing it."""
+ZERO = ["00000000", "01101010", "00111010", "00110000", "01010000", "00101100", "00001000", "00000000"]
+"""Id 0 of tag36h11 with its black border, top row first, 1 = white."""
+
+
+@pytest.fixture(scope="module")
+def finder():
+    return TagFinder(detector_settings({"tag_threads": 1}))
+
+
+@pytest.fixture(scope="module")
+def straight():
+    return pinhole("straight", 640, 480, [[525.0, 0, 319.5], [0, 525.0, 239.5], [0, 0, 1]])
+
+
+def test_patterns_are_the_published_ones():
+    detector = apriltag.Detector(apriltag.DetectorOptions())
+    golden = np.array([[c == "1" for c in row] for row in ZERO])
+    np.testing.assert_array_equal(pattern(detector, "tag36h11", 0)[1:-1, 1:-1], golden)
+    for tag in range(len(CODES)):
+        np.testing.assert_array_equal(pattern(detector, "tag36h11", tag)[1:-1, 1:-1], cells(tag))
+    assert pattern(detector, "tag36h11", 3)[0].all()
+    with pytest.raises(ValueError, match="0 to 586"):
+        pattern(detector, "tag36h11", 587)
+
+
+@pytest.mark.parametrize("turn", [0, 90, 180, 270, 37])
+def test_corner_order_and_half_pixel(finder, straight, turn):
+    errors = []
+    for part in np.arange(
+        0.0, 1.0, 0.125
+    ):  # edges along the pixels are seen up to 0.4 px off, by where they cut a pixel
+        place = np.array([0.031, -0.017, 0.5]) + part * 0.5 / 525.0 * np.array([1.0, 1.0, 0.0])
+        T = pose(FACING @ rotation_about(2, np.radians(turn)), place)
+        (tag,) = finder.find(render(straight, T, [(0, 0.1, 0.0, 0.0)], 0.15))
+        assert (tag.id, tag.hamming) == (0, 0)
+        errors.append(tag.corners - straight.project(0.1 * CORNERS @ T[:3, :3].T + T[:3, 3]))
+    np.testing.assert_allclose(errors, 0.0, atol=0.6)
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=0.15)
+
+
+def test_a_tag_seen_twice_is_dropped_unless_wanted(straight):
+    twice = [(0, 0.08, -0.06, 0.0), (0, 0.08, 0.06, 0.0), (2, 0.05, 0.0, 0.1)]
+    picture = render(straight, pose(FACING, (0, 0, 0.6)), twice, 0.28)
+    find = {drop: TagFinder(detector_settings({"tag_threads": 1, "remove_duplicates": drop})) for drop in (True, False)}
+    assert [tag.id for tag in find[True].find(picture)] == [2]
+    assert sorted(tag.id for tag in find[False].find(picture)) == [0, 0, 2]
+
+
+def test_other_arrays_than_grey_pictures_are_refused(finder):
+    for picture in (np.zeros((48, 64)), np.zeros((48, 64, 3), dtype=np.uint8)):
+        with pytest.raises(ValueError, match="grey pictures of 8 bit"):
+            finder.find(picture)
+
+
+def test_another_package_of_the_same_name_is_named(monkeypatch):
+    monkeypatch.delattr(apriltag, "DetectorOptions")
+    with pytest.raises(ImportError, match="Debian"):
+        TagFinder(detector_settings({}))

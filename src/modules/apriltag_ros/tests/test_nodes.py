@@ -1,0 +1,176 @@
+"""The nodes: pictures in, detections, tf and drawings out; how they wait and how they end."""
+
+import threading
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from tag_renderer import render
+
+from common.poses import pose
+from common.rotations import rotation_about
+
+pytestmark = pytest.mark.ros
+
+NODE = "apriltag_ros_continuous_node"
+TRUTH = pose(rotation_about(0, np.radians(155.0)), (0.02, 0.01, 0.6))
+
+
+class Camera:
+    """Publishes one picture again and again, with a new stamp each time."""
+
+    def __init__(self, model, picture, encoding="mono8"):
+        import rospy
+        from sensor_msgs.msg import CameraInfo, Image
+
+        self.picture, self.encoding, self._model = picture, encoding, model
+        self._images = rospy.Publisher("camera_rect/image_raw", Image, queue_size=1)
+        self._infos = rospy.Publisher("camera_rect/camera_info", CameraInfo, queue_size=1)
+        self._ended = threading.Event()
+        threading.Thread(target=self._loop, daemon=True).start()
+
+    def _loop(self):
+        import rospy
+
+        from common.ros.images import camera_info_message, image_message
+
+        while not self._ended.wait(0.05):
+            stamp = rospy.Time.now()
+            self._infos.publish(camera_info_message(self._model, "camera_optical", stamp))
+            self._images.publish(image_message(self.picture, self.encoding, "camera_optical", stamp))
+
+    def close(self):
+        self._ended.set()
+
+
+@pytest.fixture
+def pictures(camera, ros):
+    camera_node = Camera(camera, render(camera, TRUTH, [(0, 0.1, 0.0, 0.0)], 0.13))
+    yield camera_node
+    camera_node.close()
+
+
+@pytest.fixture
+def tags(tmp_path):
+    path = tmp_path / "tags.yaml"
+    path.write_text(yaml.safe_dump({"standalone_tags": [{"id": 0, "size": 0.1, "name": "tag_frame"}]}))
+    return path
+
+
+def launch(ros, tags, **args):
+    raw = {"image_topic": "image_raw", "rectified": "false"}
+    return ros.launch("apriltag_ros", "continuous_detection.launch", tags=tags, **raw, **args)
+
+
+def test_detections_tf_and_drawing(ros, pictures, tags, wait_until):
+    from sensor_msgs.msg import Image
+    from tf2_msgs.msg import TFMessage
+
+    from apriltag_ros.msg import AprilTagDetectionArray
+    from common.ros.conversions import pose_from_transform
+    from common.ros.images import picture_from_image
+
+    arrays = ros.record("tag_detections", AprilTagDetectionArray)
+    transforms = ros.record("tf", TFMessage)
+    drawings = ros.record("tag_detections_image", Image)
+    launch(ros, tags)
+    arrays.wait(5, 30.0)
+    (detection,) = arrays[-1].detections
+    assert (list(detection.id), list(detection.size)) == ([0], [0.1])
+    assert arrays[-1].header.frame_id == detection.pose.header.frame_id == "camera_optical"
+    p = detection.pose.pose.pose.position
+    np.testing.assert_allclose([p.x, p.y, p.z], TRUTH[:3, 3], atol=0.002)
+    covariance = np.reshape(detection.pose.pose.covariance, (6, 6))
+    assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
+    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
+    (transform,) = transforms.wait(1)[-1].transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ("camera_optical", "tag_frame")
+    np.testing.assert_allclose(pose_from_transform(transform.transform), TRUTH, atol=0.02)
+    drawing = picture_from_image(drawings.wait(1)[-1])
+    assert np.any(np.all(drawing == (0, 0, 255), axis=2)), "no red edge"
+
+
+def test_every_picture_gets_an_answer_and_bad_ones_are_named(ros, pictures, tags, wait_until):
+    from apriltag_ros.msg import AprilTagDetectionArray
+
+    arrays = ros.record("tag_detections", AprilTagDetectionArray)
+    node = launch(ros, tags)
+    arrays.wait(1, 30.0)
+    pictures.picture = np.full_like(pictures.picture, 90)
+    wait_until(lambda: not arrays[-1].detections, 10.0, "an empty array")
+    pictures.picture, pictures.encoding = np.zeros((480, 640), dtype=np.uint16), "16UC1"
+    wait_until(lambda: "with the encoding 16UC1" in node.log_path.read_text(), 10.0, "the sentence")
+    assert node.poll() is None
+
+
+def test_parameters_are_read_anew_on_demand_and_kept_when_wrong(ros, pictures, tags, wait_until):
+    import rospy
+    from std_srvs.srv import Empty
+
+    from apriltag_ros.msg import AprilTagDetectionArray
+
+    arrays = ros.record("tag_detections", AprilTagDetectionArray)
+    launch(ros, tags)
+    arrays.wait(1, 30.0)
+    refresh = rospy.ServiceProxy(f"{NODE}/refresh_tag_params", Empty)
+    rospy.set_param(f"{NODE}/standalone_tags", [{"id": 0, "size": -1.0}])
+    with pytest.raises(rospy.ServiceException, match="The old parameters stay"):
+        refresh()
+    rospy.set_param(f"{NODE}/standalone_tags", [{"id": 0, "size": 0.2, "name": "twice"}])
+    refresh()
+    wait_until(lambda: arrays[-1].detections[0].size == (0.2,), 10.0, "the new size")
+
+
+def test_it_waits_for_the_camera(ros, camera, processes, wait_until):
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    statuses = ros.record("/diagnostics", DiagnosticArray)
+    node = ros.launch("apriltag_ros", "continuous_detection.launch")
+    wait_until(lambda: statuses and "waits for" in statuses[-1].status[0].message, 20.0, "the diagnosis")
+    assert node.poll() is None
+    assert processes.end(node) == 0
+    assert "Traceback" not in node.log_path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("parameter", "sentence"),
+    [
+        ("_tag_decimate:=0.5", "~tag_decimate is 0.5, but must be"),
+        ("_tag_famly:=tag36h11", "~tag_famly is not a known key"),
+        ("_tag_threads:=1", "There is no tag to look for"),
+        ("_standalone_tags:=[{id: 0}]", "standalone_tags[0]/size is missing"),
+    ],
+)
+@pytest.mark.parametrize("node", ["apriltag_ros_continuous_node.py", "apriltag_ros_single_image_server_node.py"])
+def test_bad_parameters_end_it_with_a_sentence(ros, node, parameter, sentence):
+    process = ros.run("apriltag_ros", node, parameter)
+    assert process.wait(30.0) == 1
+    log = process.log_path.read_text()
+    assert sentence in log
+    assert "Traceback" not in log
+
+
+def test_single_picture(ros, camera, tmp_path):
+    import rospy
+
+    from apriltag_ros.srv import AnalyzeSingleImage
+    from common.ros.images import camera_info_message
+
+    picture, goal = tmp_path / "in.png", tmp_path / "out.png"
+    cv2.imwrite(str(picture), render(camera.rectified(), TRUTH, [(0, 0.1, 0.0, 0.0)], 0.13))
+    node = ros.run("apriltag_ros", "apriltag_ros_single_image_server_node.py", "_standalone_tags:=[{id: 0, size: 0.1}]")
+    rospy.wait_for_service("single_image_tag_detection", 30.0)
+    analyse = rospy.ServiceProxy("single_image_tag_detection", AnalyzeSingleImage)
+    info = camera_info_message(camera, "camera_optical", rospy.Time.now())
+    (detection,) = analyse(str(picture), str(goal), info).tag_detections.detections
+    assert detection.pose.pose.pose.position.z == pytest.approx(0.6, abs=0.002)
+    assert cv2.imread(str(goal)).shape == (480, 640, 3)
+    for source, save, sentence in (
+        (str(tmp_path / "none.png"), "", "There is no picture"),
+        (str(picture), str(tmp_path / "no" / "folder.png"), "could not be saved"),
+        (str(picture), str(tmp_path / "no.format"), "was not analysed"),
+    ):
+        with pytest.raises(rospy.ServiceException, match=sentence):
+            analyse(source, save, info)
+    assert node.poll() is None
