@@ -1,0 +1,69 @@
+"""Faults of the simulated camera: what becomes of its pictures."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rig_simulation.camera.rgbd_camera import Pictures
+from rig_simulation.faults import Faults
+from rig_simulation.faults_camera import CAMERA_FAULTS, Exposure, Stream
+
+BLANK = Pictures(None, np.full((2, 3), 7, np.uint16), np.full((2, 3), 8, np.uint16), {})
+
+
+class Camera:
+    """Counts its pictures; the stamp of each is the time of asking."""
+
+    def __init__(self) -> None:
+        self.faults = Faults(CAMERA_FAULTS)
+        self.stream = Stream(self.faults)
+        self.taken = 0
+
+    def next(self, now: float) -> Exposure | None:
+        def expose() -> Exposure:
+            self.taken += 1
+            return Exposure(dataclasses.replace(BLANK, seconds={"number": self.taken}), now)
+
+        return self.stream.next(expose, now, now)
+
+
+@pytest.fixture
+def camera() -> Camera:
+    return Camera()
+
+
+def test_without_a_fault_every_picture_goes_out(camera):
+    assert [camera.next(0.1 * i).stamp for i in range(3)] == [0.0, 0.1, 0.2]
+    assert camera.taken == 3
+
+
+def test_vanished_publishes_nothing_and_takes_nothing(camera):
+    camera.faults.switch("vanished")
+    assert camera.next(1.0) is None
+    camera.faults.switch("vanished", on=False)
+    assert camera.next(2.0).stamp == 2.0
+    assert camera.taken == 1
+
+
+@pytest.mark.parametrize("name, stamp", [("frozen", 1.0), ("stuck", 2.0)])
+def test_a_camera_that_hangs_repeats_the_last_picture(camera, name, stamp):
+    first = camera.next(1.0)
+    camera.faults.switch(name)
+    again = camera.next(2.0)
+    assert (again.pictures, again.stamp, camera.taken) == (first.pictures, stamp, 1)
+    camera.faults.switch(name, on=False)
+    assert camera.next(3.0).pictures is not first.pictures
+
+
+def test_empty_depth_leaves_the_colour(camera):
+    camera.faults.switch("depth_empty")
+    pictures = camera.next(1.0).pictures
+    assert not pictures.depth.any() and not pictures.registered.any()
+    assert BLANK.depth.all()
+
+
+def test_slow_leaves_so_many_pictures_a_second(camera):
+    camera.faults.switch("slow", value=2.0)
+    came = [camera.next(0.125 * i) is not None for i in range(16)]
+    assert came == [True, False, False, False] * 4

@@ -1,0 +1,216 @@
+"""The camera's node before a small world: topics, load, loss and return of the world, faults, bad parameters."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from rig_simulation.control_port import ControlClient, ControlPort
+
+pytest.importorskip("rospy")
+pytest.importorskip("mujoco.egl")
+pytestmark = pytest.mark.ros
+
+CONFIG = Path(__file__).parents[1] / "config" / "camera.yaml"
+CALIBRATION = {
+    "image_width": 160,
+    "image_height": 120,
+    "camera_name": "small",
+    "camera_matrix": {"data": [140.0, 0.0, 79.5, 0.0, 140.0, 59.5, 0.0, 0.0, 1.0]},
+    "distortion_model": "plumb_bob",
+    "distortion_coefficients": {"data": [0.0] * 5},
+    "rectification_matrix": {"data": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]},
+    "projection_matrix": {"data": [140.0, 0.0, 79.5, 0.0, 0.0, 140.0, 59.5, 0.0, 0.0, 0.0, 1.0, 0.0]},
+}
+
+
+class SmallWorld:
+    """The control port of a world in which nothing moves by itself."""
+
+    def __init__(self, scene: str = "cup") -> None:
+        from rig_simulation.world.files import read_scene
+        from rig_simulation.world.model import WorldDescription
+        from rig_simulation.world.physics import World
+
+        self.world = World(WorldDescription("LBR7R800", "MF_elektrisch", (0.0, 0.0, 0.0), read_scene(scene)))
+        self.snapshots = 0
+
+    def open(self, port: int = 0) -> ControlPort:
+        return ControlPort({"scene": self._scene, "snapshot": self._snapshot}, port=port)
+
+    def _scene(self) -> dict:
+        return {"loads": self.world.loads, **self.world.description.as_fields()}
+
+    def _snapshot(self) -> dict:
+        self.snapshots += 1
+        return {"time": 0.0, "loads": self.world.loads, "qpos": self.world.data.qpos.tolist()}
+
+
+@pytest.fixture
+def world():
+    return SmallWorld()
+
+
+@pytest.fixture
+def start(ros, free_port):
+    """Starts the node `driver` in a namespace with the package's parameters and changes to them; returns its process."""
+    import rospy
+
+    def start_node(port: int, namespace: str = "camera", **changes):
+        values = {**yaml.safe_load(CONFIG.read_text()), "port": port, "control_port": free_port(), "samples": 0}
+        values.update(rgb_calibration=CALIBRATION, depth_calibration=CALIBRATION)
+        for name, value in changes.items():
+            values[name] = {**values[name], **value} if isinstance(value, dict) else value
+        rospy.set_param(f"{namespace}/driver", values)
+        start_node.control = ControlClient("127.0.0.1", values["control_port"])
+        return ros.run("rig_simulation", "camera_node.py", f"__ns:={namespace}", "__name:=driver")
+
+    return start_node
+
+
+def test_it_publishes_what_an_xtion_does(world, start, ros):
+    from sensor_msgs.msg import CameraInfo, Image
+
+    pictures = {
+        topic: ros.record(f"camera/{topic}", Image)
+        for topic in ("rgb/image_raw", "depth/image_raw", "depth/image", "depth_registered/image_raw")
+    }
+    infos = {
+        name: ros.record(f"camera/{name}/camera_info", CameraInfo) for name in ("rgb", "depth", "depth_registered")
+    }
+    with world.open() as port:
+        start(port.port)
+        for recording in (*pictures.values(), *infos.values()):
+            recording.wait(3)
+    facts = {topic: (p[-1].encoding, p[-1].header.frame_id, p[-1].width, p[-1].height) for topic, p in pictures.items()}
+    rgb, depth = "camera_rgb_optical_frame", "camera_depth_optical_frame"
+    assert facts == {
+        "rgb/image_raw": ("rgb8", rgb, 160, 120),
+        "depth/image_raw": ("16UC1", depth, 160, 120),
+        "depth/image": ("32FC1", depth, 160, 120),
+        "depth_registered/image_raw": ("16UC1", rgb, 160, 120),
+    }
+    assert [infos[name][-1].header.frame_id for name in ("rgb", "depth", "depth_registered")] == [rgb, depth, rgb]
+    np.testing.assert_array_equal(infos["depth"][-1].K, CALIBRATION["camera_matrix"]["data"])
+    stamps = [{m.header.stamp for m in recording} for recording in (*pictures.values(), infos["rgb"])]
+    assert set.intersection(*stamps)
+    raw = {m.header.stamp: np.frombuffer(m.data, "<u2") for m in pictures["depth/image_raw"]}
+    stamp, metres = next(
+        (m.header.stamp, np.frombuffer(m.data, "<f4")) for m in pictures["depth/image"] if m.header.stamp in raw
+    )
+    np.testing.assert_allclose(np.nan_to_num(metres) * 1000.0, raw[stamp], atol=1e-3)
+    assert np.mean(raw[stamp] > 0) > 0.5
+
+
+def test_without_listeners_nothing_is_rendered(world, start, ros, wait_until):
+    from sensor_msgs.msg import CameraInfo, Image
+
+    # The subscribers of the other tests stay; nobody listens in this namespace.
+    infos = ros.record("unheard/rgb/camera_info", CameraInfo)
+    status = diagnostics(ros)
+    with world.open() as port:
+        start(port.port, "unheard")
+        infos.wait(5)
+        wait_until(lambda: status() and int(status()["pictures"]) > 5, 15.0, "pictures to be counted")
+        assert not any(key.startswith("render") for key in status())
+        ros.record("unheard/rgb/image_raw", Image).wait(1)
+        wait_until(lambda: "render_rgb_ms" in status(), 15.0, "the time of rendering")
+        assert "render_depth_ms" not in status()
+
+
+def test_it_waits_for_the_world_and_goes_on_when_it_comes_back(world, start, ros, free_port, wait_until):
+    from sensor_msgs.msg import Image
+
+    status = diagnostics(ros)
+    port = free_port()
+    process = start(port)
+    wait_until(lambda: status().get("level") == 2, 15.0, "the report that there is no world")
+    assert str(port) in status()["message"]
+    pictures = ros.record("camera/rgb/image_raw", Image)
+    with world.open(port):
+        pictures.wait(2)
+        wait_until(lambda: status()["level"] == 0, 15.0, "the report that all is well")
+    wait_until(lambda: status()["level"] == 2, 15.0, "the report that the world is gone")
+    before = len(pictures)
+    assert process.poll() is None
+    with SmallWorld("objects").open(port):
+        pictures.wait(before + 2)
+
+
+def test_a_change_of_scene_is_seen(world, start, ros, wait_until):
+    from sensor_msgs.msg import Image
+
+    from rig_simulation.world.files import read_scene
+
+    pictures = ros.record("camera/rgb/image_raw", Image)
+    with world.open() as port:
+        start(port.port, colour={"noise": 0.0})
+        pictures.wait(2)
+        before = pictures[-1].data
+        world.world.set_scene(read_scene("objects"))
+        wait_until(lambda: pictures[-1].data != before, 15.0, "another picture")
+
+
+def test_faults_are_switched_at_its_control_port(world, start, ros, wait_until):
+    from sensor_msgs.msg import Image
+
+    depth = ros.record("camera/depth/image_raw", Image)
+    status = diagnostics(ros)
+    with world.open() as port:
+        start(port.port)
+        depth.wait(2)
+        start.control.ask("fault", name="depth_empty")
+        wait_until(lambda: not np.frombuffer(depth[-1].data, "<u2").any(), 15.0, "an empty depth picture")
+        wait_until(lambda: status()["level"] == 1 and status()["faults"] == "depth_empty", 15.0, "the warning")
+        start.control.ask("fault", name="depth_empty", on=False)
+        wait_until(lambda: np.frombuffer(depth[-1].data, "<u2").any(), 15.0, "depth again")
+
+
+@pytest.mark.parametrize(
+    "changes, complaint",
+    [
+        ({"rate": -1.0}, "~rate is -1.0"),
+        ({"depth": {"quantum": 1.0}}, "~depth/quantum is not a known key"),
+        ({"rgb_calibration": {"distortion_model": "fisheye"}}, "distortion_model is 'fisheye'"),
+        ({"control_port": "taken"}, "Cannot listen on 127.0.0.1"),
+    ],
+)
+def test_bad_parameters_end_it_with_a_sentence(world, start, changes, complaint, wait_until):
+    with world.open() as port:
+        if changes.get("control_port") == "taken":
+            changes = {"control_port": port.port}
+        process = start(port.port, **changes)
+        wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    output = process.log_path.read_text()
+    assert process.returncode == 1
+    assert complaint in output
+    assert "Traceback" not in output
+
+
+def test_it_ends_quietly_when_it_is_interrupted(world, start, ros, processes):
+    from sensor_msgs.msg import Image
+
+    with world.open() as port:
+        process = start(port.port)
+        ros.record("camera/depth_registered/image_raw", Image).wait(1)
+        assert processes.end(process) == 0
+    assert "Traceback" not in process.log_path.read_text()
+
+
+def diagnostics(ros):
+    """Returns a function that gives the node's last status: its level, message and values."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+    begun = time.time()
+
+    def read() -> dict:
+        for array in reversed(arrays):
+            for status in array.status:
+                if status.name == "camera" and array.header.stamp.to_sec() >= begun:
+                    return {"level": status.level, "message": status.message, **{v.key: v.value for v in status.values}}
+        return {}
+
+    return read
