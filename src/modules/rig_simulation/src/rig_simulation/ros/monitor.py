@@ -1,19 +1,21 @@
-"""Publishes the truth about the simulated arm, which no real rig knows, and offers its key "run".
+"""Publishes the truth about the simulated arm, which no real rig knows, and offers its keys.
 
 Topics: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status` (speed, stops, goals, mode).
-Service: `simulation/release`, the key "run" after a safety stop.
+Services: `simulation/release`, the key "run" after a safety stop; `simulation/back_off`, the jog keys, which move an arm
+that presses on something back on the way it came.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
 from common.config import integer, parse, text
 from common.errors import DeviceError
@@ -46,7 +48,10 @@ class Monitor:
         self._flange = rospy.Publisher("simulation/flange", PoseStamped, queue_size=10)
         self._status = rospy.Publisher("simulation/status", DiagnosticStatus, queue_size=10)
         self._next_status = 0.0
-        rospy.Service("simulation/release", Trigger, self._release)
+        rospy.Service(
+            "simulation/release", Trigger, self._key("release", "The safety stop is released; the arm goes on.")
+        )
+        rospy.Service("simulation/back_off", Trigger, self._key("back_off", "The arm backs off."))
 
     def run(self) -> None:
         """Polls until ROS shuts down; waits where the controller does not answer."""
@@ -84,12 +89,15 @@ class Monitor:
         texts = [KeyValue(name, "" if value is None else str(value)) for name, value in values.items()]
         self._status.publish(DiagnosticStatus(level=level, name="simulation", message=message, values=texts))
 
-    def _release(self, _) -> TriggerResponse:
-        try:
-            self._client.ask("release")
-        except DeviceError as error:
-            return TriggerResponse(False, str(error))
-        return TriggerResponse(True, "The safety stop is released; the arm goes on.")
+    def _key(self, request: str, done: str) -> Callable[[TriggerRequest], TriggerResponse]:
+        def press(_: TriggerRequest) -> TriggerResponse:
+            try:
+                self._client.ask(request)
+            except DeviceError as error:
+                return TriggerResponse(False, str(error))
+            return TriggerResponse(True, done)
+
+        return press
 
 
 def main() -> None:

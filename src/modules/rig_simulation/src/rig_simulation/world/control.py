@@ -66,7 +66,8 @@ class WorldRequests:
 
     def _objects(self) -> dict[str, Any]:
         listed = {name: dataclasses.asdict(state) for name, state in self._world.objects().items()}
-        return {"time": self._world.time, "objects": listed}
+        mounting = list(self._world.description.mounting)
+        return {"time": self._world.time, "mounting": mounting, "objects": listed}
 
     def _contacts(self) -> dict[str, Any]:
         return {"contacts": [dataclasses.asdict(contact) for contact in self._world.contacts()]}
