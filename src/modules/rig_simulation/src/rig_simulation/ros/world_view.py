@@ -1,0 +1,131 @@
+"""Shows the simulated world in RViz: table and objects, and the forces where bodies touch.
+
+Topics, both visualization_msgs/MarkerArray in kuka/base_frame: `simulation/objects`, `simulation/contacts` (an arrow for
+each contact, 1 cm a newton, its tip where the force acts; a label in N for each pair of bodies).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Point, Pose, Quaternion
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from common.config import integer, number, parse, text
+from common.errors import DeviceError
+from common.poses import inverse
+from common.rotations import quaternion_from_rotation
+from rig_simulation.camera.world_copy import WorldCopy
+from rig_simulation.control_port import ControlClient
+from rig_simulation.view.forces import Arrow, PairForce, arrows, pair_forces
+from rig_simulation.view.shapes import BALL, BOX, CYLINDER, Shape, base_pose, shapes
+
+NAME = "world_view"
+FRAME = "kuka/base_frame"
+DEFAULTS = {"host": "127.0.0.1", "port": 30021, "rate": 10.0}
+TIMEOUT_S = 1.0
+RETRY_PERIOD_S = 0.5
+REMIND_S = 10.0
+LIFETIME_S = 1.0
+"""Markers of a world that is gone vanish after this time."""
+
+KINDS = {BOX: Marker.CUBE, BALL: Marker.SPHERE, CYLINDER: Marker.CYLINDER}
+SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_ABOVE_M = 0.005, 0.011, 0.015, 0.025, 0.03
+OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)
+
+
+@dataclasses.dataclass(frozen=True)
+class WorldViewConfig:
+    """Private parameters of the node."""
+
+    host: str = text(doc="address of the simulated world")
+    port: int = integer(low=1, high=65535, doc="its control port")
+    rate: float = number("Hz", above=0.0, high=60.0, doc="how often the markers are published")
+
+
+class WorldView:
+    """Follows the world and publishes what is in it."""
+
+    def __init__(self, config: WorldViewConfig) -> None:
+        self._period = 1.0 / config.rate
+        self._client = ControlClient(config.host, config.port, TIMEOUT_S)
+        self._world = WorldCopy(self._client)
+        self._objects = rospy.Publisher("simulation/objects", MarkerArray, queue_size=1)
+        self._contacts = rospy.Publisher("simulation/contacts", MarkerArray, queue_size=1)
+
+    def run(self) -> None:
+        """Publishes until ROS shuts down; waits where the world does not answer."""
+        due = time.monotonic()
+        while not rospy.is_shutdown():
+            due = max(due + self._period, time.monotonic())
+            if self._objects.get_num_connections() or self._contacts.get_num_connections():
+                try:
+                    self._world.follow()
+                    contacts = self._client.ask("contacts")["contacts"]
+                except DeviceError as error:
+                    rospy.logwarn_throttle(REMIND_S, "%s", error)
+                    due = time.monotonic() + RETRY_PERIOD_S
+                else:
+                    self._publish(contacts)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _publish(self, contacts: list[dict]) -> None:
+        found = shapes(self._world.model, self._world.data)
+        T_base_world = inverse(base_pose(self._world.data))
+        self._objects.publish(_array([shape_marker(shape) for shape in found]))
+        marks = [arrow_marker(arrow, T_base_world) for arrow in arrows(contacts)]
+        marks += [label_marker(pair, T_base_world) for pair in pair_forces(contacts)]
+        self._contacts.publish(_array(marks))
+
+
+def shape_marker(shape: Shape) -> Marker:
+    """Returns the marker of a shape."""
+    marker = Marker(type=KINDS[shape.kind], ns=shape.body, color=ColorRGBA(*shape.colour))
+    R, p = shape.T_base_shape[:3, :3], shape.T_base_shape[:3, 3]
+    marker.pose = Pose(Point(*p.tolist()), Quaternion(*quaternion_from_rotation(R)))
+    marker.scale.x, marker.scale.y, marker.scale.z = shape.size.tolist()
+    return marker
+
+
+def arrow_marker(arrow: Arrow, T_base_world: np.ndarray) -> Marker:
+    """Returns the marker of a force."""
+    marker = Marker(type=Marker.ARROW, ns="force", color=OF_ROBOT if arrow.by_robot else OF_OTHERS)
+    marker.pose.orientation.w = 1.0
+    marker.scale.x, marker.scale.y, marker.scale.z = SHAFT_M, HEAD_M, HEAD_LENGTH_M
+    marker.points = [_point(arrow.tail, T_base_world), _point(arrow.tip, T_base_world)]
+    return marker
+
+
+def label_marker(pair: PairForce, T_base_world: np.ndarray) -> Marker:
+    """Returns the label of the force between two bodies."""
+    marker = Marker(type=Marker.TEXT_VIEW_FACING, ns="label", color=OF_ROBOT if pair.by_robot else OF_OTHERS)
+    marker.pose.orientation.w = 1.0
+    marker.pose.position = _point(pair.place + np.array([0.0, 0.0, LABEL_ABOVE_M]), T_base_world)
+    marker.scale.z = LETTER_M
+    marker.text = f"{pair.newtons:.1f} N"
+    return marker
+
+
+def _point(position: np.ndarray, T_base_world: np.ndarray) -> Point:
+    return Point(*(T_base_world[:3, :3] @ position + T_base_world[:3, 3]).tolist())
+
+
+def _array(markers: list[Marker]) -> MarkerArray:
+    """Returns the markers with frame, ids and lifetime, after one that removes those of before."""
+    now = rospy.Time.now()
+    for i, marker in enumerate(markers):
+        marker.header.frame_id, marker.header.stamp = FRAME, now
+        marker.id = i
+        marker.lifetime = rospy.Duration.from_sec(LIFETIME_S)
+    clear = Marker(action=Marker.DELETEALL)
+    clear.header.frame_id, clear.header.stamp = FRAME, now
+    return MarkerArray([clear, *markers])
+
+
+def main() -> None:
+    """Runs the node with its private parameters."""
+    WorldView(parse(WorldViewConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")).run()

@@ -1,0 +1,69 @@
+"""Table and objects of the world as plain shapes, for programs that do not know MuJoCo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from common.poses import inverse, pose, read_only
+
+BOX, BALL, CYLINDER = "box", "ball", "cylinder"
+_KINDS = {
+    mujoco.mjtGeom.mjGEOM_BOX: BOX,
+    mujoco.mjtGeom.mjGEOM_SPHERE: BALL,
+    mujoco.mjtGeom.mjGEOM_CYLINDER: CYLINDER,
+}
+BASE_BODY = "kuka/base_frame"
+SMALLEST_M = 0.004
+"""Radius below which a ball is no part of the look: the feet of objects."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A part of a body.
+
+    Attributes:
+        body: such as table or object/cup.
+        kind: BOX, BALL or CYLINDER; a cylinder's axis is its z.
+        size: extents along its own axes, shape (3,) [m].
+        T_base_shape: pose in kuka/base_frame, shape (4, 4).
+        colour: red, green, blue, alpha, 0..1.
+    """
+
+    body: str
+    kind: str
+    size: np.ndarray
+    T_base_shape: np.ndarray
+    colour: tuple[float, ...]
+
+
+def base_pose(data: mujoco.MjData) -> np.ndarray:
+    """Returns the pose of kuka/base_frame in the world, shape (4, 4)."""
+    body = data.body(BASE_BODY)
+    return pose(body.xmat.reshape(3, 3), body.xpos)
+
+
+def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
+    """Returns the shapes of the table and of all objects.
+
+    Args:
+        model: the world's.
+        data: with kinematics computed.
+    """
+    T_base_world = inverse(base_pose(data))
+    found = []
+    for geom in range(model.ngeom):
+        body = model.body(model.geom_bodyid[geom]).name
+        kind = _KINDS.get(model.geom_type[geom])
+        if kind is None or not (body == "table" or body.startswith("object/")):
+            continue
+        half = model.geom_size[geom]
+        if kind == BALL and half[0] < SMALLEST_M:
+            continue
+        extents = {BOX: half, BALL: half[[0, 0, 0]], CYLINDER: half[[0, 0, 1]]}[kind]
+        T_world_shape = pose(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+        colour = tuple(model.geom_rgba[geom].tolist())
+        found.append(Shape(body, kind, read_only(2.0 * extents), read_only(T_base_world @ T_world_shape), colour))
+    return found

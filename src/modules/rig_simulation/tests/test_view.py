@@ -1,0 +1,213 @@
+"""What people see of the simulated world: forces, shapes, films, and the programs that show it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.poses import inverse
+from rig_simulation.control_port import ControlClient
+from rig_simulation.view.films import ContactSheet, FilmError, Mp4, film_for, with_lines
+from rig_simulation.view.forces import LONGEST_M, METRES_PER_NEWTON, arrows, pair_forces
+from rig_simulation.view.scene_forces import add_arrows
+from rig_simulation.view.shapes import base_pose, shapes
+from rig_simulation.world.files import read_scene
+from rig_simulation.world.model import WorldDescription, build_model
+
+TABLE = read_scene("objects")["table"]
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+
+
+def contact(first, second, force=2.0, position=(0.1, 0.2, 0.3), normal=(0.0, 0.0, -1.0)):
+    return {"bodies": [first, second], "force": force, "position": list(position), "normal": list(normal), "depth": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "normal"),
+    [("object/cup", "table", (0.0, 0.0, -1.0)), ("table", "object/cup", (0.0, 0.0, 1.0))],
+)
+def test_the_table_pushes_the_cup_up_in_whatever_order_they_are_named(first, second, normal):
+    (arrow,) = arrows([contact(first, second, normal=normal)])
+    np.testing.assert_allclose(arrow.tip, [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(arrow.tail, [0.1, 0.2, 0.3 - 2.0 * METRES_PER_NEWTON])
+    (pair,) = pair_forces([contact(first, second, normal=normal)])
+    assert pair.bodies == ("object/cup", "table")
+    assert not arrow.by_robot and not pair.by_robot
+
+
+def test_arrows_have_a_longest_length_and_tiny_forces_none():
+    (arrow,) = arrows([contact("object/cup", "reflex/distal_1", force=500.0), contact("object/cup", "table", 0.001)])
+    assert np.linalg.norm(arrow.tip - arrow.tail) == pytest.approx(LONGEST_M)
+    assert arrow.by_robot
+
+
+@given(st.lists(st.tuples(st.sampled_from(["table", "reflex/distal_1", "object/ball"]), st.floats(0.1, 50.0))))
+def test_pairs_bear_what_their_contacts_bear(listed):
+    contacts = [contact("object/cup", name, force, (force, 0.0, 0.0)) for name, force in listed]
+    pairs = pair_forces(contacts)
+    assert len(pairs) == len({name for name, _ in listed})
+    assert sum(pair.newtons for pair in pairs) == pytest.approx(sum(force for _, force in listed))
+    for pair in pairs:
+        forces = [force for name, force in listed if name in pair.bodies]
+        assert min(forces) - 1e-9 <= pair.place[0] <= max(forces) + 1e-9
+
+
+@pytest.fixture(scope="module", params=[(0.0, 0.0, 0.0), (0.0, 90.0, 0.0)], ids=["floor", "wall"])
+def world(request):
+    """Model and state of a world with one object of each kind, on the floor and on a wall."""
+    model = build_model(WorldDescription("LBR7R800", "MF_elektrisch", request.param, read_scene("objects")), False)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
+def test_shapes_are_where_the_physics_has_them(world):
+    model, data = world
+    found = shapes(model, data)
+    assert {shape.body for shape in found} == {
+        "table", "object/cup", "object/box", "object/ball", "object/cylinder", "object/bottle",
+    }  # fmt: skip
+    (table,) = [shape for shape in found if shape.body == "table"]
+    np.testing.assert_allclose(table.size, [*TABLE["size"], 0.03])
+    T_world_base = base_pose(data)
+    T_world_table = T_world_base @ table.T_base_shape
+    np.testing.assert_allclose(T_world_table[:3, 3], [*TABLE["centre"], TABLE["top"] - 0.015], atol=1e-9)
+    np.testing.assert_allclose(T_world_table[2, :3], [0.0, 0.0, 1.0], atol=1e-9)
+    (ball,) = [shape for shape in found if shape.body == "object/ball"]
+    np.testing.assert_allclose(ball.size, 3 * [0.068])
+    np.testing.assert_allclose(
+        (inverse(T_world_base) @ [*data.body("object/ball").xpos, 1.0])[:3], ball.T_base_shape[:3, 3]
+    )
+    (neck, body) = sorted((shape for shape in found if shape.body == "object/bottle"), key=lambda s: s.size[0])
+    np.testing.assert_allclose(neck.size, [0.028, 0.028, 0.06])
+    np.testing.assert_allclose(body.size, [0.066, 0.066, 0.14])
+
+
+def test_arrows_fill_a_scene_but_never_more(world):
+    model, _ = world
+    scene = mujoco.MjvScene(model, maxgeom=3)
+    add_arrows(scene, arrows([contact("object/cup", "table")] * 5))
+    assert scene.ngeom == 3
+    tip = scene.geoms[0].pos + scene.geoms[0].mat[:, 2] * scene.geoms[0].size[2]
+    np.testing.assert_allclose(tip, [0.1, 0.2, 0.3], atol=1e-6)
+
+
+def picture(grey):
+    return np.full((60, 80, 3), grey, np.uint8)
+
+
+def frames_of(path):
+    video = cv2.VideoCapture(str(path))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1].mean())
+    return frames
+
+
+def test_a_film_runs_in_the_time_of_its_pictures(tmp_path):
+    film = Mp4(tmp_path / "a.mp4", 10.0)
+    for time, grey in ((5.0, 0), (5.1, 100), (5.11, 255), (5.5, 200)):
+        film.add(picture(grey), time)
+    film.close()
+    np.testing.assert_allclose(frames_of(tmp_path / "a.mp4"), [0, 100, 100, 100, 100, 200], atol=12)
+
+
+@pytest.mark.parametrize("count", [1, 5, 12, 24, 1000])
+def test_a_contact_sheet_covers_the_whole_time_however_long_it_was(tmp_path, count):
+    sheet = ContactSheet(tmp_path / "a.png")
+    for i in range(count):
+        sheet.add(picture(round(255 * (i + 1) / count)), 0.1 * i)
+    sheet.close()
+    shown = cv2.imread(str(tmp_path / "a.png"))
+    rows = min(-(-count // 4), 3)
+    assert shown.shape == (30 * rows, 160, 3)
+    cells = [shown[30 * r + 15, 40 * c + 20, 0] for r in range(rows) for c in range(4)][: min(count, 12)]
+    assert list(cells) == sorted(cells)
+    assert cells[-1] > 215 or count == 1
+    assert cells[0] < 60 or count < 5
+
+
+def test_text_is_written_into_a_copy():
+    before = picture(0)
+    assert with_lines(before, ["1.0 s"]).max() > 200
+    assert before.max() == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"), [("a.gif", "must end with .mp4"), ("none/a.mp4", "There is no folder"), ("a", "must end")]
+)
+def test_files_that_cannot_be_are_refused(tmp_path, name, sentence):
+    with pytest.raises(FilmError, match=sentence):
+        film_for(tmp_path / name, 20.0)
+
+
+@pytest.fixture
+def world_port(processes, wait_until):
+    """Control port of a running world."""
+    ports = ("--port", "0", "--control-port", "0", "--hand-port", "0", "--hand-control-port", "0", "--world-port", "0")
+    process = processes.start(sys.executable, str(SCRIPTS / "world.py"), *ports)
+    wait_until(lambda: "world: scene" in process.log_path.read_text(), 60.0, "the world")
+    return int(process.log_path.read_text().strip().rsplit(":", 1)[1]), process
+
+
+def test_the_recorder_films_a_running_world_and_its_end(processes, world_port, tmp_path, wait_until):
+    port, world = world_port
+    film, sheet = tmp_path / "a.mp4", tmp_path / "a.png"
+    recorder = processes.start(
+        sys.executable, str(SCRIPTS / "record.py"), str(film), str(sheet), "--port", str(port), "--size", "320", "240",
+        "__name:=recorder",
+    )  # fmt: skip
+    wait_until(lambda: film.exists() and film.stat().st_size > 0, 60.0, "the film to begin")
+    with ControlClient("127.0.0.1", port, 10.0) as control:
+        start = control.ask("state")["time"]
+        wait_until(lambda: control.ask("state")["time"] > start + 1.0, 60.0, "a second of the world")
+        control.ask("set_scene", scene="empty")
+        wait_until(lambda: control.ask("state")["time"] > start + 2.0, 60.0, "another second")
+    processes.end(world)
+    assert recorder.wait(60.0) == 0
+    assert "pictures in" in recorder.log_path.read_text()
+    brightness = frames_of(film)
+    assert len(brightness) > 10
+    assert min(brightness) > 20.0, "no picture is empty"
+    assert cv2.imread(str(sheet)).mean() > 10.0
+
+
+def test_the_recorder_ends_when_it_is_interrupted(processes, world_port, tmp_path, wait_until):
+    port, _ = world_port
+    film = tmp_path / "a.mp4"
+    recorder = processes.start(sys.executable, str(SCRIPTS / "record.py"), str(film), "--port", str(port))
+    wait_until(lambda: film.exists() and film.stat().st_size > 0, 60.0, "the film to begin")
+    assert processes.end(recorder, 30.0) == 0
+    assert len(frames_of(film)) >= 1
+
+
+@pytest.mark.parametrize("program", ["record.py", "viewer.py"])
+def test_without_a_world_they_say_so(program, tmp_path, free_port):
+    arguments = [str(tmp_path / "a.mp4")] if program == "record.py" else []
+    done = subprocess.run(
+        [sys.executable, str(SCRIPTS / program), *arguments, "--port", str(free_port()), "--wait", "0.1"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, "DISPLAY": ":99", "PYTHONPATH": ":".join(sys.path)},
+    )
+    assert done.returncode == 1
+    assert "does not answer" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_without_a_screen_the_viewer_says_so(monkeypatch, capsys):
+    from rig_simulation.view.viewer import main
+
+    monkeypatch.delenv("DISPLAY", raising=False)
+    assert main([]) == 1
+    assert "no screen" in capsys.readouterr().err
