@@ -43,7 +43,7 @@ SHELL_FRICTION = 0.5
 # Rubber grips well, gives a little, and its patch of contact resists twisting. What it touches has no say in that.
 RUBBER_FRICTION = 1.1
 _RUBBER = {"condim": "4", "priority": "1", "solref": "0.005 1", "solimp": "0.95 0.99 0.001"}
-HOLDING = {"cone": "elliptic", "impratio": "100", "noslip_iterations": "2"}
+HOLDING = {"cone": "elliptic", "impratio": "100", "noslip_iterations": "4"}
 """With the physics' defaults a held thing creeps out of the hand, about a millimetre in a second."""
 
 _PAD_RADIUS = 0.008
