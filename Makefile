@@ -13,6 +13,7 @@ HEADLESS ?= 0
 DURATION ?=
 RECORDING ?=
 OFFSET ?=
+RECORD ?=
 REPORT ?=
 ARGS ?=
 
@@ -20,7 +21,7 @@ ARGS ?=
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
-	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, ARGS="name:=value ..." for the launch file.\n'
+	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  ARGS="name:=value ..." for the launch file.\n'
 
 setup: $(READY) ## installs what is missing and builds the workspace
 	@echo "The workspace is set up; in any terminal: source $(CURDIR)/devel/setup.bash"
@@ -31,7 +32,8 @@ $(READY): $(MANIFESTS)
 
 demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated arm and hand
 	@$(IN_WORKSPACE) rosrun leap_rig demo.py $(if $(filter 1 true yes,$(HEADLESS)),--headless) $(if $(DURATION),--duration $(DURATION)) \
-	  $(if $(RECORDING),--recording "$(RECORDING)") $(if $(OFFSET),--offset $(OFFSET)) $(if $(REPORT),--report "$(REPORT)") -- $(ARGS)
+	  $(if $(RECORDING),--recording "$(RECORDING)") $(if $(OFFSET),--offset $(OFFSET)) $(if $(REPORT),--report "$(REPORT)") \
+	  $(if $(RECORD),--record "$(RECORD)") -- $(ARGS)
 
 test: $(READY) ## all tests
 	@$(IN_WORKSPACE) python -m pytest -n 4 --dist loadfile -m "not rig" && python -m pytest -m rig

@@ -40,6 +40,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--duration", type=float, metavar="S", help="end by itself so long after the arm is at home")
     parser.add_argument("--recording", type=Path, metavar="FILE", help="play this recording of Leap frames")
     parser.add_argument("--offset", type=float, nargs=3, metavar=("X", "Y", "Z"), help="shift the recording, mm")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="film the simulated world: .mp4, or .png for a sheet")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the summary there as JSON")
     parser.add_argument("launch", nargs="*", metavar="NAME:=VALUE", help="arguments of demo.launch")
     arguments = parser.parse_args(argv)
@@ -60,6 +61,8 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
         launch.append(f"recording:={arguments.recording.resolve()}")
     if arguments.offset is not None:
         launch.append("offset:={} {} {}".format(*arguments.offset))
+    if arguments.record is not None:
+        launch.append(f"record:={arguments.record.resolve()}")
     return launch + arguments.launch
 
 
@@ -68,7 +71,7 @@ class Deaths(ProcessListener):
 
     def __init__(self) -> None:
         self.sentences: list[str] = []
-        self.expected: set[str] = set()
+        self.expected = {"viewer"}
         self.ended: set[str] = set()
 
     def take_early(self, monitor) -> None:
