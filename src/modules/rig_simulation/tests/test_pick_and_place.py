@@ -35,7 +35,7 @@ class FakeRig:
     def advance(self):
         goal = HOME + self._scale * (np.column_stack([RIGHT, [0.0, 0.0, 1.0], BACK]) @ self.palm)
         step = (goal - self.tool) * min(1.0, PERIOD_S / self._lag)
-        near = np.linalg.norm(self.tool - self.top) < 0.03
+        near = np.linalg.norm(self.tool - self.top) < PLAN.grasp_height + 0.01
         self.tool = self.tool + step
         if near and self.curl > 0.5:
             self.top = self.top + step
@@ -46,7 +46,7 @@ def work(rig, seconds=120.0, following=lambda now: True):
     person, steps = PickAndPlace(PLAN, CENTER_LINE), []
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S
-        result = person.step(View(rig.tool, rig.top, following(now)), now)
+        result = person.step(View(rig.tool, rig.top, rig.top[2] - TOP[2], following(now)), now)
         if not steps or steps[-1] != result.step:
             steps.append(result.step)
         if result.move is not None:
@@ -76,7 +76,7 @@ def test_the_fingers_close_only_over_the_object():
     person = PickAndPlace(PLAN, CENTER_LINE)
     now = 0.0
     while rig.curl == 0.0:
-        result = person.step(View(rig.tool, rig.top), now)
+        result = person.step(View(rig.tool, rig.top, 0.0), now)
         if result.move is not None:
             rig.make(result.move)
         rig.advance()

@@ -1,7 +1,8 @@
 """The person of the demonstration: waits for the arm, switches the controls on, puts a hand over the Leap.
 
 Nobody stands beside a simulated rig, so this node does what a person does by hand: it waits until the controller runs
-and the arm stands at home, switches gripper and arm control on, and tells the simulated Leap service to play.
+and the arm stands at home, switches gripper and arm control on, and tells the simulated Leap service to play. With a
+scenario it then steers the hand by what it sees.
 """
 
 from __future__ import annotations
@@ -13,18 +14,19 @@ from collections.abc import Callable
 import numpy as np
 import rospy
 
-from common.config import flag, integer, number, parse
+from common.config import choice, flag, integer, number, parse
 from common.errors import DeviceError, RigError
 from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_simulation.control_port import ControlClient
+from rig_simulation.ros.scenario import SCENARIOS, Scenario
 
 NAME = "operator"
 HOST = "127.0.0.1"
 POLL_S = 0.1
 REMIND_S = 10.0
 AT_HOME = np.radians(1.0)
-DEFAULTS = {"auto_start": True, "leapd_port": 16437, "time_out": 300.0}
+DEFAULTS = {"auto_start": True, "leapd_port": 16437, "world_port": 30021, "scenario": "", "time_out": 300.0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +35,8 @@ class OperatorConfig:
 
     auto_start: bool = flag(doc="switch gripper and arm control on; false: only start the hand")
     leapd_port: int = integer(low=1, high=65535, doc="control port of the simulated Leap service")
+    world_port: int = integer(low=1, high=65535, doc="control port of the simulated world, for scenarios")
+    scenario: str = choice("", *SCENARIOS, doc="what the hand does; empty: what the simulated Leap service plays")
     time_out: float = number("s", above=0.0, doc="longest time to wait for each thing")
 
 
@@ -60,6 +64,8 @@ class Operator:
             self._switch("kuka/kuka_control", setKukaControl)
         self._wait(self._leapd_plays, "the simulated Leap service plays")
         rospy.loginfo("A hand comes in over the Leap.")
+        if self._config.scenario:
+            Scenario(self._config.scenario, self._leapd, ControlClient(HOST, self._config.world_port)).run()
         rospy.spin()
 
     def _take_joints(self, message: jointPositions) -> None:

@@ -18,8 +18,8 @@ class Plan:
     """How the person works.
 
     Attributes:
-        clearance: of the tool point above the object before it is grasped [m].
-        grasp_height: of the tool point above the object's top while it is grasped [m].
+        clearance: of the grip above the object before it is grasped [m].
+        grasp_height: of the grip above the object's top while it is grasped [m].
         lift: how high it is lifted [m].
         speed: of the palm [m/s].
         tolerance: distance of the tool from where it should be that is good enough [m].
@@ -29,9 +29,9 @@ class Plan:
         patience: longest time for one step [s].
     """
 
-    clearance: float = 0.06
-    grasp_height: float = 0.018
-    lift: float = 0.2
+    clearance: float = 0.12
+    grasp_height: float = 0.07
+    lift: float = 0.215
     speed: float = 0.1
     tolerance: float = 0.004
     at_rest: float = 0.005
@@ -46,13 +46,15 @@ class View:
     """What the person sees.
 
     Attributes:
-        tool: position of the tool point, shape (3,) [m].
+        grip: point of the tool that grips, shape (3,) [m].
         top: centre of the object's upper side, shape (3,) [m].
+        clearance: height of the object's lowest point above the table [m].
         following: whether the arm follows the hand.
     """
 
-    tool: np.ndarray
+    grip: np.ndarray
     top: np.ndarray
+    clearance: float
     following: bool = True
 
 
@@ -105,12 +107,11 @@ class PickAndPlace:
         self._since: float | None = None
         self._busy_until = 0.0
         self._target: np.ndarray | None = None
-        self._grasped_at: np.ndarray | None = None
         self._before: tuple[float, np.ndarray] | None = None
 
     def step(self, view: View, now: float) -> Result:
         """Looks, and says what to do now."""
-        at_rest = self._at_rest(view.tool, now)
+        at_rest = self._at_rest(view.grip, now)
         if STEPS[self._step] == "done":
             return Result("done")
         if self._since is None:
@@ -125,7 +126,7 @@ class PickAndPlace:
         """The last movement is over and the tool stands: corrects it, or goes on to the next step."""
         name = STEPS[self._step]
         if self._target is not None:
-            error = self._target - view.tool
+            error = self._target - view.grip
             if np.linalg.norm(error) > self._plan.tolerance:
                 return Result(name, self._shift(error, now))
         self._step += 1
@@ -139,22 +140,21 @@ class PickAndPlace:
         elif name == "down":
             self._target = view.top + plan.grasp_height * UP
         elif name == "close":
-            self._grasped_at = view.tool
             return Result(name, self._bend(1.0, plan.closing, now))
         elif name == "lift":
-            self._target = self._grasped_at + plan.lift * UP
+            self._target = view.grip + plan.lift * UP
         elif name == "hold":
             self._busy_until = now + plan.hold
             return Result(name)
         elif name == "lower":
-            self._target = self._grasped_at
+            self._target = view.grip - view.clearance * UP
         elif name == "open":
             return Result(name, self._bend(0.0, plan.opening, now))
         elif name == "away":
-            self._target = view.tool + plan.clearance * UP
+            self._target = view.grip + plan.clearance * UP
         else:
             return Result(name)
-        return Result(name, self._shift(self._target - view.tool, now))
+        return Result(name, self._shift(self._target - view.grip, now))
 
     def _shift(self, way: np.ndarray, now: float) -> Move:
         """Returns the palm's move that shifts the tool by `way`, shape (3,) [m], in the base."""
@@ -172,17 +172,17 @@ class PickAndPlace:
         self._busy_until = now + move.seconds + 0.3
         return move
 
-    def _at_rest(self, tool: np.ndarray, now: float) -> bool:
-        before, self._before = self._before, (now, tool)
+    def _at_rest(self, grip: np.ndarray, now: float) -> bool:
+        before, self._before = self._before, (now, grip)
         if before is None or now <= before[0]:
             return False
-        return float(np.linalg.norm(tool - before[1])) / (now - before[0]) < self._plan.at_rest
+        return float(np.linalg.norm(grip - before[1])) / (now - before[0]) < self._plan.at_rest
 
     def _complaint(self, view: View) -> str:
         name = STEPS[self._step]
         if not view.following:
             return f"the arm did not follow within {self._plan.patience:g} s (step {name!r})"
         if self._target is not None:
-            off = 1e3 * np.linalg.norm(self._target - view.tool)
+            off = 1e3 * np.linalg.norm(self._target - view.grip)
             return f"the tool stayed {off:.0f} mm away from where step {name!r} wants it"
         return f"step {name!r} did not end within {self._plan.patience:g} s"
