@@ -1,0 +1,141 @@
+"""Hand-eye calibration by its laws: exact views give the truth, noise the predicted spread, wrong views do no harm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.poses import inverse, pose
+from common.rotations import rotation_about
+from vision.hand_eye import Degenerate, View, camera_pose, information, leave_one_out, point_sd, solve
+
+SD = np.array([4e-4, 4e-4, 2e-3, 3e-3, 3e-3, 1e-3])
+"""Standard deviations of a seen panel: worst along the line of sight, and about the axes across it [m, rad]."""
+
+
+def random_pose(rng, reach):
+    return pose(pin.exp3(rng.uniform(-np.pi, np.pi) * _direction(rng)), rng.uniform(-reach, reach, 3))
+
+
+def _direction(rng):
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def change(T, x):
+    return pose(pin.exp3(x[3:]) @ T[:3, :3], T[:3, 3] + x[:3])
+
+
+def difference(T, truth):
+    return np.concatenate((T[:3, 3] - truth[:3, 3], pin.log3(T[:3, :3] @ truth[:3, :3].T)))
+
+
+def scene(seed, count=12, noise=None, turn=0.6):
+    """A true T_flange_panel and T_base_camera, and views with noise whose standard deviations are `noise`."""
+    rng = np.random.default_rng(seed)
+    X, Z = random_pose(rng, 0.1), random_pose(rng, 1.0)
+    middle = random_pose(rng, 0.1)
+    views = []
+    for _ in range(count):
+        T_camera_panel = pose(
+            pin.exp3(rng.uniform(-turn, turn, 3)), rng.uniform((-0.15, -0.15, 0.85), (0.15, 0.15, 1.15))
+        )
+        T_camera_panel = T_camera_panel @ middle
+        B = Z @ T_camera_panel @ inverse(X)
+        if noise is not None:
+            T_camera_panel = change(T_camera_panel, rng.normal(0.0, noise))
+        views.append(View(B, T_camera_panel, np.diag((SD if noise is None else noise) ** 2)))
+    return X, Z, views
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.integers(3, 16))
+def test_exact_views_give_the_truth(seed, count):
+    X, Z, views = scene(seed, count)
+    result = solve(views)
+    np.testing.assert_allclose(result.T_base_camera, Z, atol=1e-9)
+    np.testing.assert_allclose(result.T_flange_panel, X, atol=1e-9)
+    assert result.fits.all()
+    np.testing.assert_allclose(result.errors, 0.0, atol=1e-9)
+
+
+def test_noise_gives_the_spread_that_the_covariance_says():
+    squares, ratios = [], []
+    for seed in range(60):
+        X, Z, views = scene(seed, 14, SD)
+        result = solve(views)
+        d = np.concatenate((difference(result.T_flange_panel, X), difference(result.T_base_camera, Z)))
+        squares.append(d @ np.linalg.inv(result.covariance / max(1.0, result.chi2_ratio)) @ d)
+        ratios.append(result.chi2_ratio)
+    assert 10.3 < np.mean(squares) < 13.7  # chi squared of 12: mean 12, of 60 draws +-0.63
+    assert 0.93 < np.mean(ratios) < 1.07
+
+
+def test_more_views_make_it_surer_and_points_near_the_panel_are_surest():
+    few, many = (solve(scene(4, count, SD)[2]) for count in (6, 24))
+    assert np.sqrt(many.covariance[6, 6]) < 0.8 * np.sqrt(few.covariance[6, 6])
+    X, Z, views = scene(4, 24, SD)
+    near = (views[0].T_base_flange @ X)[:3, 3]
+    assert point_sd(many, near) < 0.7 * point_sd(many, Z[:3, 3])
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 4))
+def test_wrong_views_are_left_out(seed, wrong):
+    X, Z, views = scene(seed, 12, SD)
+    rng = np.random.default_rng(seed + 1)
+    for i in range(wrong):  # a flipped panel, or one that was moved
+        spoilt = views[i].T_camera_panel @ (
+            pose(rotation_about(i % 2, 0.7)) if i % 2 else pose(p=_direction(rng) * 0.1)
+        )
+        views[i] = View(views[i].T_base_flange, spoilt, views[i].covariance)
+    result = solve(views)
+    assert not result.fits[:wrong].any()
+    assert result.fits[wrong:].sum() >= 11 - wrong
+    without = solve(views[wrong:])
+    if without.fits.all() and result.fits[wrong:].all():
+        np.testing.assert_allclose(result.T_base_camera, without.T_base_camera, atol=1e-8)
+
+
+def test_turns_about_one_axis_are_refused():
+    X, Z, _ = scene(1)
+    rng = np.random.default_rng(3)
+    B = [pose(rotation_about(2, a), rng.uniform(-0.3, 0.3, 3)) for a in np.linspace(-1.2, 1.2, 12)]
+    views = [View(b, inverse(Z) @ b @ X, np.diag(SD**2)) for b in B]
+    with pytest.raises(Degenerate, match="about nearly one axis only"):
+        solve(views)
+    with pytest.raises(Degenerate, match="needs 3 views"):
+        solve(views[:2])
+
+
+def test_a_view_on_which_all_hangs_cannot_be_checked_by_the_others():
+    X, Z, _ = scene(1)
+    B = [pose(rotation_about(2, a), (a, 0, 0.1)) for a in np.linspace(-1.2, 1.2, 10)]
+    B.append(pose(rotation_about(0, 0.5), (0, 0, 0.3)))
+    views = [View(b, inverse(Z) @ b @ X, np.diag(SD**2)) for b in B]
+    result = solve(views)
+    np.testing.assert_allclose(result.T_base_camera, Z, atol=1e-8)
+    np.testing.assert_array_equal(np.isnan(leave_one_out(views, result)[:, 0]), [False] * 10 + [True])
+
+
+def test_leave_one_out_finds_what_a_single_view_hides():
+    X, Z, views = scene(8, 12, SD)
+    result = solve(views)
+    predicted = leave_one_out(views, result)
+    assert np.all(predicted[:, 0] > 0.9 * np.linalg.norm(result.errors[:, :3], axis=1).min())
+    assert np.nanmean(predicted[:, 0]) > np.mean(np.linalg.norm(result.errors[:, :3], axis=1))
+
+
+def test_the_inverse_covariance_is_the_sum_of_the_information():
+    X, Z, views = scene(8, 12)
+    result = solve(views)
+    total = sum(information(v.T_base_flange, X, Z, v.covariance) for v in views)
+    np.testing.assert_allclose(np.linalg.inv(result.covariance), total, rtol=1e-3, atol=1e-3 * np.abs(total).max())
+
+
+def test_one_view_and_a_known_panel():
+    X, Z, views = scene(2)
+    np.testing.assert_allclose(camera_pose(views[0], X), Z, atol=1e-12)
