@@ -1,8 +1,8 @@
 """Publishes the truth about the simulated arm, which no real rig knows, and offers its keys.
 
 Topics: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status` (speed, stops, goals, mode).
-Services: `simulation/release`, the key "run" after a safety stop; `simulation/back_off`, the jog keys, which move an arm
-that presses on something back on the way it came.
+Services: `simulation/release`, the key "run" after a safety stop; `simulation/back_off`, the jog keys, which move an
+arm that presses on something back on the way it came.
 """
 
 from __future__ import annotations
