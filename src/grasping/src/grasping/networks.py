@@ -1,0 +1,156 @@
+"""GG-CNN and GG-CNN2: from a depth picture to one grasp a pixel.
+
+Both are the networks of Morrison, Corke and Leitner (RSS 2018; GG-CNN2 is the later, wider-sighted kind), with the
+layer names of the published files, so that those load. The arithmetic is arranged for a processor: the four heads are
+one convolution, and GG-CNN's last transposed convolution, which takes three quarters of the time in its plain form, is
+an ordinary convolution at a third of the size followed by a pixel shuffle. The outputs are the same to rounding.
+
+Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality
+(about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `WIDTH_SCALE_PX`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+MAPS = ("quality", "cos", "sin", "width")
+HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
+WIDTH_SCALE_PX = 150.0
+"""The opening, in pixels of the network's picture, that the width map calls 1."""
+
+
+class Borders(NamedTuple):
+    """How GG-CNN treats the border of the picture; the weights belong to one of the two kinds.
+
+    Attributes:
+        conv: rows and columns of zeros before and after the input of the three convolutions.
+        crop: first row and column kept of the three transposed convolutions' full outputs.
+        rest: rows and columns kept beyond (stride x input size).
+        head: zeros before and after the input of the heads.
+    """
+
+    conv: tuple[tuple[int, int], ...]
+    crop: tuple[int, int, int]
+    rest: tuple[int, int, int]
+    head: tuple[int, int]
+
+
+TORCH = Borders(conv=((3, 3), (2, 2), (1, 1)), crop=(1, 2, 3), rest=(0, 0, 1), head=(0, 0))
+"""The published torch network: symmetric padding."""
+KERAS = Borders(conv=((3, 3), (1, 2), (0, 1)), crop=(0, 1, 3), rest=(0, 0, 0), head=(0, 1))
+"""The published Keras network: "same" padding of a 300 x 300 picture, which is not symmetric."""
+
+
+class GGCNN(nn.Module):
+    """GG-CNN: 62,420 parameters; a pixel sees about 50 pixels around it. Sides must be multiples of 12."""
+
+    side_multiple = 12
+
+    def __init__(self, borders: Borders = TORCH) -> None:
+        super().__init__()
+        self.borders = borders
+        self.conv1 = nn.Conv2d(1, 32, 9, stride=3)
+        self.conv2 = nn.Conv2d(32, 16, 5, stride=2)
+        self.conv3 = nn.Conv2d(16, 8, 3, stride=2)
+        self.convt1 = nn.ConvTranspose2d(8, 8, 3, stride=2)
+        self.convt2 = nn.ConvTranspose2d(8, 16, 5, stride=2)
+        self.convt3 = nn.ConvTranspose2d(16, 32, 9, stride=3)
+        for name in HEADS:
+            self.add_module(name, nn.Conv2d(32, 1, 2))
+        _initialise(self)
+
+    def forward(self, depth: torch.Tensor) -> torch.Tensor:
+        """Returns the maps, shape (n, 4, h, w)."""
+        check_side(self, depth)
+        x = depth
+        for layer, (before, after) in zip((self.conv1, self.conv2, self.conv3), self.borders.conv):
+            x = F.relu(layer(F.pad(x, (before, after, before, after))))
+        for i, layer in enumerate((self.convt1, self.convt2, self.convt3)):
+            size = [layer.stride[0] * n + self.borders.rest[i] for n in x.shape[2:]]
+            full = layer(x) if layer.stride[0] == 2 else shuffled_transpose(x, layer.weight, layer.bias)
+            start = self.borders.crop[i]
+            x = F.relu(full[:, :, start : start + size[0], start : start + size[1]])
+        before, after = self.borders.head
+        return _heads(self, F.pad(x, (before, after, before, after)))
+
+
+class GGCNN2(nn.Module):
+    """GG-CNN2: 66,676 parameters; a pixel sees about 139 pixels. Sides must be multiples of 4."""
+
+    side_multiple = 4
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.features = nn.Sequential(
+            *_conv_relu(1, 16, 11),
+            *_conv_relu(16, 16, 5),
+            nn.MaxPool2d(2, 2),
+            *_conv_relu(16, 16, 5),
+            *_conv_relu(16, 16, 5),
+            nn.MaxPool2d(2, 2),
+            *_conv_relu(16, 32, 5, dilation=2),
+            *_conv_relu(32, 32, 5, dilation=4),
+            nn.UpsamplingBilinear2d(scale_factor=2),
+            *_conv_relu(32, 16, 3),
+            nn.UpsamplingBilinear2d(scale_factor=2),
+            *_conv_relu(16, 16, 3),
+        )
+        for name in HEADS:
+            self.add_module(name, nn.Conv2d(16, 1, 1))
+        _initialise(self)
+
+    def forward(self, depth: torch.Tensor) -> torch.Tensor:
+        """Returns the maps, shape (n, 4, h, w)."""
+        check_side(self, depth)
+        return _heads(self, self.features(depth))
+
+
+NETWORKS = {"ggcnn": GGCNN, "ggcnn2": GGCNN2, "ggcnn_keras": lambda: GGCNN(KERAS)}
+"""The known networks by name; `ggcnn_keras` is GG-CNN with the borders of the Keras weights."""
+
+
+def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+    """Returns the transposed convolution with stride 3 and a 9 x 9 kernel, by a convolution and a pixel shuffle.
+
+    Output row 3 q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row 3 m + r: for each remainder r
+    an ordinary convolution with three taps.
+
+    Args:
+        x: shape (n, i, h, w).
+        weight: kernel of the transposed convolution, shape (i, o, 9, 9).
+        bias: shape (o,).
+
+    Returns:
+        Shape (n, o, 3 h + 6, 3 w + 6).
+    """
+    i, o = weight.shape[:2]
+    taps = weight.reshape(i, o, 3, 3, 3, 3).flip(2, 4)  # (i, o, m, r, m, r), m reversed: a convolution correlates
+    kernel = taps.permute(1, 3, 5, 0, 2, 4).reshape(9 * o, i, 3, 3)
+    return F.pixel_shuffle(F.conv2d(x, kernel, bias.repeat_interleave(9), padding=2), 3)
+
+
+def check_side(network: nn.Module, depth: torch.Tensor) -> None:
+    """Raises ValueError when the network would return maps of another size than the picture's."""
+    h, w = depth.shape[2:]
+    if h % network.side_multiple or w % network.side_multiple:
+        raise ValueError(f"the picture is {w} x {h}, but its sides must be multiples of {network.side_multiple}")
+
+
+def _conv_relu(inputs: int, outputs: int, kernel: int, dilation: int = 1) -> tuple[nn.Module, nn.Module]:
+    padding = dilation * (kernel // 2)
+    return nn.Conv2d(inputs, outputs, kernel, padding=padding, dilation=dilation), nn.ReLU(inplace=True)
+
+
+def _heads(network: nn.Module, x: torch.Tensor) -> torch.Tensor:
+    heads = [getattr(network, name) for name in HEADS]
+    return F.conv2d(x, torch.cat([h.weight for h in heads]), torch.cat([h.bias for h in heads]))
+
+
+def _initialise(network: nn.Module) -> None:
+    for module in network.modules():
+        if isinstance(module, (nn.Conv2d, nn.ConvTranspose2d)):
+            nn.init.xavier_uniform_(module.weight)

@@ -1,0 +1,44 @@
+"""Makes the synthetic data set: shards of labelled depth pictures, `SHARD` scenes each, resumable."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+from pathlib import Path
+
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from grasping.synthetic import samples
+
+SHARD = 50
+
+
+def make_shard(task: tuple[Path, str, int]) -> Path:
+    """Writes one shard unless it is there; an unfinished file never bears the shard's name."""
+    path, split, first = task
+    if not path.exists():
+        cv2.setNumThreads(1)
+        made = [samples.sample(samples.view(split, seed)) for seed in range(first, first + SHARD)]
+        part = path.with_suffix(".part.npz")
+        np.savez_compressed(part, **{name: np.stack([getattr(s, name) for s in made]) for name in made[0]._fields})
+        part.replace(path)
+    return path
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the shards go")
+    parser.add_argument("--split", choices=sorted(samples.SPLITS), default="train", help="which scenes")
+    parser.add_argument("--scenes", type=int, default=3000, help=f"how many, a multiple of {SHARD}")
+    parser.add_argument("--processes", type=int, default=1, help="how many at a time")
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    tasks = [
+        (arguments.folder / f"{arguments.split}_{first:06d}.npz", arguments.split, first)
+        for first in range(0, arguments.scenes, SHARD)
+    ]
+    with multiprocessing.Pool(arguments.processes) as pool:
+        for _ in tqdm(pool.imap_unordered(make_shard, tasks), total=len(tasks), unit="shard"):
+            pass

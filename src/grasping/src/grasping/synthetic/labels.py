@@ -1,0 +1,231 @@
+"""Where a parallel gripper can take hold of what lies on the table: antipodal grasps in slices of a height map.
+
+For each direction of the gripper the map is turned until the jaws close along the rows. At each cell the finger tips
+go some way below the surface; the map cut at that height shows what they meet: the contacts, whether the fingers have
+room, and the surface's normals there, which must lie in the friction cone. The camera's axis is the approach.
+
+Angles follow the picture: from its horizontal, anticlockwise, modulo pi.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+LEVEL_M = 0.005
+"""Distance between the heights at which the map is cut."""
+LOWEST_OBJECT_M = 0.008
+"""What stands out of the table by less is table."""
+PAD_UNEVENNESS_M = 0.0075
+"""How far the surface may stand out under a finger's pad beyond the point it should touch."""
+HORIZONTAL_BONUS = 0.05
+"""Between directions equally good, as on a disc, the one nearest to the horizontal is the target: one answer that can
+be learnt, where the mean of several would be none."""
+FREE = 1e3
+"""Depth of what is outside the map [m]."""
+
+
+class Gripper(NamedTuple):
+    """A parallel gripper; all in metres but the friction.
+
+    Attributes:
+        opening: between the pads when open.
+        thickness: of a finger along the closing direction.
+        breadth: of a finger across it.
+        reach: from the surface down to the tips.
+        ground: lowest height of the tips above the table.
+        clearance: on each side between object and pad when the hand comes down.
+        palm: from the tips to the palm.
+        friction: coefficient that a grasp may count on.
+    """
+
+    opening: float = 0.10
+    thickness: float = 0.008
+    breadth: float = 0.020
+    reach: float = 0.025
+    ground: float = 0.006
+    clearance: float = 0.005
+    palm: float = 0.060
+    friction: float = 0.5
+
+
+class Grasps(NamedTuple):
+    """All grasps of a height map.
+
+    Attributes:
+        angles: directions, shape (k,) [rad].
+        scores: 0 where there is no grasp, up to 1, shape (k, n, n).
+        openings: between the pads before closing, shape (k, n, n) [m].
+    """
+
+    angles: np.ndarray
+    scores: np.ndarray
+    openings: np.ndarray
+
+
+class Labels(NamedTuple):
+    """The best grasp at each cell or pixel, each shape (h, w).
+
+    Attributes:
+        quality: 0 to 1.
+        angle: modulo pi [rad].
+        opening: [m] on a height map, [px] in a picture.
+        known: where the label holds.
+    """
+
+    quality: np.ndarray
+    angle: np.ndarray
+    opening: np.ndarray
+    known: np.ndarray
+
+
+def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper, directions: int = 12) -> Grasps:
+    """Returns the score and opening of a grasp at each cell for each direction.
+
+    Args:
+        surface: depth of what is seen in a parallel view, shape (n, n) [m].
+        table: depth of the bare table, shape (n, n) [m].
+        cell: width of a cell [m].
+        gripper: what closes.
+        directions: how many, evenly over half a turn.
+    """
+    n = len(surface)
+    angles = np.pi * np.arange(directions) / directions
+    scores, openings = np.zeros((directions, n, n), np.float32), np.zeros((directions, n, n), np.float32)
+    margin = int(gripper.opening / cell)
+    window = _around(surface < table - LOWEST_OBJECT_M, (margin, margin))
+    if window is None:
+        return Grasps(angles, scores, openings)
+    surface, table = surface[window].astype(np.float32), table[window].astype(np.float32)
+    size = surface.shape
+    for k, angle in enumerate(angles):
+        turn, turn_back, turned_size = _turns(size, np.degrees(angle))
+        flat = cv2.warpAffine(surface, turn, turned_size, flags=cv2.INTER_NEAREST, borderValue=FREE)
+        ground = cv2.warpAffine(table, turn, turned_size, flags=cv2.INTER_LINEAR, borderValue=FREE)
+        score, opening = _along_rows(flat, ground, cell, gripper)
+        # A grasp is worth what its neighbours are worth too: the hand misses by millimetres.
+        score = cv2.blur(score, (3, 3))
+        back = size[::-1]
+        scores[k][window] = cv2.warpAffine(score, turn_back, back, flags=cv2.INTER_LINEAR)
+        openings[k][window] = cv2.warpAffine(opening, turn_back, back, flags=cv2.INTER_NEAREST)
+    scores[openings == 0.0] = 0.0
+    smooth = 0.5 * scores + 0.25 * (np.roll(scores, 1, axis=0) + np.roll(scores, -1, axis=0))
+    return Grasps(angles, np.where(scores > 0.0, smooth, 0.0).astype(np.float32), openings)
+
+
+def best(found: Grasps) -> Labels:
+    """Returns the best direction at each cell, its angle refined by its two neighbours."""
+    bonus = HORIZONTAL_BONUS * np.cos(2.0 * found.angles)[:, None, None]
+    choice = np.argmax(np.where(found.scores > 0.0, found.scores + bonus, -1.0), axis=0)
+    count = len(found.angles)
+
+    def at(values, k):
+        return np.take_along_axis(values, (k % count)[None], axis=0)[0]
+
+    quality = at(found.scores, choice)
+    vector = sum(at(found.scores, choice + d) * np.exp(2j * found.angles[(choice + d) % count]) for d in (-1, 0, 1))
+    angle = np.where(quality > 0.0, 0.5 * np.angle(vector), 0.0)
+    return Labels(quality, angle, np.where(quality > 0.0, at(found.openings, choice), 0.0), np.ones_like(choice, bool))
+
+
+def in_picture(labels: Labels, surface: np.ndarray, cell: float, depth: np.ndarray, focal: float) -> Labels:
+    """Returns the labels of the pixels of a picture whose optical axis is the middle of the height map.
+
+    A pixel on a side wall sees what the parallel view does not, and a label is not known there. Outside the height map
+    lies the bare table.
+
+    Args:
+        labels: of the height map.
+        surface: the height map, shape (n, n) [m].
+        cell: width of its cells [m].
+        depth: exact depth of the pixels, shape (h, w) [m].
+        focal: focal length [px].
+    """
+    n = len(surface)
+    row, column = np.indices(depth.shape)
+    h, w = depth.shape
+    x = (column - 0.5 * (w - 1)) / focal * depth
+    y = (row - 0.5 * (h - 1)) / focal * depth
+    i, j = (np.round(c / cell + 0.5 * (n - 1)).astype(int) for c in (y, x))
+    inside = (i >= 0) & (i < n) & (j >= 0) & (j < n)
+    i, j = np.clip(i, 0, n - 1), np.clip(j, 0, n - 1)
+    seen = np.abs(surface[i, j] - depth) < 2.0 * cell
+    quality = np.where(inside & seen, labels.quality[i, j], 0.0)
+    return Labels(quality, labels.angle[i, j], labels.opening[i, j] / depth * focal, ~inside | seen)
+
+
+def _along_rows(surface, table, cell, gripper):
+    """Returns score and opening [m] of the grasps whose jaws close along the rows."""
+    half_pad = round(0.5 * gripper.breadth / cell)
+    need = int(np.ceil((gripper.thickness + gripper.clearance) / cell))
+    uneven = PAD_UNEVENNESS_M / cell
+    palm_size = (2 * int(0.5 * gripper.opening / cell) + 1, 2 * half_pad + 1)
+    score, opening = np.zeros_like(surface), np.zeros_like(surface)
+    tip = np.minimum(surface + gripper.reach, table - gripper.ground)
+    level = np.floor(tip / LEVEL_M).astype(int)
+    objects = surface < table - LOWEST_OBJECT_M
+    margin = (half_pad + 3, palm_size[0] + need + 2)
+    for wanted in np.unique(level[objects]):
+        cut = wanted * LEVEL_M
+        here = objects & (level == wanted) & (surface < cut)
+        window = _around(here, margin)
+        if window is None:
+            continue
+        here, near = here[window], surface[window]
+        high = near < cut - gripper.palm
+        if high.any():
+            here &= cv2.dilate(high.astype(np.uint8), np.ones(palm_size[::-1], np.uint8)) == 0
+        y, x = np.nonzero(here)
+        occupied = near < cut
+        pad = cv2.dilate(occupied.astype(np.uint8), np.ones((2 * half_pad + 1, 1), np.uint8)) > 0
+        left, right = _ends(occupied, y, x)
+        pad_left, pad_right = _ends(pad, y, x)
+        width = (pad_right - pad_left - 1) * cell + 2.0 * gripper.clearance
+        fits = (width <= gripper.opening) & (pad_left >= need) & (pad_right < near.shape[1] - need)
+        fits &= (left - pad_left <= uneven) & (pad_right - right <= uneven)
+        y, x, left, right, pad_left, pad_right, width = (
+            v[fits] for v in (y, x, left, right, pad_left, pad_right, width)
+        )
+        blurred = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), 1.5)
+        across, along = cv2.Sobel(blurred, cv2.CV_32F, 0, 1), cv2.Sobel(blurred, cv2.CV_32F, 1, 0)
+        slope = np.abs(across) / np.maximum(np.abs(along), 1e-6)
+        worst = np.maximum(slope[y, left + 1], slope[y, right - 1])
+        filled = np.cumsum(np.pad(pad, ((0, 0), (1, 0))), axis=1, dtype=np.int16)
+        room = filled[y, pad_left + 1] == filled[y, pad_left + 1 - need]
+        room &= filled[y, pad_right + need] == filled[y, pad_right]
+        steady = np.clip(1.0 - worst / gripper.friction, 0.0, 1.0)
+        half = 0.5 * (pad_right - pad_left)
+        centring = np.clip(1.0 - np.abs(x - 0.5 * (pad_left + pad_right)) / half, 0.0, 1.0)
+        good = room & (worst < gripper.friction)
+        score[window][y[good], x[good]] = (centring * (0.3 + 0.7 * steady))[good]
+        opening[window][y[good], x[good]] = width[good]
+    return score, opening
+
+
+def _ends(occupied, y, x):
+    """Returns the free columns on the left and right of the run of occupied cells that holds (y, x)."""
+    last = occupied.shape[1]
+    column = np.arange(last, dtype=np.int16)
+    left = np.maximum.accumulate(np.where(occupied, np.int16(-1), column), axis=1)[y, x]
+    right = np.minimum.accumulate(np.where(occupied, np.int16(last), column)[:, ::-1], axis=1)[y, last - 1 - x]
+    return left.astype(int), right.astype(int)
+
+
+def _around(mask: np.ndarray, margin: tuple[int, int]) -> tuple[slice, slice] | None:
+    """Returns the smallest window that holds the mask and `margin` cells around it, None when there is nothing."""
+    rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+    if not len(rows):
+        return None
+    return tuple(slice(max(0, v[0] - m), v[-1] + m + 1) for v, m in zip((rows, columns), margin))
+
+
+def _turns(size, degrees):
+    """Returns the affine maps that turn a picture so that `degrees` becomes horizontal, and back, and the new size."""
+    h, w = size
+    c, s = abs(np.cos(np.radians(degrees))), abs(np.sin(np.radians(degrees)))
+    turned = (int(np.ceil(w * c + h * s)) + 1, int(np.ceil(w * s + h * c)) + 1)
+    forward = cv2.getRotationMatrix2D((0.5 * (w - 1), 0.5 * (h - 1)), -degrees, 1.0)
+    forward[:, 2] += 0.5 * (turned[0] - w), 0.5 * (turned[1] - h)
+    return forward, cv2.invertAffineTransform(forward), turned

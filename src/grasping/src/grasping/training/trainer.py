@@ -1,0 +1,124 @@
+"""The training of a grasp network as steps: each takes a batch and leaves the weights a little better.
+
+Adam with a constant rate after a short warm-up and a linear decay at the end, and beside it the running mean of the
+weights, which is what is kept: it is good at any time, so that training may stop or go on as the machine allows.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from grasping.networks import NETWORKS
+from grasping.training.batches import Targets, batch, random_batch
+from grasping.training.losses import losses
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to train.
+
+    Attributes:
+        network: name in `NETWORKS`.
+        steps: in all; the last `decay` share of them lowers the rate to zero.
+        count: windows a step.
+        side: of the windows [px].
+        rate: learning rate.
+        warm_up: steps.
+        decay: share of the steps.
+        memory: of the mean of the weights, a step.
+        seed: of weights and batches.
+        half: compute in bfloat16, which is faster where the processor knows it.
+    """
+
+    network: str = "ggcnn2"
+    steps: int = 6000
+    count: int = 16
+    side: int = 156
+    rate: float = 1.5e-3
+    warm_up: int = 200
+    decay: float = 0.25
+    memory: float = 0.998
+    seed: int = 1
+    half: bool = True
+
+
+class Trainer:
+    """Network, mean of its weights and optimiser after `step` steps."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        torch.manual_seed(settings.seed)
+        self.network = NETWORKS[settings.network]().to(memory_format=torch.channels_last)
+        self.mean = copy.deepcopy(self.network)
+        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=settings.rate)
+        self.step = 0
+
+    def rate(self) -> float:
+        """Returns the learning rate of the next step."""
+        s = self.settings
+        left = (s.steps - self.step) / max(1.0, s.decay * s.steps)
+        return s.rate * min(1.0, (self.step + 1) / s.warm_up, max(0.0, left))
+
+    def train(self, samples) -> float:
+        """Does one step and returns its loss; the batch depends on the seed and the step alone."""
+        rng = np.random.default_rng([self.settings.seed, self.step])
+        depth, target = random_batch(samples, rng, self.settings.count, self.settings.side)
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.rate()
+        self.network.train()
+        self.optimiser.zero_grad()
+        loss = losses(self._maps(self.network, depth), target).total
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self.optimiser.step()
+        memory = min(self.settings.memory, (self.step + 1) / (self.step + 10))
+        with torch.no_grad():
+            for kept, new in zip(self.mean.parameters(), self.network.parameters()):
+                kept.lerp_(new, 1.0 - memory)
+        self.step += 1
+        return float(loss)
+
+    def validate(self, samples) -> dict[str, float]:
+        """Returns the losses of the mean network on whole pictures, and the share of best pixels that are grasps."""
+        rows = []
+        for i in range(len(samples["depth"])):
+            depth, target = batch({name: values[i : i + 1] for name, values in samples.items()})
+            with torch.no_grad():
+                maps = self._maps(self.mean, depth)
+            found = losses(maps, target)
+            rows.append([*(float(v) for v in found), _best_is_grasp(maps.float(), target)])
+        names = ("validation", "quality", "angle", "width", "hits")
+        return dict(zip(names, np.mean(rows, axis=0).tolist()))
+
+    def state(self) -> dict:
+        """Returns all that `resume` needs."""
+        return {
+            "step": self.step,
+            "network": self.network.state_dict(),
+            "mean": self.mean.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+
+    def resume(self, state: dict) -> None:
+        """Goes on where `state` was taken."""
+        self.network.load_state_dict(state["network"])
+        self.mean.load_state_dict(state["mean"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.step = state["step"]
+
+    def _maps(self, network, depth):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self.settings.half):
+            return network(depth.to(memory_format=torch.channels_last))
+
+
+def _best_is_grasp(maps: torch.Tensor, target: Targets) -> float:
+    """Returns 1 where the pixel of highest quality is a grasp whose angle is right within 30 degrees, else 0."""
+    i = int(maps[0, 0].argmax())
+    cos, sin = maps[0, 1].flatten()[i], maps[0, 2].flatten()[i]
+    agreement = cos * target.cos.flatten()[i] + sin * target.sin.flatten()[i]
+    right = agreement > 0.5 * torch.hypot(cos, sin)  # cos of twice 30 degrees
+    return float(right & target.graspable.flatten()[i])
