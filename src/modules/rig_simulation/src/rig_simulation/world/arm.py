@@ -16,17 +16,22 @@ from rig_simulation.world.physics import Part, World
 from rig_simulation.world.robot import ARM_DAMPING, ARM_STIFFNESS
 
 
+OBSERVER_TIME_S = 0.01
+"""Torques from outside are known only so fast: the controller takes them from measured torques by a filter."""
+
+
 class ArmJoints(Part):
     """The physics' side of the arm; the controller's arm has it as its surroundings.
 
-    Attributes:
-        steps the world each time that the arm moves on, so both have one time.
+    It steps the world each time that the arm moves on, so both have one time.
     """
 
     def __init__(self, world: World) -> None:
         self._world = world
         self._stiffness, self._damping = np.array(ARM_STIFFNESS), np.array(ARM_DAMPING)
         self._q = self._v = self._v_next = np.zeros(7)
+        self._torque = np.zeros(7)
+        self._observer_share = world.timestep / (OBSERVER_TIME_S + world.timestep)
         world.add(self)
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
@@ -43,14 +48,16 @@ class ArmJoints(Part):
         self._v_next = v
         self._world.step()
         self._q, self._v = q, v
-        lag, slip = q - self._world.data.qpos[self._qpos], v - self._world.data.qvel[self._dofs]
-        return -(self._stiffness * lag + self._damping * slip)
+        torque = -self._spring(q) - self._damping * (v - self._world.data.qvel[self._dofs])
+        self._torque = self._torque + self._observer_share * (torque - self._torque)
+        return self._torque
 
     def bind(self, world: World) -> None:
-        """Takes a new model; a world without a past gets the drives' angles."""
+        """Takes the world's model and state."""
         joints = [world.model.joint(name) for name in JOINTS]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
+        self._strongest = world.model.jnt_actfrcrange[[joint.id for joint in joints], 1]
         self._accelerations, self._efforts = np.zeros(world.model.nv), np.zeros(world.model.nv)
 
     def before_step(self) -> None:
@@ -58,5 +65,9 @@ class ArmJoints(Part):
         model, data = self._world.model, self._world.data
         self._accelerations[self._dofs] = (self._v_next - self._v) / self._world.timestep
         mujoco.mj_mulM(model, data, self._efforts, self._accelerations)
-        spring = self._stiffness * (self._q - data.qpos[self._qpos]) + self._damping * self._v_next
-        data.qfrc_applied[self._dofs] = self._efforts[self._dofs] + data.qfrc_bias[self._dofs] + spring
+        held = self._efforts[self._dofs] + data.qfrc_bias[self._dofs]
+        data.qfrc_applied[self._dofs] = held + self._spring(self._q) + self._damping * self._v_next
+
+    def _spring(self, q: np.ndarray) -> np.ndarray:
+        torque = self._stiffness * (q - self._world.data.qpos[self._qpos])
+        return np.minimum(np.maximum(torque, -self._strongest), self._strongest)

@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from common.errors import DeviceError
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_about
 from rig_simulation.world.model import WorldDescription, build_model
@@ -25,6 +26,7 @@ DEEPEST_TOUCH_M = 0.001
 PLACEMENTS = 200
 ROBOT = ("kuka/", "reflex/", "panel")
 FREE_QPOS, FREE_QVEL = 7, 6
+ASTRAY = tuple(mujoco.mjtWarning.__members__[f"mjWARN_BAD{what}"] for what in ("QPOS", "QVEL", "QACC"))
 
 
 class Part:
@@ -121,11 +123,17 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def step(self) -> None:
-        """Lets one time step pass."""
+        """Lets one time step pass.
+
+        Raises:
+            DeviceError: the physics has gone astray; nothing can be known of the world any more.
+        """
         mujoco.mj_step1(self.model, self.data)
         for part in self._parts:
             part.before_step()
         mujoco.mj_step2(self.model, self.data)
+        if any(self.data.warning[kind].number for kind in ASTRAY):
+            raise DeviceError(f"The physics went astray after {self.time:.3f} s: its numbers are not finite.")
         self.steps += 1
         for part in self._parts:
             part.after_step()

@@ -11,6 +11,8 @@ import contextlib
 import signal
 import sys
 
+import mujoco
+
 from common.errors import RigError
 from rig_simulation.command_line import parse_options, port, positive
 from rig_simulation.control_port import ControlPort
@@ -53,6 +55,7 @@ class HandWire(Part):
 def main(arguments: list[str] | None = None) -> int:
     """Runs the world until it is interrupted; returns the exit code."""
     options = _options(arguments)
+    mujoco.set_mju_user_warning(_log)  # otherwise they go to a file in the folder where the program was started
     try:
         with contextlib.ExitStack() as resources:
             _run(options, resources)
@@ -90,6 +93,10 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
     )
     print(f"{NAME}: scene {options.scene}, control port {_address(control)}", flush=True)
     server.run()
+
+
+def _log(sentence: str) -> None:
+    print(f"{NAME}: {sentence.strip()}", file=sys.stderr, flush=True)
 
 
 def _address(control: ControlPort) -> str:

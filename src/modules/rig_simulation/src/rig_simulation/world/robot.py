@@ -20,7 +20,7 @@ ROOT = "kuka/base_frame"
 ROBOT_FRICTION = 0.7
 ARM_STIFFNESS = (10000.0, 10000.0, 10000.0, 10000.0, 6000.0, 6000.0, 6000.0)
 """Of the arm's gears [Nm/rad]: of the order that is published for arms of this build, 6000 to 15000."""
-ARM_DAMPING = (250.0, 250.0, 140.0, 140.0, 40.0, 40.0, 40.0)
+ARM_DAMPING = (100.0, 100.0, 60.0, 60.0, 15.0, 15.0, 15.0)
 """Of the arm's gears [Nm s/rad]: a blow dies out within a swing or two."""
 ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001
 """Inertia added to each joint [kg m^2], for the physics' stability."""
@@ -65,6 +65,7 @@ def _add_joint(element: ET.Element, joint: ET.Element) -> None:
     name, limit, axis = joint.get("name"), joint.find("limit"), joint.find("axis").get("xyz")
     if name in JOINTS:
         drive = {"damping": str(ARM_DAMPING[JOINTS.index(name)]), "armature": str(ARM_ARMATURE)}
+        drive["actuatorfrcrange"] = f"-{limit.get('effort')} {limit.get('effort')}"
     else:
         drive = {"range": f"{limit.get('lower')} {limit.get('upper')}", "armature": str(HAND_ARMATURE)}
     ET.SubElement(element, "joint", name=name, axis=axis, **drive)
