@@ -96,6 +96,7 @@ def test_a_dead_node_is_named(demo, wait_until):
 def test_bad_arguments_are_one_sentence(processes):
     for arguments, sentence in (
         (("--recording", "no/such/file"), "the recording no/such/file is not a file"),
+        (("--record", "film.gif"), "the film film.gif must end with .mp4"),
         (("--duration", "-1"), "the duration -1.0 must be a positive number of seconds"),
         (("rviz",), "'rviz' is not of the form name:=value"),
     ):

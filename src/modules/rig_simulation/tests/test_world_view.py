@@ -40,8 +40,11 @@ def test_objects_and_forces_are_shown(ros, world_port, wait_until):
         assert abs(sum(heights) / len(heights) - truth[2]) < 0.005
         wait_until(lambda: of(contacts[-1], Marker.TEXT_VIEW_FACING), 30.0, "the cup on the table")
         assert of(contacts[-1], Marker.ARROW)
-        weight = sum(float(m.text.split()[0]) for m in of(contacts[-1], Marker.TEXT_VIEW_FACING))
-        assert 0.3 < weight < 10.0
+        (label,) = of(contacts[-1], Marker.TEXT_VIEW_FACING)
+        name, newtons, unit = label.text.split()
+        assert (name, unit) == ("table", "N")
+        assert 0.3 < float(newtons) < 10.0, "its weight"
+        assert label.pose.position.z > max(heights)
         world.ask("set_scene", scene="empty")
     wait_until(lambda: not of(objects[-1], Marker.CUBE, "object/"), 30.0, "the empty scene")
 

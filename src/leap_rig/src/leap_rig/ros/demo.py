@@ -40,12 +40,15 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--duration", type=float, metavar="S", help="end by itself so long after the arm is at home")
     parser.add_argument("--recording", type=Path, metavar="FILE", help="play this recording of Leap frames")
     parser.add_argument("--offset", type=float, nargs=3, metavar=("X", "Y", "Z"), help="shift the recording, mm")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="film the simulated world: .mp4, or .png for a sheet")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="film the simulated world: .mp4, or .png")
+    parser.add_argument("--scenario", metavar="NAME", help="what the simulated person does, such as pick_cup")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the summary there as JSON")
     parser.add_argument("launch", nargs="*", metavar="NAME:=VALUE", help="arguments of demo.launch")
     arguments = parser.parse_args(argv)
     if arguments.recording is not None and not arguments.recording.is_file():
         parser.error(f"the recording {arguments.recording} is not a file")
+    if arguments.record is not None and arguments.record.suffix not in (".mp4", ".png"):
+        parser.error(f"the film {arguments.record} must end with .mp4, or with .png for a sheet of pictures")
     if arguments.duration is not None and not 0.0 < arguments.duration < 1e6:
         parser.error(f"the duration {arguments.duration} must be a positive number of seconds")
     for item in arguments.launch:
@@ -63,6 +66,8 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
         launch.append("offset:={} {} {}".format(*arguments.offset))
     if arguments.record is not None:
         launch.append(f"record:={arguments.record.resolve()}")
+    if arguments.scenario is not None:
+        launch.append(f"scenario:={arguments.scenario}")
     return launch + arguments.launch
 
 
@@ -170,8 +175,9 @@ def run(arguments: argparse.Namespace) -> int:
         ended = wait_for_end(listener, deaths, status, arguments.duration)
         listener.stop()
         summary_time = time.monotonic()
-        if ended == "duration":
-            status.say("The time is up: the arm goes to the zero position.")
+        if ended in ("duration", "scenario"):
+            why = "The time is up" if ended == "duration" else "The scenario is over"
+            status.say(f"{why}: the arm goes to the zero position.")
             end_in_order(deaths)
     finally:
         status.finish()
@@ -185,7 +191,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, duration: float | None) -> str:
-    """Shows the rig until it ends; returns why it ended: "duration", "death" of a node, or "person" (Ctrl-C)."""
+    """Shows the rig until it ends; returns why.
+
+    That is "duration", "scenario" (over, or given up), "death" of a node, or "person" (Ctrl-C).
+    """
     try:
         if not wait_until_ready(listener, deaths, status):
             return "death"
@@ -195,6 +204,8 @@ def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, dura
             elapsed = time.monotonic() - begin
             if duration is not None and elapsed >= duration:
                 return "duration"
+            if duration is None and listener.recorder.scenario_over:
+                return "scenario"
             status.update(listener, f"{elapsed:.0f} s")
             time.sleep(0.1)
         return "death"

@@ -1,7 +1,7 @@
 """Shows the simulated world in RViz: table and objects, and the forces where bodies touch.
 
-Topics, both visualization_msgs/MarkerArray in kuka/base_frame: `simulation/objects`, `simulation/contacts` (an arrow for
-each contact, 1 cm a newton, its tip where the force acts; a label in N for each pair of bodies).
+Topics, both visualization_msgs/MarkerArray in kuka/base_frame: `simulation/objects`, and `simulation/contacts` with an
+arrow for each contact, 1 cm a newton, its tip where the force acts, and over each body what touches it with how many N.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from common.poses import inverse
 from common.rotations import quaternion_from_rotation
 from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient
-from rig_simulation.view.forces import Arrow, PairForce, arrows, pair_forces
-from rig_simulation.view.shapes import BALL, BOX, CYLINDER, Shape, base_pose, shapes
+from rig_simulation.view.forces import Arrow, PairForce, arrows, pair_forces, short
+from rig_simulation.view.shapes import BALL, BOX, CYLINDER, Shape, above, base_pose, shapes
 
 NAME = "world_view"
 FRAME = "kuka/base_frame"
@@ -34,7 +34,7 @@ LIFETIME_S = 1.0
 """Markers of a world that is gone vanish after this time."""
 
 KINDS = {BOX: Marker.CUBE, BALL: Marker.SPHERE, CYLINDER: Marker.CYLINDER}
-SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_ABOVE_M = 0.005, 0.011, 0.015, 0.025, 0.03
+SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_ABOVE_M = 0.005, 0.011, 0.015, 0.022, 0.04
 OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)
 
 
@@ -76,9 +76,15 @@ class WorldView:
     def _publish(self, contacts: list[dict]) -> None:
         found = shapes(self._world.model, self._world.data)
         T_base_world = inverse(base_pose(self._world.data))
+        bodies: dict[str, list[Shape]] = {}
+        for shape in found:
+            bodies.setdefault(shape.body, []).append(shape)
+        touched: dict[str, list[PairForce]] = {}
+        for pair in pair_forces(contacts):
+            touched.setdefault(pair.bodies[0], []).append(pair)
         self._objects.publish(_array([shape_marker(shape) for shape in found]))
         marks = [arrow_marker(arrow, T_base_world) for arrow in arrows(contacts)]
-        marks += [label_marker(pair, T_base_world) for pair in pair_forces(contacts)]
+        marks += [label_marker(pairs, bodies.get(body, []), T_base_world) for body, pairs in touched.items()]
         self._contacts.publish(_array(marks))
 
 
@@ -100,13 +106,17 @@ def arrow_marker(arrow: Arrow, T_base_world: np.ndarray) -> Marker:
     return marker
 
 
-def label_marker(pair: PairForce, T_base_world: np.ndarray) -> Marker:
-    """Returns the label of the force between two bodies."""
-    marker = Marker(type=Marker.TEXT_VIEW_FACING, ns="label", color=OF_ROBOT if pair.by_robot else OF_OTHERS)
+def label_marker(pairs: list[PairForce], parts: list[Shape], T_base_world: np.ndarray) -> Marker:
+    """Returns the label of all forces on one body, over the body where its shapes are known."""
+    by_robot = any(pair.by_robot for pair in pairs)
+    marker = Marker(type=Marker.TEXT_VIEW_FACING, ns="label", color=OF_ROBOT if by_robot else OF_OTHERS)
     marker.pose.orientation.w = 1.0
-    marker.pose.position = _point(pair.place + np.array([0.0, 0.0, LABEL_ABOVE_M]), T_base_world)
+    if parts:
+        marker.pose.position = Point(*above(parts, T_base_world[:3, 2], LABEL_ABOVE_M).tolist())
+    else:
+        marker.pose.position = _point(pairs[0].place, T_base_world)
     marker.scale.z = LETTER_M
-    marker.text = f"{pair.newtons:.1f} N"
+    marker.text = "\n".join(f"{short(pair.bodies[1])} {pair.newtons:.1f} N" for pair in pairs)
     return marker
 
 

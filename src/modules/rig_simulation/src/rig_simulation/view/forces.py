@@ -76,6 +76,11 @@ def pair_forces(contacts: Sequence[Mapping[str, Any]]) -> list[PairForce]:
     return found
 
 
+def short(body: str) -> str:
+    """Returns the name of a body as people read it: without the group that it belongs to."""
+    return body.partition("/")[2] or body
+
+
 def _on_first(bodies: Sequence[str]) -> tuple[tuple[str, str], float]:
     """Returns the pair with the body first that the force is shown on, an object before others, and its sign."""
     first, second = bodies

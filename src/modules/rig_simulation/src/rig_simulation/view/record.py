@@ -29,7 +29,7 @@ from rig_simulation.view.following import (
     stop_when_interrupted,
     wait_for_world,
 )
-from rig_simulation.view.forces import arrows, pair_forces
+from rig_simulation.view.forces import arrows, pair_forces, short
 from rig_simulation.view.scene_forces import add_arrows
 
 NAME = "record"
@@ -127,7 +127,8 @@ class View:
         self._renderer.update_scene(self._world.data, self._camera)
         add_arrows(self._renderer.scene, arrows(self._contacts))
         grasp = [pair for pair in pair_forces(self._contacts) if pair.by_robot][:SHOWN_FORCES]
-        lines = [f"{self.time:.1f} s", *(f"{' on '.join(pair.bodies[::-1])}: {pair.newtons:.1f} N" for pair in grasp)]
+        lines = [f"{self.time:.1f} s"]
+        lines += [f"{short(pair.bodies[1])} on {short(pair.bodies[0])}: {pair.newtons:.1f} N" for pair in grasp]
         return with_lines(self._renderer.render(), lines)
 
     def close(self) -> None:

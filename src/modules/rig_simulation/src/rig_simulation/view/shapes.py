@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -37,6 +38,18 @@ class Shape:
     size: np.ndarray
     T_base_shape: np.ndarray
     colour: tuple[float, ...]
+
+
+def above(parts: Sequence[Shape], up: np.ndarray, clearance: float) -> np.ndarray:
+    """Returns the point that is `clearance` [m] higher than the highest point of a body, over its middle.
+
+    Args:
+        parts: all shapes of the body.
+        up: unit vector in kuka/base_frame, shape (3,).
+    """
+    middle = np.mean([part.T_base_shape[:3, 3] for part in parts], axis=0)
+    tops = [up @ part.T_base_shape[:3, 3] + np.abs(up @ part.T_base_shape[:3, :3]) @ part.size / 2.0 for part in parts]
+    return middle + (max(tops) - up @ middle + clearance) * up
 
 
 def base_pose(data: mujoco.MjData) -> np.ndarray:
