@@ -14,6 +14,7 @@ DURATION ?=
 RECORDING ?=
 OFFSET ?=
 RECORD ?=
+SCENARIO ?=
 REPORT ?=
 ARGS ?=
 
@@ -21,7 +22,7 @@ ARGS ?=
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
-	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  ARGS="name:=value ..." for the launch file.\n'
+	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  SCENARIO=pick_cup (the simulated person picks a cup up), ARGS="name:=value ..." for the launch file.\n'
 
 setup: $(READY) ## installs what is missing and builds the workspace
 	@echo "The workspace is set up; in any terminal: source $(CURDIR)/devel/setup.bash"
@@ -33,7 +34,7 @@ $(READY): $(MANIFESTS)
 demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated arm and hand
 	@$(IN_WORKSPACE) rosrun leap_rig demo.py $(if $(filter 1 true yes,$(HEADLESS)),--headless) $(if $(DURATION),--duration $(DURATION)) \
 	  $(if $(RECORDING),--recording "$(RECORDING)") $(if $(OFFSET),--offset $(OFFSET)) $(if $(REPORT),--report "$(REPORT)") \
-	  $(if $(RECORD),--record "$(RECORD)") -- $(ARGS)
+	  $(if $(RECORD),--record "$(RECORD)") $(if $(SCENARIO),--scenario $(SCENARIO)) -- $(ARGS)
 
 test: $(READY) ## all tests
 	@$(IN_WORKSPACE) python -m pytest -n 4 --dist loadfile -m "not rig" && python -m pytest -m rig

@@ -93,6 +93,16 @@ def test_a_dead_node_is_named(demo, wait_until):
     assert "leap_driver ended" in " ".join(json.loads(process.report.read_text())["faults"])
 
 
+@pytest.mark.timeout(400)
+def test_the_simulated_person_picks_a_cup_up_and_puts_it_down(demo):
+    process = demo("--scenario", "pick_cup")
+    assert process.wait(350) == 0, process.log_path.read_text()
+    summary = json.loads(process.report.read_text())
+    assert summary["scenario"]["step"] == "done" and summary["faults"] == []
+    cup = summary["objects"]["cup"]
+    assert cup["picked_and_placed"] and cup["lifted_mm"] > 195.0 and cup["tilt_deg"] < 5.0
+
+
 def test_bad_arguments_are_one_sentence(processes):
     for arguments, sentence in (
         (("--recording", "no/such/file"), "the recording no/such/file is not a file"),

@@ -5,11 +5,13 @@ Knows nothing of ROS: the edge hands it plain values. `report.py` makes the summ
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from common.rotations import rotation_angle
+from leap_rig.object_track import ObjectTrack
 
 STAGES = ("leap_motion", "leap_kuka", "kuka_control", "leap_hand")
 """Stages of the way from a received frame to the wires of arm and hand, as the nodes name them."""
@@ -52,16 +54,18 @@ class Recorder:
         self.received: dict[float, float] = {}
         self.stage_times: dict[str, dict[float, float]] = {stage: {} for stage in STAGES}
         self.counters: dict[str, dict[str, str]] = {}
+        self.objects: dict[str, ObjectTrack] = {}
+        self.scenario: dict[str, str] | None = None
         self._base_counters: dict[str, dict[str, str]] = {}
         self._last_tool: np.ndarray | None = None
 
     def start(self, now: float) -> None:
         """Begins the run: forgets what was seen so far, keeps a stream that runs already."""
         running = self.streaming
-        counters = self.counters
+        counters, scenario = self.counters, self.scenario
         self.__init__()
         self.started = now
-        self.counters = counters
+        self.counters, self.scenario = counters, scenario
         self._base_counters = {name: dict(values) for name, values in counters.items()}
         if running:
             self.streams.append(Stream(now))
@@ -70,6 +74,11 @@ class Recorder:
     def streaming(self) -> bool:
         """Whether a hand steers the arm now."""
         return bool(self.streams) and self.streams[-1].stopped is None
+
+    @property
+    def scenario_over(self) -> bool:
+        """Whether the simulated person's scenario is done or was given up."""
+        return self.scenario is not None and (self.scenario["step"] == "done" or bool(self.scenario["failure"]))
 
     def stage(self, stage: str, frame_stamp: float, done: float) -> None:
         """A stage has handed on, at `done`, what it made of the frame received at `frame_stamp`."""
@@ -110,6 +119,14 @@ class Recorder:
             self.desired.add(desired, T_base_tool)
         if commanded is not None:
             self.commanded.add(commanded, T_base_tool)
+
+    def seen_object(
+        self, name: str, T_world_object: np.ndarray, clearance: float, touches: Iterable[str], now: float
+    ) -> None:
+        """Takes where an object of the simulated world is, how high above the table [m], and what it touches."""
+        touched = set(touches)
+        held = any(body.startswith(("reflex/", "kuka/")) for body in touched)
+        self.objects.setdefault(name, ObjectTrack()).see(T_world_object, clearance, "table" in touched, held, now)
 
     def hand(self, angles: np.ndarray) -> None:
         """Takes the four motor angles of the hand, shape (4,) [rad]."""

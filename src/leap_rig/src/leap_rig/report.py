@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from leap_rig.object_track import ObjectTrack
 from leap_rig.recorder import Recorder, TrackingErrors
 
 ARM_FOLLOWED_M = 0.005
@@ -50,6 +51,8 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = ()) -> dic
         if recorder.hand_low is None
         else np.round(recorder.hand_high - recorder.hand_low, 3).tolist(),
         "delay_ms": _delays(recorder.received, recorder.stage_times),
+        "objects": {name: _object(track, began) for name, track in recorder.objects.items()},
+        "scenario": recorder.scenario,
         "nodes_died": list(deaths),
     }
     summary["faults"] = _faults(summary)
@@ -63,9 +66,44 @@ def _faults(summary: dict) -> list[str]:
         faults.append("The arm never followed a hand.")
     elif error["median_mm"] is not None and error["median_mm"] > 1e3 * FOLLOWING_ERROR_M:
         faults.append(f"The arm did not follow: half of the time it was {error['median_mm']:.0f} mm or more away.")
+    scenario = summary["scenario"]
+    if scenario is not None and scenario["step"] != "done":
+        why = scenario["failure"] or f"it ended at step {scenario['step']!r}"
+        faults.append(f"The scenario {scenario['scenario']} was not finished: {why}.")
+    elif scenario is not None and not any(seen["picked_and_placed"] for seen in summary["objects"].values()):
+        faults.append(f"The scenario {scenario['scenario']} picked nothing up and put it down.")
     if not summary["hand_commands"] or max(summary["hand_travel_rad"], default=0.0) < HAND_MOVED_RAD:
         faults.append("The robot hand never moved.")
     return faults
+
+
+def _object(track: ObjectTrack, began: float) -> dict:
+    def since(time: float | None) -> float | None:
+        return None if time is None else round(time - began, 2)
+
+    return {
+        "picked_and_placed": track.picked_and_placed,
+        "left_the_table_s": since(track.lifted),
+        "lifted_mm": round(1e3 * track.highest, 1),
+        "put_down_s": since(track.put_down),
+        "moved_mm": round(1e3 * track.moved, 1),
+        "tilt_deg": round(float(np.degrees(track.tilt)), 1),
+        "fell": track.fell,
+    }
+
+
+def _object_line(name: str, seen: dict) -> str:
+    if seen["fell"]:
+        return f"    {name}: fell off the table"
+    if seen["left_the_table_s"] is None:
+        return f"    {name}: stayed on the table, moved by {seen['moved_mm']:.0f} mm"
+    lifted = f"    {name}: left the table at {seen['left_the_table_s']:.1f} s, was lifted {seen['lifted_mm']:.0f} mm"
+    if seen["put_down_s"] is None:
+        return f"{lifted}, was not put down"
+    return (
+        f"{lifted}, put down at {seen['put_down_s']:.1f} s, {seen['moved_mm']:.0f} mm from where it stood, "
+        f"tilted by {seen['tilt_deg']:.0f} deg"
+    )
 
 
 def _whole(count: float | None) -> int | None:
@@ -128,6 +166,10 @@ def as_text(summary: dict) -> str:
         unit = " mm/s" if key.endswith("mm_s") and value is not None else ""
         lines.append(f"  {label:<22} {'unknown' if value is None else value}{unit}")
     lines.append(f"  hand travel            {summary['hand_travel_rad']} rad (index, middle, thumb, spread)")
+    if summary["scenario"] is not None:
+        lines.append(f"  scenario               {summary['scenario']['scenario']}: {summary['scenario']['step']}")
+    if summary["objects"]:
+        lines += ["", "  objects", *(_object_line(name, seen) for name, seen in summary["objects"].items())]
     lines += ["", "  tool tracking error       rms mm   max mm  rms deg  max deg  samples"]
     for name, e in summary["tracking_error"].items():
         numbers = " ".join(f"{_cell(e[k])}" for k in ("rms_mm", "max_mm", "rms_deg", "max_deg"))

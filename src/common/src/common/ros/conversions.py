@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
 
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
@@ -31,8 +31,20 @@ def pose_from_transform(transform: Transform) -> np.ndarray:
     Raises:
         ValueError: a number is not finite, or the quaternion is not a unit quaternion.
     """
-    t, q = transform.translation, transform.rotation
-    p = np.array([t.x, t.y, t.z])
+    return _pose(transform.translation, transform.rotation)
+
+
+def pose_from_message(message: Pose) -> np.ndarray:
+    """Returns the pose, shape (4, 4), of a Pose message.
+
+    Raises:
+        ValueError: a number is not finite, or the quaternion is not a unit quaternion.
+    """
+    return _pose(message.position, message.orientation)
+
+
+def _pose(position: Vector3 | Point, q: Quaternion) -> np.ndarray:
+    p = array(position)
     if not np.all(np.isfinite(p)):
         raise ValueError(f"the translation {p.tolist()} is not finite")
     return pose(rotation_from_quaternion([q.x, q.y, q.z, q.w]), p)

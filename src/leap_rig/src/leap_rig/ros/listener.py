@@ -15,13 +15,12 @@ from sensor_msgs.msg import TimeReference
 from std_msgs.msg import String
 
 from common.config import parse
-from common.poses import pose
-from common.ros.conversions import array, pose_from_transform
+from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.stage_times import TOPIC as STAGE_TIMES
-from common.rotations import rotation_from_quaternion
 from common.tool import ToolConfig
 from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
+from rig_msgs.msg import ObjectStates
 
 BASE = "kuka/base_frame"
 DESIRED = "kuka/tool_frame/desired"
@@ -48,6 +47,8 @@ class RigListener:
             ("/diagnostics", DiagnosticArray, self._diagnostics, 50),
             ("simulation/status", DiagnosticStatus, self._simulation, 10),
             ("simulation/flange", PoseStamped, self._flange, 1),
+            ("simulation/object_states", ObjectStates, self._objects, 10),
+            ("simulation/scenario", DiagnosticStatus, self._scenario, 10),
             ("kuka/mode", String, self._mode, 50),
             ("reflex_takktile/hand_state", Hand, self._hand, 1),
             ("/rosout", Log, self._log, 100),
@@ -76,6 +77,16 @@ class RigListener:
         with self._lock:
             self.recorder.status("simulation", {v.key: v.value for v in message.values})
 
+    def _objects(self, message: ObjectStates) -> None:
+        with self._lock:
+            for seen in message.objects:
+                T_world_object = pose_from_message(seen.pose)
+                self.recorder.seen_object(seen.name, T_world_object, seen.clearance, seen.touches, time.monotonic())
+
+    def _scenario(self, message: DiagnosticStatus) -> None:
+        with self._lock:
+            self.recorder.scenario = {v.key: v.value for v in message.values}
+
     def _mode(self, message: String) -> None:
         self.mode = message.data
 
@@ -91,8 +102,7 @@ class RigListener:
         if self._T_flange_tool is None:
             kuka = rospy.get_param("kuka")
             self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
-        q = message.pose.orientation
-        T_base_flange = pose(rotation_from_quaternion([q.x, q.y, q.z, q.w]), array(message.pose.position))
+        T_base_flange = pose_from_message(message.pose)
         T_base_tool = T_base_flange @ self._T_flange_tool
         following = self.mode == "servo" and self.recorder.streaming
         targets = [self._fresh(frame) if following else None for frame in (DESIRED, COMMANDED)]

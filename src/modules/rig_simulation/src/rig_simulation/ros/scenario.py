@@ -16,9 +16,7 @@ from std_msgs.msg import String
 
 from common.config import parse
 from common.errors import RigError
-from common.poses import pose
-from common.ros.conversions import array
-from common.rotations import rotation_from_quaternion
+from common.ros.conversions import pose_from_message
 from common.tool import ToolConfig
 from rig_simulation.control_port import ControlClient
 from rig_simulation.scenario.pick_and_place import PickAndPlace, Plan, Result, View
@@ -120,8 +118,7 @@ class Scenario:
         self._publisher.publish(status)
 
     def _take_flange(self, message: PoseStamped) -> None:
-        q = message.pose.orientation
-        T_base_flange = pose(rotation_from_quaternion([q.x, q.y, q.z, q.w]), array(message.pose.position))
+        T_base_flange = pose_from_message(message.pose)
         self._grip = (T_base_flange @ self._T_flange_tool)[:3, 3] + T_base_flange[:3, :3] @ GRIP_OFFSET
 
     def _take_mode(self, message: String) -> None:
