@@ -1,0 +1,178 @@
+"""A stored calibration: what was found, with what, how well, and the views that it can be computed from again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from common.config import choice, number, parse, text, vector
+from common.errors import ConfigError
+from common.poses import pose, read_only
+from common.rotations import quaternion_from_rotation, rotation_from_quaternion
+from vision.calibration import Verdict
+from vision.hand_eye import View
+
+VIEWS, LIVE = "views", "live"
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationRecord:
+    """What one file holds.
+
+    Attributes:
+        date: when, as year-month-dayThour:minute:second.
+        kind: VIEWS for a calibration by several views, LIVE for one by the panel's drawing and a single view.
+        robot, flange: the arm and the media flange.
+        panel: the panel's frame.
+        camera: serial number of the camera.
+        camera_frame: the optical frame whose pose this is.
+        T_base_camera: in kuka/base_frame, shape (4, 4) [m].
+        T_flange_panel: shape (4, 4) [m].
+        rms_mm, rms_deg: root mean square error of the views.
+        point_sd_mm: standard deviation of a point at the panel; nan for LIVE.
+        errors: each view's error [mm, deg], shape (n, 2).
+        views: what it was computed from.
+    """
+
+    date: str
+    kind: str
+    robot: str
+    flange: str
+    panel: str
+    camera: str
+    camera_frame: str
+    T_base_camera: np.ndarray
+    T_flange_panel: np.ndarray
+    rms_mm: float
+    rms_deg: float
+    point_sd_mm: float
+    errors: np.ndarray
+    views: tuple[View, ...]
+
+
+@dataclass(frozen=True)
+class _Head:
+    date: str = text()
+    kind: str = choice(VIEWS, LIVE)
+    robot: str = text()
+    flange: str = text()
+    panel: str = text()
+    camera: str = text()
+    camera_frame: str = text()
+    rms_mm: float = number("mm", low=0.0)
+    rms_deg: float = number("deg", low=0.0)
+    point_sd_mm: float = number("mm", low=0.0)
+
+
+@dataclass(frozen=True)
+class _Pose:
+    position: np.ndarray = vector(3, "m", low=-10.0, high=10.0)
+    quaternion: np.ndarray = vector(4)
+
+
+@dataclass(frozen=True)
+class _View:
+    error: np.ndarray = vector(2, "mm and deg", low=0.0)
+    covariance: np.ndarray = vector(36)
+
+
+HEAD = ("date", "kind", "robot", "flange", "panel", "camera", "camera_frame", "rms_mm", "rms_deg", "point_sd_mm")
+POSES = {"T_base_camera": "camera in kuka/base_frame", "T_flange_panel": "panel in the flange"}
+
+
+def by_views(verdict: Verdict, views: list[View], **head: str) -> CalibrationRecord:
+    """Returns the record of a calibration by several views.
+
+    Args:
+        head: date, robot, flange, panel, camera and camera_frame.
+    """
+    errors = verdict.result.errors
+    norms = np.stack(
+        (1e3 * np.linalg.norm(errors[:, :3], axis=1), np.degrees(np.linalg.norm(errors[:, 3:], axis=1))), 1
+    )
+    return CalibrationRecord(
+        kind=VIEWS,
+        T_base_camera=verdict.result.T_base_camera,
+        T_flange_panel=verdict.result.T_flange_panel,
+        rms_mm=float(verdict.rms[0]),
+        rms_deg=float(verdict.rms[1]),
+        point_sd_mm=verdict.point_sd_mm,
+        errors=read_only(norms),
+        views=tuple(views),
+        **head,
+    )
+
+
+def mapping_from_record(record: CalibrationRecord) -> dict[str, Any]:
+    """Returns what the yaml file of a record holds."""
+    values: dict[str, Any] = {key: getattr(record, key) for key in HEAD}
+    values.update({key: _mapping_from_pose(getattr(record, key)) for key in POSES})
+    values["views"] = [
+        {
+            "T_base_flange": _mapping_from_pose(view.T_base_flange),
+            "T_camera_panel": _mapping_from_pose(view.T_camera_panel),
+            "covariance": np.ravel(view.covariance).tolist(),
+            "error": error.tolist(),
+        }
+        for view, error in zip(record.views, record.errors)
+    ]
+    return values
+
+
+def record_from_mapping(values: Any) -> CalibrationRecord:
+    """Returns the record that a yaml file holds.
+
+    Raises:
+        ConfigError: with all faults.
+    """
+    faults: list[str] = []
+    if not isinstance(values, Mapping):
+        raise ConfigError([f"A calibration is a mapping of keys to values, not {type(values).__name__}."])
+    head = _part(_Head, values, "", faults, (*POSES, "views"))
+    poses = {key: _pose(values.get(key), f"{key}/", faults) for key in POSES}
+    views, errors = [], []
+    entries = values.get("views")
+    if not isinstance(entries, list):
+        faults.append(f"views is {entries!r}, but must be a list.")
+        entries = []
+    for i, entry in enumerate(entries):
+        where = f"views[{i}]/"
+        view = _part(_View, entry, where, faults, ("T_base_flange", "T_camera_panel"))
+        if view is not None:
+            places = [_pose(entry.get(key), f"{where}{key}/", faults) for key in ("T_base_flange", "T_camera_panel")]
+            views.append(View(*places, read_only(view.covariance.reshape(6, 6))))
+            errors.append(view.error)
+    if faults:
+        raise ConfigError(faults)
+    return CalibrationRecord(
+        **{key: getattr(head, key) for key in HEAD},
+        **poses,
+        errors=read_only(np.reshape(errors, (-1, 2))),
+        views=tuple(views),
+    )
+
+
+def _mapping_from_pose(T: np.ndarray) -> dict[str, list[float]]:
+    return {"position": T[:3, 3].tolist(), "quaternion": quaternion_from_rotation(T[:3, :3]).tolist()}
+
+
+def _pose(values: Any, where: str, faults: list[str]) -> np.ndarray | None:
+    read = _part(_Pose, values, where, faults)
+    if read is None:
+        return None
+    try:
+        return read_only(pose(rotation_from_quaternion(read.quaternion), read.position))
+    except ValueError as error:
+        faults.append(f"{where}quaternion: {error}.")
+        return None
+
+
+def _part(schema, values: Any, where: str, faults: list[str], others: tuple[str, ...] = ()):
+    try:
+        return parse(schema, values, where, others=others)
+    except ConfigError as error:
+        faults.extend(error.faults)
+        return None

@@ -1,0 +1,155 @@
+"""Which views count, which calibrations are accepted, and what is stored of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hand_eye_scene import SD, change, scene
+
+from common.config import parse
+from common.errors import ConfigError
+from common.poses import pose
+from common.rotations import rotation_about
+from vision.calibration import CalibrationConfig, Sight, judge, mean_pose, table, view_from
+from vision.calibration_record import by_views, mapping_from_record, record_from_mapping
+from vision.hand_eye import Degenerate, View
+from vision.panel import PanelConfig
+
+CONFIG = Path(__file__).parents[1] / "config"
+HEAD = {
+    "date": "2026-01-31T12:00:00", "robot": "LBR7R800", "flange": "MF_elektrisch", "panel": "tag_frame",
+    "camera": "1234", "camera_frame": "camera_rgb_optical_frame",
+}  # fmt: skip
+
+
+@pytest.fixture
+def config():
+    return parse(CalibrationConfig, yaml.safe_load((CONFIG / "camera_calibration.yaml").read_text()))
+
+
+def test_the_panel_sits_where_its_drawing_says():
+    """71.1 mm beside the flange's axis, facing away from it, 43.5 mm beyond the flange's face, upright along its z."""
+    panel = parse(PanelConfig, yaml.safe_load((CONFIG / "panel.yaml").read_text()))
+    T = panel.T_flange_tag
+    np.testing.assert_allclose(T[:3, 3], [0.0, 0.0711, 0.0435], atol=1e-12)
+    np.testing.assert_allclose(T[:3, :3], [[-1, 0, 0], [0, 0, 1], [0, 1, 0]], atol=1e-12)
+    np.testing.assert_allclose(panel.T_tag_flange @ T, np.eye(4), atol=1e-12)
+
+
+def sights(T, count, sd, seed=0):
+    rng = np.random.default_rng(seed)
+    return [Sight(change(T, rng.normal(0.0, sd * np.ones(6))), np.diag(SD**2)) for _ in range(count)]
+
+
+def test_a_view_is_the_mean_of_what_was_seen(config):
+    T = pose(rotation_about(0, 2.8), (0.1, 0.0, 0.9))
+    seen = sights(T, 400, 5e-4)
+    view = view_from(seen, np.eye(4), [], config)
+    np.testing.assert_allclose(view.T_camera_panel, T, atol=2e-4)
+    arm = np.array([1e-3 * config.arm_mm] * 3 + [np.radians(config.arm_deg)] * 3)
+    np.testing.assert_allclose(view.covariance, np.diag(SD**2 + arm**2), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("count", "sd", "T_flange", "sentence"),
+    [
+        (3, 1e-4, pose(p=(1, 0, 0)), "seen in 3 pictures, 10 are needed"),
+        (10, 1e-2, pose(p=(1, 0, 0)), "did not keep still"),
+        (10, 1e-4, pose(rotation_about(0, 0.05), (0, 0, 0.015)), "was here before: 15.0 mm and 2.9 deg"),
+    ],
+)
+def test_views_that_do_not_count(config, count, sd, T_flange, sentence):
+    earlier = [View(np.eye(4), np.eye(4), np.eye(6))]
+    with pytest.raises(ValueError, match=sentence):
+        view_from(sights(pose(p=(0, 0, 1)), count, sd), T_flange, earlier, config)
+
+
+def test_mean_of_poses_is_in_the_middle():
+    a, b = pose(rotation_about(1, 0.2), (0, 0, 1)), pose(rotation_about(1, 0.4), (0, 0, 2))
+    np.testing.assert_allclose(mean_pose([a, b]), pose(rotation_about(1, 0.3), (0, 0, 1.5)), atol=1e-12)
+
+
+def test_a_good_calibration_is_accepted(config):
+    X, Z, views = scene(3, 14, SD / 4)
+    verdict = judge(views, X, config)
+    assert verdict.accepted and not verdict.reasons
+    assert verdict.sentence.startswith("The calibration is good: rms")
+    np.testing.assert_allclose(verdict.result.T_base_camera[:3, 3], Z[:3, 3], atol=2e-3)
+    assert len(table(verdict)) == 15
+
+
+@pytest.mark.parametrize(
+    ("change_of_config", "sentence"),
+    [
+        ({"max_rms_mm": 0.01}, "mm off, 0.01 mm are allowed"),
+        ({"max_rms_deg": 0.001}, "deg off, 0.001 deg are allowed"),
+        ({"max_point_sd_mm": 0.001}, "A point is known to"),
+        ({"max_turn_sd_deg": 0.0001}, "The camera's turn is known to"),
+        ({"max_panel_mm": 0.001}, "check the sizes of the tags"),
+    ],
+)
+def test_a_bad_calibration_is_refused_with_the_reason(config, change_of_config, sentence):
+    X, _, views = scene(3, 14, SD / 4)
+    verdict = judge(views, X, replace(config, **change_of_config))
+    assert not verdict.accepted
+    assert sentence in verdict.sentence
+
+
+def test_wrong_views_are_counted(config):
+    X, _, views = scene(3, 14, SD / 4)
+    spoilt = [replace(v, T_camera_panel=v.T_camera_panel @ pose(rotation_about(0, 0.8))) for v in views[:5]]
+    verdict = judge(spoilt + views[5:], X, config)
+    assert "Only 64% of the views fit together" in verdict.sentence
+    assert sum("left out" in line for line in table(verdict)) == 5
+    with pytest.raises(Degenerate, match="7 views are too few"):
+        judge(views[:7], X, config)
+
+
+def test_a_panel_of_the_wrong_size_is_found(config):
+    """Tags that are printed 3 % too small look 3 % farther away."""
+    X, _, views = scene(3, 14, SD / 4)
+    scaled = [replace(v, T_camera_panel=pose(v.T_camera_panel[:3, :3], 1.03 * v.T_camera_panel[:3, 3])) for v in views]
+    assert not judge(scaled, X, config).accepted
+
+
+def test_a_record_survives_its_file(config):
+    X, _, views = scene(3, 14, SD / 4)
+    record = by_views(judge(views, X, config), views, **HEAD)
+    again = record_from_mapping(yaml.safe_load(yaml.safe_dump(mapping_from_record(record))))
+    for key in ("date", "kind", "robot", "camera", "rms_mm", "point_sd_mm"):
+        assert getattr(again, key) == getattr(record, key)
+    np.testing.assert_allclose(again.T_base_camera, record.T_base_camera, atol=1e-12)
+    np.testing.assert_allclose(again.errors, record.errors)
+    recomputed = judge(list(again.views), X, config).result.T_base_camera
+    np.testing.assert_allclose(recomputed, record.T_base_camera, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda v: v.pop("camera"), "camera is missing"),
+        (lambda v: v.update(extra=1), "extra is not a known key"),
+        (lambda v: v["T_base_camera"].update(quaternion=[0, 0, 0, 0]), "T_base_camera/quaternion: the quaternion"),
+        (lambda v: v["T_base_camera"].update(position=[0, float("nan"), 0]), "T_base_camera/position is"),
+        (lambda v: v["T_base_camera"].update(position=[1200.0, 0, 0]), "T_base_camera/position is"),
+        (lambda v: v.update(views=None), "views is None, but must be a list"),
+        (lambda v: v["views"].append(3), "views[14]/ is 3"),
+        (lambda v: v["views"][2].pop("T_base_flange"), "views[2]/T_base_flange/ is None"),
+    ],
+)
+def test_a_file_with_faults_is_refused(config, spoil, sentence):
+    X, _, views = scene(3, 14, SD / 4)
+    values = mapping_from_record(by_views(judge(views, X, config), views, **HEAD))
+    spoil(values)
+    with pytest.raises(ConfigError) as error:
+        record_from_mapping(values)
+    assert sentence in str(error.value)
+
+
+def test_no_mapping_is_no_record():
+    with pytest.raises(ConfigError, match="A calibration is a mapping"):
+        record_from_mapping(None)
