@@ -89,7 +89,7 @@ def test_a_finger_stops_where_it_stands_and_says_why(finger, name, how):
     expected = np.array(FIST)
     expected[finger] = 1.2
     np.testing.assert_allclose(sent.command, expected)
-    assert sent.limited == {name: "cell 4: 41 counts" if how == "pressure" else "load 231"}
+    assert sent.limited == {name: "cell 4: 61 counts" if how == "pressure" else "load 231"}
     assert limit.trips == 1
 
 
@@ -117,13 +117,13 @@ def test_a_finger_that_was_opened_while_limited_does_not_close_back():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_no_chatter_on_a_soft_thing_under_noise(seed):
-    """A finger at 3 rad/s on a spring of 60 counts/rad, felt 50 ms late with noise of 3 counts."""
+    """A finger at 3 rad/s on a spring of 90 counts/rad, felt 50 ms late with noise of 3 counts."""
     rng = random.Random(seed)
     limit = ForceLimit(CONFIG)
     finger, late = 0.0, [0.0, 0.0]
     angles = []
     for step in range(400):
-        late.append(60.0 * max(0.0, finger - 0.8) + rng.gauss(0.0, 3.0))
+        late.append(90.0 * max(0.0, finger - 0.8) + rng.gauss(0.0, 3.0))
         limit.feel(state((finger,) * 3, (late[-3], 0.0, 0.0)), 0.025 * step)
         goal = limit.clip(FIST, 0.025 * step).command[0]
         finger += max(-0.075, min(0.075, goal - finger))
@@ -167,6 +167,12 @@ def test_a_file_from_before_the_limit_means_the_shipped_one():
     old = parse(HandConfig, {key: value for key, value in SHIPPED.items() if "force" not in key}, "leap_hand/")
     for field in dataclasses.fields(HandConfig):
         np.testing.assert_array_equal(getattr(old, field.name), getattr(CONFIG, field.name))
+
+
+def test_the_full_grip_fits_above_the_shipped_file_and_keeps_the_limit():
+    more = yaml.safe_load((Path(__file__).parents[1] / "config" / "full_grip.yaml").read_text())
+    full = parse(HandConfig, {**SHIPPED, **more}, "leap_hand/")
+    assert full.force_limit and np.all(full.robot[:3, 1] > CONFIG.robot[:3, 1])
 
 
 @pytest.mark.parametrize(

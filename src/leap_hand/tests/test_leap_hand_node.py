@@ -190,12 +190,12 @@ def test_in_the_rig_the_gripper_flag_decides(ros, driver, tracker, wait_until):
     flag = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     tracker.show(make_hand(20.0))
-    ros.launch("leap_hand", "leap_hand.launch", hand_only="false")
+    ros.launch("leap_hand", "leap_hand.launch", hand_only="false", overrides=PACKAGE / "config" / "full_grip.yaml")
     waits = "waiting for kuka/gripper_control"
     wait_until(lambda: diagnostics and diagnostics[-1].status[0].message == waits, 40.0, "the node to wait")
     assert not driver.commands
     flag.publish(True)
-    wait_until(lambda: is_near(driver, FIST), 10.0, "the fist")
+    wait_until(lambda: is_near(driver, np.radians([155.0, 155.0, 145.0, 0.0])), 10.0, "the fist of the full grip")
     flag.publish(False)
     wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose")
     flag.unregister()
@@ -225,18 +225,18 @@ def test_a_finger_that_presses_stops_and_follows_again(ros, driver, tracker, wai
     tracker.show(make_hand(20.0))
     process = ros.run("leap_hand", "leap_hand_node.py")
     wait_until(lambda: is_near(driver, FIST), 40.0, "the fist")
-    driver.pressure = 60.0
+    driver.pressure = 90.0
     stopped = [1.0, *FIST[1:]]
     wait_until(lambda: is_near(driver, stopped), 10.0, "the index finger to stop where it stands")
-    wait_until(lambda: status().get("limited") == "index (cell 3: 60 counts)", 10.0, "diagnostics to name it")
-    driver.pressure = 30.0
+    wait_until(lambda: status().get("limited") == "index (cell 3: 90 counts)", 10.0, "diagnostics to name it")
+    driver.pressure = 45.0
     sent = len(driver.commands)
     wait_until(lambda: len(driver.commands) > sent + 20, 10.0, "more commands")
     assert is_near(driver, stopped)
     driver.pressure = 0.0
     wait_until(lambda: is_near(driver, FIST), 10.0, "the fist again")
     wait_until(lambda: status().get("limited") == "" and status()["limit_trips"] == "1", 10.0, "diagnostics")
-    assert b"The index is not closed further (cell 3: 60 counts)." in process.log_path.read_bytes()
+    assert b"The index is not closed further (cell 3: 90 counts)." in process.log_path.read_bytes()
 
 
 def test_a_pressing_finger_stops_without_a_new_tracking_frame(ros, driver, tracker, wait_until):
@@ -247,7 +247,7 @@ def test_a_pressing_finger_stops_without_a_new_tracking_frame(ros, driver, track
     ros.run("leap_hand", "leap_hand_node.py")
     wait_until(lambda: is_near(driver, FIST), 40.0, "the fist")
     tracker.stop()
-    driver.pressure = 60.0
+    driver.pressure = 90.0
     wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the hand to open without frames")
     assert driver.commands[-2].radian_commands[0] == pytest.approx(1.0)
 

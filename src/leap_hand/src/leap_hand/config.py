@@ -26,7 +26,7 @@ class HandConfig:
     spread_robot: np.ndarray = vector(2, "deg", low=0.0, high=90.0, doc="command to the spread")
     force_limit: bool = flag(doc="stop fingers that press", absent=True)
     force_limit_pressure: float = number(
-        "counts", above=0.0, high=200.0, doc="of a tactile cell; above it the finger stops", absent=40.0
+        "counts", above=0.0, high=200.0, doc="of a tactile cell; above it the finger stops", absent=60.0
     )
     force_limit_load: float = number(
         "0.1 % of the largest torque", above=0.0, high=1000.0, doc="above it the finger stops", absent=230.0

@@ -1,6 +1,7 @@
 """The hand in the physics, alone and fixed in the air: fingers, servos, cells, and what it can hold."""
 
 import math
+from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from common.poses import pose
+from leap_hand.force_limit import ForceLimit, HandState
 from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.reflex.servo import OVERLOAD_BIT
 from rig_simulation.reflex.wire import POSITION, ModeCommand, TargetCommand
@@ -23,6 +25,12 @@ TIMESTEP_S = 0.001
 CLOSING = np.array([1, -1, 1, -1])
 TICKS_PER_RAD = np.array([1.42, 1.42, 1.42, 1.5]) * 1024 / (2 * math.pi)
 GRIP = (2.4, 2.4, 2.2, 0.0)
+LIMITS = {
+    "force_limit_pressure": 60.0,
+    "force_limit_load": 230.0,
+    "force_limit_release": 0.5,
+    "force_limit_silence": 0.5,
+}
 LOOK = {"position": np.zeros(2), "yaw": 0.0, "friction": 0.6, "colour": np.ones(3)}
 THINGS = {
     "cup": Cup(radius=0.036, height=0.095, wall=0.004, mass=0.25, **LOOK),
@@ -255,6 +263,30 @@ def test_holds_every_kind_of_thing(name, more):
     start = bench.thing.qpos.copy()
     bench.run(2.0)
     assert np.linalg.norm(bench.thing.qpos[:3] - start[:3]) < 0.001
+
+
+def gripped(force_limit):
+    """Returns counts and efforts of a cup gripped by a driver that would close the fingers to 2.7 rad."""
+    bench = Bench(PALM_AHEAD, THINGS["cup"], LYING)
+    limit = ForceLimit(SimpleNamespace(**LIMITS, force_limit=force_limit))
+    for step in range(160):
+        state = bench.hand.state()
+        loads = tuple(CLOSING[i] * state["efforts"][i] for i in range(3))
+        felt = HandState(tuple(state["angles"][:3]), tuple(map(tuple, bench.counts())), loads)
+        limit.feel(felt, PERIOD_S * step)
+        bench.close(*limit.clip((2.7, 2.7, 2.5, 0.0), PERIOD_S * step).command)
+        bench.run(PERIOD_S)
+        if step == 100:
+            bench.let_go()
+            start = bench.thing.qpos[:3].copy()
+    assert np.linalg.norm(bench.thing.qpos[:3] - start) < 0.005
+    return bench.counts().max(), max(abs(effort) for effort in bench.hand.state()["efforts"])
+
+
+def test_the_force_limit_of_leap_hand_grips_gently_and_still_holds():
+    (gentle, low), (hard, high) = gripped(True), gripped(False)
+    assert gentle < 1.5 * LIMITS["force_limit_pressure"] < hard
+    assert low < LIMITS["force_limit_load"] < high
 
 
 def test_the_wire_carries_what_the_physics_does():

@@ -5,7 +5,7 @@ each holds against it. Tendon travel is counted as the turn of both joints toget
 of contact the springs share the tendon 1 : 0.4; once the proximal link is held, the flexure takes what is left.
 
 The springs' stiffness is an assumption, nothing is published: their ratio follows from the shares of a free finger, the
-preload holds a level finger up against its weight (0.055 Nm), and a full closing takes an eighth of the motor's torque,
+preload holds a level finger up against its weight (0.055 Nm), and a full closing takes a fifth of the motor's torque,
 far from its overload. Lengths in m, angles in rad, in the frames of the URDF.
 """
 
