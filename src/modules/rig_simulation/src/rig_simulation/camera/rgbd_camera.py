@@ -13,17 +13,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from common.camera_model import CameraModel
+from common.camera_model import DEPTH_FRAME, RGB_FRAME, CameraModel
 from common.errors import DeviceError
 from rig_simulation.camera.colour_sensor import ColourSensor
 from rig_simulation.camera.config import ColourConfig, DepthConfig
 from rig_simulation.camera.depth_sensor import DepthSensor
 from rig_simulation.camera.lens import Lens
 from rig_simulation.camera.rendering import Renderer
-
-RGB_FRAME = "camera_rgb_optical_frame"
-DEPTH_FRAME = "camera_depth_optical_frame"
-"""Optical frames; the cameras of the simulated world have the same names."""
 
 
 @dataclass(frozen=True)

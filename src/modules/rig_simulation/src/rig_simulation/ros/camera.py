@@ -1,8 +1,6 @@
-"""The simulated RGB-D camera as a node, with the topics of openni2_camera.
+"""The simulated RGB-D camera as a node, with the topics of openni2_camera (`common.ros.rgbd_topics`).
 
-Topics, in the node's namespace, taken only while somebody listens: `rgb/image_raw` (rgb8), `depth/image_raw` (16UC1,
-mm, 0 = none), `depth/image` (32FC1, m, NaN = none), `depth_registered/image_raw` (16UC1, in the colour camera's
-pixels); beside each of the three pictures `camera_info`. All pictures of one moment have one stamp.
+Pictures are taken only while somebody listens; all pictures of one moment have one stamp.
 """
 
 from __future__ import annotations
@@ -12,15 +10,14 @@ import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import CameraInfo, Image
 
 from common.camera_model import from_calibration
 from common.config import integer, number, parse, text
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
-from common.ros.images import camera_info_message, image_message, metres_from_millimetres
+from common.ros.rgbd_topics import FRAMES, RgbdTopics
 from rig_simulation.camera.config import ColourConfig, DepthConfig
-from rig_simulation.camera.rgbd_camera import DEPTH_FRAME, RGB_FRAME, RgbdCamera
+from rig_simulation.camera.rgbd_camera import Pictures, RgbdCamera
 from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient, ControlPort
 from rig_simulation.faults import Faults
@@ -53,30 +50,20 @@ class Camera:
     Args:
         config: private parameters.
         camera: what takes the pictures.
-        rgb_info, depth_info: calibrations as messages.
+        topics: where they go.
         faults: those of CAMERA_FAULTS.
     """
 
-    def __init__(
-        self, config: CameraConfig, camera: RgbdCamera, rgb_info: CameraInfo, depth_info: CameraInfo, faults: Faults
-    ) -> None:
+    def __init__(self, config: CameraConfig, camera: RgbdCamera, topics: RgbdTopics, faults: Faults) -> None:
         self._period = 1.0 / config.rate
         self._world = WorldCopy(ControlClient(config.host, config.port, TIMEOUT_S))
         self._camera = camera
+        self._topics = topics
         self._faults = faults
         self._stream = Stream(faults)
         self._trouble = f"The simulated world at {config.host}:{config.port} has not answered yet."
         self._published = self._overruns = 0
         self._milliseconds: dict[str, float] = {}
-        self._rgb, self._depth, self._metric, self._registered = (
-            rospy.Publisher(topic, Image, queue_size=1)
-            for topic in ("rgb/image_raw", "depth/image_raw", "depth/image", "depth_registered/image_raw")
-        )
-        self._infos = [
-            (rospy.Publisher("rgb/camera_info", CameraInfo, queue_size=1), rgb_info),
-            (rospy.Publisher("depth/camera_info", CameraInfo, queue_size=1), depth_info),
-            (rospy.Publisher("depth_registered/camera_info", CameraInfo, queue_size=1), rgb_info),
-        ]
         Diagnostics("camera", self._diagnose)
 
     def run(self) -> None:
@@ -108,30 +95,17 @@ class Camera:
         if exposure is None:
             return
         started = time.perf_counter()
-        pictures, stamp = exposure.pictures, exposure.stamp
-        if pictures.colour is not None:
-            self._rgb.publish(image_message(pictures.colour, "rgb8", RGB_FRAME, stamp))
-        if pictures.registered is not None:
-            self._registered.publish(image_message(pictures.registered, "16UC1", RGB_FRAME, stamp))
-        if pictures.depth is not None:
-            self._depth.publish(image_message(pictures.depth, "16UC1", DEPTH_FRAME, stamp))
-            if self._metric.get_num_connections():
-                self._metric.publish(
-                    image_message(metres_from_millimetres(pictures.depth), "32FC1", DEPTH_FRAME, stamp)
-                )
-        for publisher, info in self._infos:
-            info.header.stamp = stamp
-            publisher.publish(info)
+        pictures = exposure.pictures
+        for name, picture in zip(FRAMES, (pictures.colour, pictures.depth, pictures.registered)):
+            if picture is not None:
+                self._topics.publish(name, picture, exposure.stamp)
+            self._topics.publish_info(name, exposure.stamp)
         self._published += 1
         self._count({**pictures.seconds, "publish": time.perf_counter() - started})
 
-    def _take(self):
-        return self._camera.take(
-            self._world.data,
-            colour=self._rgb.get_num_connections() > 0,
-            depth=self._depth.get_num_connections() > 0 or self._metric.get_num_connections() > 0,
-            registered=self._registered.get_num_connections() > 0,
-        )
+    def _take(self) -> Pictures:
+        colour, depth, registered = (self._topics.wanted(name) for name in FRAMES)
+        return self._camera.take(self._world.data, colour, depth, registered)
 
     def _count(self, seconds: dict[str, float]) -> None:
         for stage, value in seconds.items():
@@ -163,11 +137,9 @@ def main() -> None:
         config.samples,
         config.seed,
     )
-    now = rospy.Time.now()
-    rgb_info, depth_info = camera_info_message(rgb, RGB_FRAME, now), camera_info_message(depth, DEPTH_FRAME, now)
     faults = Faults(CAMERA_FAULTS)
     with ControlPort(faults.requests, HOST, config.control_port):
         try:
-            Camera(config, camera, rgb_info, depth_info, faults).run()
+            Camera(config, camera, RgbdTopics(rgb, depth), faults).run()
         finally:
             camera.close()

@@ -1,0 +1,55 @@
+"""The topics of an RGB-D camera, named as openni2_camera names them, in the node's namespace.
+
+`rgb/image_raw` (rgb8); `depth/image_raw` (16UC1, mm, 0 = none) and `depth/image` (32FC1, m, NaN = none);
+`depth_registered/image_raw` (16UC1, in the colour camera's pixels); `camera_info` beside each of the three pictures.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import rospy
+from sensor_msgs.msg import CameraInfo, Image
+
+from common.camera_model import DEPTH_FRAME, RGB_FRAME, CameraModel
+from common.ros.images import camera_info_message, image_message, metres_from_millimetres
+
+FRAMES = {"rgb": RGB_FRAME, "depth": DEPTH_FRAME, "depth_registered": RGB_FRAME}
+
+
+class RgbdTopics:
+    """Publishes pictures, each only while somebody listens.
+
+    Args:
+        rgb, depth: intrinsics of the two cameras.
+    """
+
+    def __init__(self, rgb: CameraModel, depth: CameraModel) -> None:
+        models = {"rgb": rgb, "depth": depth, "depth_registered": rgb}
+        self._raw = {name: rospy.Publisher(f"{name}/image_raw", Image, queue_size=1) for name in FRAMES}
+        self._metric = rospy.Publisher("depth/image", Image, queue_size=1)
+        self._infos = {name: rospy.Publisher(f"{name}/camera_info", CameraInfo, queue_size=1) for name in FRAMES}
+        self._templates = {
+            name: camera_info_message(models[name], frame, rospy.Time()) for name, frame in FRAMES.items()
+        }
+
+    def wanted(self, name: str) -> bool:
+        """Returns whether somebody takes the pictures of rgb, depth or depth_registered."""
+        metric = name == "depth" and self._metric.get_num_connections() > 0
+        return metric or self._raw[name].get_num_connections() > 0
+
+    def publish(self, name: str, picture: np.ndarray, stamp: rospy.Time) -> None:
+        """Publishes a picture: uint8 with three channels, red first, for rgb, else uint16 [mm]."""
+        encoding = "rgb8" if name == "rgb" else "16UC1"
+        if self._raw[name].get_num_connections():
+            self._raw[name].publish(image_message(picture, encoding, FRAMES[name], stamp))
+        if name == "depth" and self._metric.get_num_connections():
+            self._metric.publish(image_message(metres_from_millimetres(picture), "32FC1", DEPTH_FRAME, stamp))
+
+    def publish_info(self, name: str, stamp: rospy.Time) -> None:
+        """Publishes the camera's description, with the stamp of the picture that it belongs to."""
+        info = copy.copy(self._templates[name])
+        info.header = copy.copy(info.header)
+        info.header.stamp = stamp
+        self._infos[name].publish(info)

@@ -1,0 +1,181 @@
+"""The Xtion Pro Live by OpenNI 2: the device's edge, one sentence for whatever can be missing.
+
+Needs the library libOpenNI2 with its drivers and the Python package openni, which only wraps it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import dataclasses
+import sysconfig
+from types import ModuleType
+
+import numpy as np
+
+from common.camera_model import CameraModel
+from common.config import flag, integer, number, text
+from common.errors import DeviceError
+
+FOLDERS = (f"/usr/lib/{sysconfig.get_config_var('MULTIARCH')}", "/usr/lib64", "/usr/lib", "/usr/local/lib")
+ANY = "any"
+NOT_FOUND = "check the USB cable and port, and that the udev rules of libopenni2 are installed"
+
+
+@dataclasses.dataclass(frozen=True)
+class XtionConfig:
+    """The schema of xtion.yaml."""
+
+    device: str = text(doc="any, or an OpenNI URI")
+    rate: int = integer("Hz", low=1, high=60, doc="pictures a second")
+    depth_registration: bool = flag(doc="depth in the colour camera's pixels instead of its own, by the device")
+    auto_exposure: bool = flag()
+    auto_white_balance: bool = flag()
+    time_offset: float = number("s", low=-1.0, high=1.0, doc="from arrival to the moment that the picture shows")
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """One picture.
+
+    Attributes:
+        name: rgb or depth.
+        picture: shape (height, width, 3), uint8, red first, or shape (height, width), uint16 [mm], 0 = none.
+    """
+
+    name: str
+    picture: np.ndarray
+
+
+class OpenniCamera:
+    """One device. Not thread-safe.
+
+    Args:
+        config: what to ask of the device.
+        rgb, depth: intrinsics; the pictures have their sizes.
+
+    Raises:
+        DeviceError: the library or the Python package is missing.
+    """
+
+    def __init__(self, config: XtionConfig, rgb: CameraModel, depth: CameraModel) -> None:
+        self._config = config
+        self._models = {"rgb": rgb, "depth": depth}
+        self._openni = _library()
+        self._device = None
+        self._streams: dict[str, object] = {}
+
+    def connect(self) -> str:
+        """Opens the device, starts both streams and returns the device's name.
+
+        Raises:
+            DeviceError: there is none, or it does not do what is asked of it.
+        """
+        self.disconnect()
+        openni = self._openni
+        uri = None if self._config.device == ANY else self._config.device.encode()
+        try:
+            self._device = openni.Device(uri)
+        except Exception as error:
+            raise DeviceError(f"No camera {self._config.device}: {_reason(error)}; {NOT_FOUND}.") from None
+        try:
+            self._start("rgb", openni.SENSOR_COLOR, openni.PIXEL_FORMAT_RGB888)
+            self._start("depth", openni.SENSOR_DEPTH, openni.PIXEL_FORMAT_DEPTH_1_MM)
+            self._register()
+        except DeviceError:
+            self.disconnect()
+            raise
+        info = self._device.get_device_info()
+        return f"{info.vendor.decode()} {info.name.decode()}".strip()
+
+    def read(self, timeout: float) -> Frame | None:
+        """Returns the next picture of either stream, None if none came in time.
+
+        Args:
+            timeout: longest time to wait [s].
+
+        Raises:
+            DeviceError: the device is gone.
+        """
+        names, streams = list(self._streams), list(self._streams.values())
+        try:
+            ready = self._openni.wait_for_any_stream(streams, timeout)
+            if ready is None:
+                return None
+            name = names[streams.index(ready)]
+            frame = ready.read_frame()
+            try:
+                return Frame(name, _picture(name, frame))
+            finally:
+                frame.close()
+        except Exception as error:
+            raise DeviceError(f"The camera stopped: {_reason(error)}.") from None
+
+    def disconnect(self) -> None:
+        """Closes streams and device, in this order: the library crashes in any other. May be called twice."""
+        for stream in self._streams.values():
+            with contextlib.suppress(Exception):
+                stream.close()
+        self._streams.clear()
+        if self._device is not None:
+            with contextlib.suppress(Exception):
+                self._device.close()
+            self._device = None
+
+    def _start(self, name: str, sensor, pixels) -> None:
+        size, rate = (self._models[name].width, self._models[name].height), self._config.rate
+        try:
+            stream = self._device.create_stream(sensor)
+            self._streams[name] = stream
+            mode = stream.get_video_mode()
+            # Some drivers refuse to be told what they do already.
+            if (mode.resolutionX, mode.resolutionY, mode.fps, mode.pixelFormat) != (*size, rate, pixels):
+                stream.configure_mode(*size, rate, pixels)
+            if stream.is_property_supported(self._openni.c_api.ONI_STREAM_PROPERTY_MIRRORING):
+                stream.set_mirroring_enabled(False)
+            if name == "rgb" and stream.camera is not None:
+                stream.camera.set_auto_exposure(self._config.auto_exposure)
+                stream.camera.set_auto_white_balance(self._config.auto_white_balance)
+            stream.start()
+        except Exception as error:
+            what = f"{size[0]} x {size[1]} at {rate} Hz"
+            raise DeviceError(f"The camera gives no {name} pictures of {what}: {_reason(error)}.") from None
+
+    def _register(self) -> None:
+        openni, wanted = self._openni, self._config.depth_registration
+        mode = openni.IMAGE_REGISTRATION_DEPTH_TO_COLOR
+        supported = self._device.is_image_registration_mode_supported(mode)
+        if wanted and not supported:
+            raise DeviceError("The camera cannot register depth to colour itself; set depth_registration to false.")
+        if supported:
+            self._device.set_image_registration_mode(mode if wanted else openni.IMAGE_REGISTRATION_OFF)
+
+
+def _library() -> ModuleType:
+    try:
+        from openni import openni2
+    except ImportError:
+        raise DeviceError("The Python package openni is not installed: pip install openni==2.3.0.") from None
+    try:
+        openni2.initialize(list(FOLDERS))
+    except Exception:
+        folders = ", ".join(FOLDERS)
+        raise DeviceError(f"There is no libOpenNI2.so in {folders}; install the package libopenni2-dev.") from None
+    atexit.unregister(openni2.unload)  # it crashes with some drivers, even after all is closed; the process ends anyway
+    return openni2
+
+
+def _picture(name: str, frame) -> np.ndarray:
+    """Returns a copy of the frame's pixels; the library uses its memory again."""
+    kind, channels = (np.uint8, 3) if name == "rgb" else (np.uint16, 1)
+    row = frame.width * channels * np.dtype(kind).itemsize
+    data = np.frombuffer(frame.get_buffer_as_uint8(), np.uint8)[: frame.height * frame.stride]
+    pixels = np.ascontiguousarray(data.reshape(frame.height, frame.stride)[:, :row]).view(kind)
+    return pixels.reshape(frame.height, frame.width, channels).copy().squeeze()
+
+
+def _reason(error: Exception) -> str:
+    """Returns what the library says, without its codes."""
+    message = error.args[1] if len(error.args) > 1 else error
+    text = message.decode(errors="replace") if isinstance(message, bytes) else str(message)
+    return " ".join(text.split()).rstrip(".") or type(error).__name__

@@ -1,0 +1,226 @@
+"""The camera's nodes: driver of the Xtion before a stand-in of its library, watchdog, frames, launch file."""
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rospy")
+pytestmark = pytest.mark.ros
+
+FAKES = Path(__file__).parent / "fake_openni"
+CONFIG = Path(__file__).parents[1] / "config"
+SIZE = {"image_width": 32, "image_height": 24}
+
+
+@pytest.fixture
+def xtion(ros, monkeypatch, tmp_path):
+    """Starts the driver before the stand-in of its library; returns the process and the file that rules the camera."""
+    import rospy
+
+    def start(does: str, **changes):
+        state = tmp_path / "camera"
+        state.write_text(does)
+        monkeypatch.setenv("FAKE_CAMERA", str(state))
+        monkeypatch.setenv("PYTHONPATH", str(FAKES), prepend=":")
+        values = yaml.safe_load((CONFIG / "xtion.yaml").read_text())
+        for name in ("rgb", "depth"):
+            calibration = yaml.safe_load((CONFIG / f"xtion_{name}.yaml").read_text())
+            values[f"{name}_calibration"] = {**calibration, **SIZE}
+        rospy.set_param("camera/driver", {**values, **changes})
+        return ros.run("vision", "xtion_node.py", "__ns:=camera", "__name:=driver"), state
+
+    return start
+
+
+def statuses(ros, name: str):
+    """Returns a function that gives the level, the message and the values of a node's last status."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+
+    def read() -> dict:
+        found = [s for array in arrays for s in array.status if s.name == name]
+        if not found:
+            return {}
+        values = {v.key: v.value for v in found[-1].values}
+        return {"level": found[-1].level, "message": found[-1].message, **values}
+
+    return read
+
+
+def test_the_xtions_pictures_have_the_drivers_names(xtion, ros):
+    from sensor_msgs.msg import CameraInfo, Image
+
+    topics = ("rgb/image_raw", "depth/image_raw", "depth/image")
+    pictures = {topic: ros.record(f"camera/{topic}", Image) for topic in topics}
+    info = ros.record("camera/depth/camera_info", CameraInfo)
+    xtion("present")
+    facts = [(p.wait(2)[-1].encoding, p[-1].header.frame_id, p[-1].width) for p in pictures.values()]
+    rgb, depth = "camera_rgb_optical_frame", "camera_depth_optical_frame"
+    assert facts == [("rgb8", rgb, 32), ("16UC1", depth, 32), ("32FC1", depth, 32)]
+    assert np.frombuffer(pictures["depth/image"][-1].data, "<f4")[0] == pytest.approx(1.0, abs=0.1)
+    info.wait(2)
+    assert {m.header.stamp for m in info} & {m.header.stamp for m in pictures["depth/image_raw"]}
+
+
+def test_registered_depth_has_its_own_topic(xtion, ros):
+    from sensor_msgs.msg import Image
+
+    registered = ros.record("camera/depth_registered/image_raw", Image)
+    xtion("present", depth_registration=True)
+    assert registered.wait(1)[-1].header.frame_id == "camera_rgb_optical_frame"
+
+
+def test_a_camera_pulled_out_is_reported_and_comes_back(xtion, ros, wait_until):
+    from sensor_msgs.msg import Image
+
+    status = statuses(ros, "camera")
+    pictures = ros.record("camera/rgb/image_raw", Image)
+    process, state = xtion("present")
+    pictures.wait(2)
+    state.write_text("absent")
+    wait_until(lambda: status().get("level") == 2, 15.0, "the report that the camera is gone")
+    assert process.poll() is None
+    state.write_text("present")
+    wait_until(lambda: status().get("level") == 0 and status()["losses"] == "1", 15.0, "the report that it is back")
+    pictures.wait(len(pictures) + 2)
+    state.write_text("silent")
+    wait_until(lambda: int(status()["losses"]) > 1, 15.0, "the report of silence")
+
+
+@pytest.mark.parametrize(
+    "does, changes, complaint",
+    [
+        ("absent", {}, "no devices found"),
+        ("unloadable", {}, "libopenni2-dev"),
+        ("unable", {}, "no rgb pictures"),
+        ("present", {"rate": 0}, "~rate is 0"),
+        ("present", {"gain": 1}, "~gain is not a known key"),
+        ("present", {"rgb_calibration": {}}, "camera_matrix"),
+    ],
+)
+def test_without_a_camera_it_ends_with_a_sentence(xtion, wait_until, does, changes, complaint):
+    process, _ = xtion(does, **changes)
+    wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    output = process.log_path.read_text()
+    assert process.returncode == 1
+    assert complaint in output
+    assert "Traceback" not in output
+
+
+class Source:
+    """Publishes the topics of a camera, new ones or always the same."""
+
+    def __init__(self) -> None:
+        import rospy
+        from sensor_msgs.msg import CameraInfo, Image
+
+        self._infos = [rospy.Publisher(f"watched/{n}/camera_info", CameraInfo, queue_size=1) for n in ("rgb", "depth")]
+        self._pictures = [rospy.Publisher(f"watched/{n}/image_raw", Image, queue_size=1) for n in ("rgb", "depth")]
+        self.sends = self.new_stamps = self.new_pictures = True
+        self.depth = 1000
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        for publisher in (*self._infos, *self._pictures):
+            publisher.unregister()
+
+    def _loop(self) -> None:
+        import rospy
+        from sensor_msgs.msg import CameraInfo
+
+        from common.ros.images import image_message
+
+        number, stamp = 0, rospy.Time.now()
+        while not self._stop.wait(0.05):
+            if not self.sends:
+                continue
+            number += self.new_pictures
+            stamp = rospy.Time.now() if self.new_stamps else stamp
+            colour = np.full((2, 2, 3), number % 256, np.uint8)
+            depth = np.full((2, 2), self.depth and self.depth + number % 100, np.uint16)
+            info = CameraInfo()
+            info.header.stamp = stamp
+            self._pictures[0].publish(image_message(colour, "rgb8", "f", stamp))
+            self._pictures[1].publish(image_message(depth, "16UC1", "f", stamp))
+            for publisher in self._infos:
+                publisher.publish(info)
+
+
+@pytest.fixture
+def source(ros):
+    made = Source()
+    yield made
+    made.close()
+
+
+def start_watchdog(ros, **changes):
+    import rospy
+
+    values = yaml.safe_load((CONFIG / "camera_watchdog.yaml").read_text())
+    rospy.set_param("watched/watchdog", {**values, **changes})
+    return ros.run("vision", "camera_watchdog_node.py", "__ns:=watched", "__name:=watchdog")
+
+
+def test_the_watchdog_says_frozen_vanished_empty_and_well_again(ros, source, wait_until):
+    from sensor_msgs.msg import Image
+
+    status = statuses(ros, "camera_watchdog")
+    process = start_watchdog(ros)
+
+    def wait_for(rgb: str, depth: str) -> None:
+        wait_until(lambda: (status().get("rgb"), status().get("depth")) == (rgb, depth), 15.0, f"{rgb} and {depth}")
+
+    wait_for("alive", "alive")
+    source.sends = False
+    wait_for("vanished", "vanished")
+    assert status().get("level") == 2 and "vanished" in status()["message"]
+    source.sends = True
+    wait_for("alive", "alive")
+    source.new_stamps = False
+    wait_for("frozen", "frozen")
+    source.new_stamps = True
+    wait_for("alive", "alive")
+    source.new_pictures = False
+    assert "same picture" not in process.log_path.read_text()
+    for name in ("rgb", "depth"):  # somebody takes the pictures, so the watchdog looks at them
+        ros.record(f"watched/{name}/image_raw", Image)
+    wait_for("frozen", "frozen")
+    source.new_pictures = True
+    wait_for("alive", "alive")
+    source.depth = 0
+    wait_for("alive", "empty")
+    log = process.log_path.read_text()
+    for sentence in ("The colour camera vanished", "The depth camera is frozen", "The depth camera sees nothing"):
+        assert sentence in log
+
+
+def test_the_watchdog_refuses_bad_limits(ros, wait_until):
+    process = start_watchdog(ros, silence=0.0)
+    wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+    assert process.returncode == 1
+    assert "~silence is 0.0" in process.log_path.read_text()
+
+
+def test_the_launch_file_brings_frames_and_waits_for_the_world(ros, free_port, wait_until):
+    import rospy
+    import tf2_ros
+
+    driver, watchdog = statuses(ros, "camera"), statuses(ros, "camera_watchdog")
+    process = ros.launch("vision", "camera.launch", port=free_port(), control_port=0)
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+    pair = ("camera_rgb_optical_frame", "camera_depth_optical_frame", rospy.Time())
+    wait_until(lambda: buffer.can_transform(*pair), 30.0, "the frames")
+    assert buffer.lookup_transform(*pair).transform.translation.x == pytest.approx(-0.025)
+    wait_until(lambda: driver().get("level") == 2, 30.0, "the driver's report that there is no world")
+    wait_until(lambda: watchdog().get("rgb") == "waiting", 30.0, "the watchdog's report")
+    assert process.poll() is None
+    listener.unregister()
