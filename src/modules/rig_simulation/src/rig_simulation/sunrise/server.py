@@ -153,7 +153,8 @@ class Server:
         if self.faults.is_on("half_open"):
             self._stop.wait(tick)
             return
-        until_answer = max(0.0, self._answers.due() - time.monotonic())
+        with self.lock:
+            until_answer = max(0.0, self._answers.due() - time.monotonic())
         for key, _ in self._selector.select(min(tick, until_answer)):
             if key.fileobj is self._listener:
                 self._accept()
