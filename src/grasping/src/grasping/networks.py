@@ -135,6 +135,8 @@ def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor
 
 def check_side(network: nn.Module, depth: torch.Tensor) -> None:
     """Raises ValueError when the network would return maps of another size than the picture's."""
+    if torch.jit.is_tracing():
+        return  # a trace is of one size, which was checked before
     h, w = depth.shape[2:]
     if h % network.side_multiple or w % network.side_multiple:
         raise ValueError(f"the picture is {w} x {h}, but its sides must be multiples of {network.side_multiple}")

@@ -1,0 +1,39 @@
+"""Shares with their confidence intervals."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+Z_95 = 1.959964
+"""Of the normal distribution, two-sided 95 %."""
+
+
+class Share(NamedTuple):
+    """Successes among trials, and the 95 % Wilson interval of their share."""
+
+    successes: int
+    trials: int
+    low: float
+    high: float
+
+    @property
+    def value(self) -> float:
+        """The share itself."""
+        return self.successes / self.trials
+
+
+def share(outcomes) -> Share:
+    """Returns the share of true outcomes.
+
+    Raises:
+        ValueError: there are no outcomes.
+    """
+    outcomes = np.asarray(outcomes, dtype=bool)
+    n, k = len(outcomes), int(outcomes.sum())
+    if n == 0:
+        raise ValueError("a share of no trials has no value")
+    middle = (k + 0.5 * Z_95**2) / (n + Z_95**2)
+    half = Z_95 / (n + Z_95**2) * np.sqrt(k * (n - k) / n + 0.25 * Z_95**2)
+    return Share(k, n, float(max(0.0, middle - half)), float(min(1.0, middle + half)))

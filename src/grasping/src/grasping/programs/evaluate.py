@@ -1,0 +1,109 @@
+"""Compares grasp methods on held-out objects, by lifting in MuJoCo and by the rectangle metric; resumable.
+
+Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import multiprocessing
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from grasping import maps, weights
+from grasping.evaluation import heuristics, trials
+from grasping.evaluation.statistics import share
+from grasping.predictor import frozen, run
+
+COLUMNS = ("scene", "objects", "method", *trials.Outcome._fields)
+NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
+"""As the reference experiments smooth; the node's wider blur is for the moving camera."""
+
+
+def network_method(path: Path):
+    """Returns the grasp finder of a weight file."""
+    network = frozen(weights.load(path.read_bytes()).network)
+
+    def find(picture, _widest, _rng):
+        return maps.highest(maps.smoothed(run(network, picture.input), picture.valid, NETWORK_SMOOTHING))
+
+    return find
+
+
+def try_scene(task) -> list[dict]:
+    """Returns the rows of all methods that are still missing for one scene."""
+    number, missing, files = task
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    count = 1 if number % 2 == 0 else 3 + number // 2 % 3
+    of = trials.situation(number, count)
+    rows = []
+    for name in missing:
+        if name == "oracle":
+            chosen = trials.oracle(of)
+        else:
+            find = heuristics.HEURISTICS.get(name) or network_method(files[name])
+            chosen = find(of.picture, of.widest, np.random.default_rng([7, number]))
+        rows.append({"scene": number, "objects": count, "method": name, **trials.judge(of, chosen)._asdict()})
+    return rows
+
+
+def table(rows: list[dict], methods) -> str:
+    """Returns the results as a Markdown table."""
+    lines = [
+        "| method | one object: lifted % | clutter: lifted % | one object: rectangle % | clutter: rectangle % |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for method in methods:
+        cells = []
+        for field in ("lifted", "rectangle"):
+            for single in (True, False):
+                outcomes = [
+                    str(r[field]) == "True"
+                    for r in rows
+                    if r["method"] == method and (int(r["objects"]) == 1) == single
+                ]
+                if not outcomes:
+                    cells.append("-")
+                    continue
+                s = share(outcomes)
+                cells.append(f"{100 * s.value:.0f} ({100 * s.low:.0f} to {100 * s.high:.0f}), n = {s.trials}")
+        lines.append(f"| {method} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the results go")
+    parser.add_argument("--scenes", type=int, default=300, help="how many")
+    parser.add_argument("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
+    parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    files = {name: Path(file) for name, file in arguments.weights}
+    methods = ["oracle", *heuristics.HEURISTICS, *files]
+    results = arguments.folder / "results.csv"
+    rows = []
+    if results.exists():
+        with results.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    done = {(int(r["scene"]), r["method"]) for r in rows}
+    tasks = []
+    for number in range(arguments.scenes):
+        missing = [m for m in methods if (number, m) not in done]
+        if missing:
+            tasks.append((number, missing, files))
+    with results.open("a", newline="") as file, multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        if not rows:
+            writer.writeheader()
+        for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
+            writer.writerows(new)
+            file.flush()
+            rows += new
+    (arguments.folder / "table.md").write_text(table(rows, methods))
