@@ -1,0 +1,67 @@
+"""The arm as the planning of calibration views sees it: places of its links, and joints for a wanted flange pose.
+
+The kinematics are those of the robot description. The inverse is found by damped Newton steps from a given start and
+keeps its branch, so that ways between the views stay short.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from common.poses import read_only
+
+JOINTS = [f"kuka/joint_{i}" for i in range(1, 8)]
+SHOULDER, ELBOW, WRIST, FLANGE = "kuka/joint_2", "kuka/joint_4", "kuka/joint_6", "kuka/flange"
+MARGIN_RAD = np.radians(5.0)
+"""Views keep so far from the ends of the joint ranges."""
+
+MAX_STEPS = 60
+DAMPING = 1e-4
+MAX_STEP_RAD = 0.3
+SHIFT_TOLERANCE_M, TURN_TOLERANCE_RAD = 2e-3, 5e-3
+"""A view does not have to be where it was wanted; the arm measures where it is."""
+
+
+class ArmModel:
+    """Kinematics of an arm with seven joints.
+
+    Args:
+        urdf: text of the robot description.
+    """
+
+    def __init__(self, urdf: str) -> None:
+        full = pin.buildModelFromXML(urdf)
+        others = [i for i, name in enumerate(full.names) if i > 0 and name not in JOINTS]
+        self._model = pin.buildReducedModel(full, others, pin.neutral(full))
+        self._data = self._model.createData()
+        self._frames = [self._model.getFrameId(name) for name in (SHOULDER, ELBOW, WRIST)]
+        self._flange = self._model.getFrameId(FLANGE)
+        self.lower = read_only(self._model.lowerPositionLimit + MARGIN_RAD)
+        self.upper = read_only(self._model.upperPositionLimit - MARGIN_RAD)
+
+    def flange(self, q) -> np.ndarray:
+        """Returns T_base_flange, shape (4, 4) [m], with the joints at q, shape (7,) [rad]."""
+        pin.framesForwardKinematics(self._model, self._data, np.asarray(q, dtype=float))
+        return self._data.oMf[self._flange].homogeneous
+
+    def spine(self, q) -> np.ndarray:
+        """Returns base, shoulder, elbow, wrist and flange, shape (5, 3) [m]: the arm as a chain of straight pieces."""
+        T = self.flange(q)
+        joints = [self._data.oMf[frame].translation for frame in self._frames]
+        return np.array([np.zeros(3), *joints, T[:3, 3]])
+
+    def joints_for(self, T_base_flange: np.ndarray, start) -> np.ndarray | None:
+        """Returns joints, shape (7,) [rad], that bring the flange there, or None if none are found from `start`."""
+        goal = pin.SE3(T_base_flange[:3, :3], T_base_flange[:3, 3])
+        q = np.clip(np.asarray(start, dtype=float), self.lower, self.upper)
+        for _ in range(MAX_STEPS):
+            pin.computeJointJacobians(self._model, self._data, q)
+            pin.updateFramePlacements(self._model, self._data)
+            error = pin.log6(self._data.oMf[self._flange].actInv(goal)).vector
+            if np.linalg.norm(error[:3]) < SHIFT_TOLERANCE_M and np.linalg.norm(error[3:]) < TURN_TOLERANCE_RAD:
+                return q
+            J = pin.getFrameJacobian(self._model, self._data, self._flange, pin.LOCAL)
+            step = J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error)
+            q = np.clip(q + step * min(1.0, MAX_STEP_RAD / np.max(np.abs(step))), self.lower, self.upper)
+        return None

@@ -1,0 +1,293 @@
+"""The program calibrate_camera: the arm shows the panel to the camera from many sides, and so its place is found.
+
+It asks before the arm moves and before a result is kept. The detector and the node camera_place run beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rospy
+from sensor_msgs.msg import CameraInfo
+from std_srvs.srv import Trigger
+
+from common.errors import ConfigError, DeviceError, RigError
+from common.mounting import rotation_of_mounting
+from common.poses import inverse
+from common.ros.images import camera_model_from_info
+from common.ros.params import wait_for_config
+from common.rotations import rotation_angle
+from rig_description.urdf import urdf
+from vision.arm_model import ArmModel
+from vision.calibration import judge, mean_pose, table, view_from
+from vision.calibration_record import by_views
+from vision.calibration_views import Leg, Place, ViewPlanner, ViewsConfig, guessed_camera
+from vision.hand_eye import Degenerate, View
+from vision.ros.calibration_setup import NAMESPACE, CalibrationSetup, read_setup
+from vision.ros.calibration_store import read
+from vision.ros.comparison import Comparison
+from vision.ros.frames import Frames
+from vision.ros.panel_sights import PanelSights
+from vision.ros.visiting_arm import VisitingArm, robot_address
+
+NODE = "calibrate_camera"
+DETECTOR = "apriltag_ros_continuous_node"
+CAMERA_INFO = "camera/rgb/camera_info"
+SETTLE_S = 0.6
+VIEW_TIMEOUT_S = 6.0
+FIRST_PLACES = 6
+INTERRUPTED = 130
+
+
+class Refused(RigError):
+    """The person said no, or the calibration is not good enough; nothing was stored."""
+
+
+def main() -> None:
+    """Runs the program and exits the process: 0 stored, 1 refused or impossible, 130 interrupted."""
+    options = _parser().parse_args(rospy.myargv()[1:])
+    sys.stdout.reconfigure(line_buffering=True)
+    try:
+        rospy.init_node(NODE, disable_signals=True)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        _run(options)
+        code = 0
+    except RigError as error:
+        for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
+            print(f"calibrate_camera: {sentence}", file=sys.stderr)
+        code = 1
+    except KeyboardInterrupt:
+        print("\nInterrupted; nothing was stored. A motion that has begun goes on to its goal.")
+        code = INTERRUPTED
+    rospy.signal_shutdown("the program ends")
+    sys.exit(code)
+
+
+def _run(options: argparse.Namespace) -> None:
+    if options.by_hand and not sys.stdin.isatty():
+        raise Refused("Moving the arm by hand needs a terminal.")
+    setup = read_setup(DETECTOR)
+    sights = PanelSights(setup.target)
+    if options.again:
+        record = read(options.again)
+        views, frame = list(record.views), record.camera_frame
+    elif options.by_hand:
+        views = _views_by_hand(setup, sights)
+        frame = sights.frame
+    else:
+        views = _views_by_arm(options, setup, sights)
+        frame = sights.frame
+    _conclude(options, setup, views, frame)
+
+
+def _views_by_hand(setup: CalibrationSetup, sights: PanelSights) -> list[View]:
+    """Returns the views at which the person pressed Enter; somebody else moves the arm."""
+    frames, views = Frames(), []
+    print(
+        "Move the arm so that the panel is seen tilted, each time about another axis. Enter: take it, q: that is all."
+    )
+    while input(f"View {len(views) + 1}: ").strip().lower() != "q":
+        seen = sights.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
+        try:
+            T_base_flange = frames.flange(rospy.Time(0), 1.0)
+            views.append(view_from(seen, T_base_flange, views, setup.limits))
+            print(f"  taken, {len(seen)} pictures")
+        except (ValueError, DeviceError) as error:
+            print(f"  not taken: {error}")
+    return views
+
+
+def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: PanelSights) -> list[View]:
+    given = {key: getattr(options, key) for key in ("ip", "port", "robot", "flange")}
+    address = robot_address(setup.store_config, given)
+    config = wait_for_config(ViewsConfig, f"{NAMESPACE}/views")
+    model = ArmModel(urdf(address.robot, address.flange))
+    R_world_base = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))
+    points = np.concatenate([tag.corners for tag in setup.target.tags])
+    try:
+        camera = camera_model_from_info(rospy.wait_for_message(CAMERA_INFO, CameraInfo, 10.0))
+    except rospy.ROSException:
+        raise DeviceError(f"There is no {rospy.resolve_name(CAMERA_INFO)}: is the camera running?") from None
+    except ValueError as error:
+        raise DeviceError(f"The camera's description is of no use: {error}.") from None
+    planner = ViewPlanner(config, model, camera, points, setup.panel.plate, setup.panel.T_flange_tag, R_world_base)
+    rng = np.random.default_rng(options.seed)
+    if not options.yes and not sys.stdin.isatty():
+        raise Refused("There is no terminal to ask on whether the arm may move; use --yes.")
+    print(f"The arm goes to {_text(config.start)} deg, and then to the views, at {options.velocity:.0%} of full speed.")
+    _agree(options, "Is the way free, and may it move?")
+    arm = VisitingArm(address, model, options.velocity)
+    try:
+        start = np.radians(config.start)
+        arm.go(start, print)
+        guess = _sighted_guess(arm, setup, sights, planner, _first_guess(setup, config, R_world_base), start, rng)
+        print("The panel is seen. Choosing the views ...")
+        places = planner.choose(planner.candidates(guess, rng), guess)
+        legs = planner.tour(places, arm.joints(), guess)
+        if len(legs) < setup.limits.min_views:
+            raise DeviceError(
+                f"Only {len(legs)} views can be reached, {setup.limits.min_views} are needed: check the guess, "
+                "the distances and min_height in calibration_views.yaml."
+            )
+        _agree(options, f"Visit {len(legs)} views, about {_duration(legs, arm.joints(), options.velocity):.0f} s?")
+        views = _visit(arm, legs, setup, sights)
+        if planner.way_clear(arm.joints(), start, guess):
+            arm.go(start, print)
+        return views
+    finally:
+        arm.close()
+        print("The connection is closed and the server on the robot ends with it; start it again for the next program.")
+
+
+def _first_guess(setup: CalibrationSetup, config: ViewsConfig, R_world_base: np.ndarray) -> np.ndarray:
+    found = setup.store.newest()
+    return guessed_camera(config, R_world_base) if found is None else found[0].T_base_camera
+
+
+def _sighted_guess(arm, setup, sights, planner: ViewPlanner, guess, start, rng) -> np.ndarray:
+    """Returns T_base_camera, shape (4, 4), by the panel's drawing, from the first place at which the panel is seen.
+
+    Raises:
+        DeviceError: it is seen nowhere.
+    """
+    legs = [Leg(Place(start, arm.flange()), ())]
+    legs += planner.tour(planner.candidates(guess, rng, centre_only=True)[:FIRST_PLACES], start, guess)
+    for leg in legs:
+        for q in leg.way:
+            arm.go(q, print)
+        time.sleep(SETTLE_S)
+        seen = sights.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
+        if seen:
+            T_camera_panel = mean_pose([sight.T_camera_panel for sight in seen])
+            return arm.flange() @ setup.panel.T_flange_tag @ inverse(T_camera_panel)
+        print("The panel is not seen here.")
+        if sights.last_picture is None:
+            raise DeviceError("The detector publishes nothing: is the camera running?")
+    raise DeviceError(
+        f"The panel was not seen at {len(legs)} places: correct guess_position and guess_target in "
+        "calibration_views.yaml, or move the arm so that the camera sees the panel and use --by-hand."
+    )
+
+
+def _visit(arm: VisitingArm, legs: list[Leg], setup: CalibrationSetup, sights: PanelSights) -> list[View]:
+    views: list[View] = []
+    for i, leg in enumerate(legs, start=1):
+        for q in leg.way:
+            arm.go(q, print)
+        time.sleep(SETTLE_S)
+        seen = sights.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
+        try:
+            views.append(view_from(seen, arm.flange(), views, setup.limits))
+            distance = np.linalg.norm(views[-1].T_camera_panel[:3, 3])
+            print(f"View {i} of {len(legs)}: panel at {distance:.2f} m, {len(seen)} pictures.")
+        except ValueError as error:
+            print(f"View {i} of {len(legs)} does not count: {error}.")
+    return views
+
+
+def _conclude(options: argparse.Namespace, setup: CalibrationSetup, views: list[View], frame: str) -> None:
+    """Solves, tells, shows, asks and stores.
+
+    Raises:
+        Refused: the result is not good enough, or the person does not want it.
+    """
+    try:
+        verdict = judge(views, setup.panel.T_flange_tag, setup.limits)
+    except Degenerate as error:
+        raise Refused(f"There is no calibration: {error}. The one before stays.") from None
+    print("\n".join(table(verdict)))
+    print(f"The panel sits {verdict.panel[0]:.2f} mm and {verdict.panel[1]:.2f} deg from its drawing.")
+    found = setup.store.newest()
+    new = verdict.result.T_base_camera
+    comparison = Comparison()
+    comparison.show(None if found is None else found[0].T_base_camera, new)
+    if found is not None:
+        between = inverse(found[0].T_base_camera) @ new
+        turn = np.degrees(rotation_angle(between[:3, :3]))
+        shift = 1e3 * np.linalg.norm(between[:3, 3])
+        print(f"The camera is {shift:.1f} mm and {turn:.2f} deg from where {found[1].name} has it.")
+    print(verdict.sentence)
+    if not verdict.accepted:
+        raise Refused("Nothing was stored; the calibration before stays.")
+    _agree(options, "Keep it?")
+    store = setup.store_config
+    record = by_views(
+        verdict,
+        views,
+        date=time.strftime("%Y-%m-%dT%H:%M:%S"),
+        robot=store.robot,
+        flange=store.flange,
+        panel=setup.panel.frame,
+        camera=store.camera,
+        camera_frame=frame,
+    )
+    print(f"Stored in {setup.store.save(record)}.")
+    with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
+        rospy.wait_for_service("camera_place/reload", 1.0)
+        print(rospy.ServiceProxy("camera_place/reload", Trigger)().message)
+
+
+def _agree(options: argparse.Namespace, question: str) -> None:
+    if options.yes:
+        print(question.replace("?", "."))
+        return
+    try:
+        answer = input(f"{question} [y/N] ")
+    except EOFError:
+        answer = ""
+    if answer.strip().lower() not in ("y", "yes"):
+        raise Refused("Then not; nothing was stored.")
+
+
+def _duration(legs: list[Leg], q: np.ndarray, velocity: float) -> float:
+    """Returns roughly how long the visit takes [s]."""
+    turned, stops = 0.0, 0
+    for leg in legs:
+        for goal in leg.way:
+            turned, q = turned + float(np.max(np.abs(goal - q))), goal
+        stops += 1
+    return turned / (velocity * np.radians(98.0)) + stops * (SETTLE_S + 1.5)
+
+
+def _text(angles: np.ndarray) -> str:
+    return ", ".join(f"{angle:g}" for angle in angles)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="calibrate_camera.py",
+        description="Finds where the camera stands: the arm shows the marker panel to it from many sides.",
+        epilog="Start roslaunch vision camera_apriltag.launch first. The robot is that of the parameters under kuka/ "
+        "on the ROS master; the options stand above them.",
+    )
+    parser.add_argument("--by-hand", action="store_true", help="somebody else moves the arm; Enter takes a view")
+    parser.add_argument(
+        "--again", type=Path, metavar="FILE.yaml", help="compute anew from the views in a stored calibration"
+    )
+    parser.add_argument("--yes", action="store_true", help="do not ask")
+    parser.add_argument(
+        "--velocity", type=_share, default=0.15, help="share of full joint speed, (0, 0.5] (%(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the choice of the views")
+    robot = parser.add_argument_group("robot")
+    robot.add_argument("--ip", help="address of the robot's controller")
+    robot.add_argument("--port", type=int, help="TCP port of the toolbox server")
+    robot.add_argument("--robot", help="the arm: LBR7R800 or LBR14R820")
+    robot.add_argument("--flange", help="its media flange")
+    return parser
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value <= 0.5:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number in (0, 0.5]")
+    return value
