@@ -15,7 +15,6 @@ from rig_simulation.sunrise.robot import JOINTS
 from rig_simulation.world.physics import Part, World
 from rig_simulation.world.robot import ARM_DAMPING, ARM_STIFFNESS
 
-
 OBSERVER_TIME_S = 0.01
 """Torques from outside are known only so fast: the controller takes them from measured torques by a filter."""
 

@@ -3,7 +3,7 @@
 Two processes that build it from the same description have the same model. The world frame is upright with its origin in
 the arm's base; with an upright arm it is `kuka/base_frame`.
 
-Names: bodies and joints of the robot as in its URDF; `table`; `object/<name>`, each with a free joint of its own name;
+Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint so named;
 `panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`, which
 look along their own -z with y up, as MuJoCo wants it: the optical frames turned by half a turn about x.
 """
@@ -105,8 +105,8 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     ET.SubElement(root, "asset")
     world = ET.SubElement(root, "worldbody")
     ET.SubElement(world, "light", pos="0.5 0 2.5", dir="0 0 -1", directional="true", diffuse="0.6 0.6 0.6")
-    floor = (0, 0, scene.table.top - FLOOR_BELOW_TABLE)
-    geom(world, "floor", BOARD, "plane", (5, 5, 0.1), p=floor, colour=FLOOR_COLOUR)
+    floor = body(world, "floor", pose(p=(0, 0, scene.table.top - FLOOR_BELOW_TABLE)))
+    geom(floor, "floor", BOARD, "plane", (5, 5, 0.1), colour=FLOOR_COLOUR)
     add_table(world, scene.table)
     world.find("body[@name='table']/geom").set("rgba", numbers((*BOARD_COLOUR, 1.0)))
     _add_camera(world, scene.camera)
