@@ -16,6 +16,7 @@ from kuka_control.arm import Arm, ArmState
 from kuka_control.commands import End, Servo
 from kuka_control.config import RealTimeConfig
 from kuka_control.controller import Controller, Inputs
+from kuka_control.kinematics import DhDeviations
 from kuka_control.stream import Desired
 from rig_simulation.sunrise.arm import Arm as Joints
 from rig_simulation.sunrise.arm import ArmSettings
@@ -78,6 +79,8 @@ class SimulatedRig:
 
     Args:
         server_law: of the simulated controller.
+        robot: the simulated arm; that of the rig's description where left out.
+        dh: how the controller takes its arm to be off the data sheet.
         changes: of parameters.
 
     Attributes:
@@ -86,11 +89,13 @@ class SimulatedRig:
         times: of the goals [s].
     """
 
-    def __init__(self, server_law: str = "lts", **changes) -> None:
+    def __init__(
+        self, server_law: str = "lts", robot: Robot | None = None, dh: DhDeviations | None = None, **changes
+    ) -> None:
         values = yaml.safe_load((SRC / "kuka_control/config/kuka_params_rt.yaml").read_text())
         self.config = parse(RealTimeConfig, {**values, **changes}, "kuka/")
-        self.rig = assembly.Rig.of(self.config)
-        robot = Robot(read_urdf(self.config.robot, self.config.flange))
+        self.rig = assembly.Rig.of(self.config, dh)
+        robot = robot or Robot(read_urdf(self.config.robot, self.config.flange))
         self.joints = Joints(robot, ArmSettings(servo_law=server_law))
         self.joints.attach(self.rig.T_flange_tool)
         self.arm = SimulatedArm(self.joints)

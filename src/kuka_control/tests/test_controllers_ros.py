@@ -20,6 +20,7 @@ from common.rotations import rotation_from_zyx
 pytestmark = pytest.mark.ros
 
 CONFIG = Path(__file__).parents[1] / "config"
+EXAMPLE = str(CONFIG / "dh_parameters_example.yaml")
 REAL_TIME, PTP = "real_time_controller.py", "ptp_controller.py"
 MOVE_S = 60.0
 """Longest wait for a motion; the machine may be busy."""
@@ -451,6 +452,13 @@ def test_the_launch_files_set_what_they_are_given(ros, robot, wait_until):
         (PTP, {"joints_thresh": -1}, ["kuka/joints_thresh"]),
         (REAL_TIME, {"mounting": [180, 0, 0]}, ["joint 6", "ceiling"]),
         (PTP, {"use_tool_transform": True, "tool_transform": [2] + [0] * 15}, ["kuka/tool_transform"]),
+        (REAL_TIME, {"dh_parameters": "arm.yaml"}, ["kuka/dh_parameters is 'arm.yaml'", "an absolute path, or empty"]),
+        (PTP, {"dh_parameters": "/no/such/arm.yaml"}, ["/no/such/arm.yaml cannot be read"]),
+        (
+            REAL_TIME,
+            {"dh_parameters": EXAMPLE, "robot": "LBR14R820"},
+            ["robot is LBR7R800, but the arm is a LBR14R820"],
+        ),
     ],
 )
 def test_bad_parameters_are_refused_before_anything_is_connected(ros, robot, start, executable, changes, words):
@@ -536,6 +544,35 @@ def test_a_tool_that_is_a_whole_pose(ros, robot, start, hand, wait_until):
         MOVE_S,
         "the tool at the hand",
     )
+
+
+def test_a_deviation_of_a_calibrated_arm_that_is_not_plausible_is_refused(ros, robot, start, tmp_path):
+    values = yaml.safe_load(Path(EXAMPLE).read_text())
+    file = tmp_path / "arm.yaml"
+    file.write_text(yaml.safe_dump({**values, "delta_d": [0, 0, 0, 0, 7.5, 0, 0]}))
+    node = start(dh_parameters=str(file))
+    assert node.wait_for_end(30.0) == 1
+    assert f"{file}: delta_d is [0, 0, 0, 0, 7.5, 0, 0], but must be 7 finite numbers, each in [-5, 5] mm." in node.log
+    assert "Traceback" not in node.log and not robot.ask()["connected"]
+
+
+def test_a_calibrated_arm_has_its_home_and_its_measured_flange_by_its_own_parameters(ros, robot, wait_until):
+    """The simulated arm is as in the data sheet; its joints are those that the controller chose for another."""
+    import rospy
+    import tf2_ros
+    from std_msgs.msg import String
+
+    from common.ros.conversions import pose_from_transform
+
+    modes = ros.record("kuka/mode", String)
+    ros.launch("kuka_control", "real_time_controller.launch", ip="127.0.0.1", port=robot.port, dh_parameters=EXAMPLE)
+    wait_until(lambda: modes and modes[-1].data == "home", MOVE_S, "the arm at home")
+    assert rospy.get_param("kuka/dh_parameters") == EXAMPLE
+    home = frame("kuka/flange_frame/home", tf2_ros, wait_until, pose_from_transform)
+    np.testing.assert_allclose(home[:3, 3] - [0.0, 0.0, 0.106], rospy.get_param("kuka/ws_center"), atol=1e-6)
+    measured = frame("kuka/flange_frame/measured", tf2_ros, wait_until, pose_from_transform)
+    np.testing.assert_allclose(measured[:3, 3], home[:3, 3], atol=1e-4)
+    assert 5e-4 < np.linalg.norm(np.array(robot.ask()["flange"])[:3, 3] - home[:3, 3]) < 5e-3
 
 
 def frame(name, tf2_ros, wait_until, pose_from_transform):

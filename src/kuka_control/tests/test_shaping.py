@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-pytest.importorskip("rig_simulation")
+from bench.simulated import SimulatedRig
 
 DT = 0.004
 STOP = 0.8
 """Speed of the tool at which the simulated controller stops the arm [m/s]."""
 
 
-@pytest.fixture
-def simulated(monkeypatch):
-    """The module bench.simulated; the benchmarks are a package beside the sources."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[3]))
-    from bench import simulated
-
-    return simulated
-
-
-def rig(simulated, server_law="lts", **changes):
-    return simulated.SimulatedRig(server_law, **changes).at_home()
+def rig(server_law="lts", **changes):
+    return SimulatedRig(server_law, **changes).at_home()
 
 
 def home(rig):
@@ -85,23 +74,23 @@ def goal_speeds(rig):
 
 @pytest.mark.parametrize(("server", "servo_law"), [("lts", "none"), ("lts", "lts"), ("none", "none")])
 @pytest.mark.parametrize("speed", [0.5, 1.0, 1.5])
-def test_a_fast_hand_never_trips_the_speed_stop(simulated, server, servo_law, speed):
-    r = rig(simulated, server, servo_law=servo_law)
+def test_a_fast_hand_never_trips_the_speed_stop(server, servo_law, speed):
+    r = rig(server, servo_law=servo_law)
     r.follow(6.0, darting_hand(home(r), speed, 1))
     assert r.joints.stops == 0 and r.joints.max_tool_speed < STOP - 0.02
     assert r.joints.max_tool_speed > 0.4
 
 
-def test_the_same_hand_without_shaping_does_trip_it(simulated):
-    r = rig(simulated, "none", shaping="none")
+def test_the_same_hand_without_shaping_does_trip_it():
+    r = rig("none", shaping="none")
     r.follow(6.0, darting_hand(home(r), 1.5, 1))
     assert r.joints.stops > 0
 
 
 @pytest.mark.parametrize("rate", [74.0, 115.0])
-def test_between_frames_the_goal_goes_on_smoothly(simulated, rate):
+def test_between_frames_the_goal_goes_on_smoothly(rate):
     """A circle of 0.19 m/s: its joints need 3 rad/s^2; steps from frame to frame would show hundreds."""
-    r = rig(simulated)
+    r = rig()
     r.follow(4.0, circle(home(r), 0.06, 0.5), rate)
     steps = np.any(np.diff(r.goals, axis=0)[5:] != 0.0, axis=1)
     assert np.mean(steps) > 0.99
@@ -109,8 +98,8 @@ def test_between_frames_the_goal_goes_on_smoothly(simulated, rate):
     assert np.max(np.abs(acceleration[350:])) < 8.0
 
 
-def test_uneven_frames_do_not_shake_the_goal(simulated):
-    r = rig(simulated)
+def test_uneven_frames_do_not_shake_the_goal():
+    r = rig()
     late = np.random.default_rng(2)
     r.follow(4.0, circle(home(r), 0.06, 0.5), 74.0, lambda: late.uniform(0.0, 0.008))
     acceleration = np.diff(goal_speeds(r), axis=0) / DT
@@ -118,9 +107,9 @@ def test_uneven_frames_do_not_shake_the_goal(simulated):
 
 
 @pytest.mark.parametrize("hertz", [0.25, 0.5])
-def test_nothing_limited_adds_no_lag(simulated, hertz):
+def test_nothing_limited_adds_no_lag(hertz):
     """The goal is where the tool frame is at that moment, although frames come at 74 Hz only."""
-    r = rig(simulated)
+    r = rig()
     tool = circle(home(r), 0.06, hertz)
     r.follow(4.0, tool)
     goals = np.array([r.rig.kinematics.forward(q)[:3, 3] for q in r.goals])
@@ -129,8 +118,8 @@ def test_nothing_limited_adds_no_lag(simulated, hertz):
     assert np.max(np.linalg.norm(goals - wanted, axis=1)[350:]) < 0.005 * speed + 0.0002
 
 
-def test_a_hand_that_stops_is_not_overshot(simulated):
-    r = rig(simulated)
+def test_a_hand_that_stops_is_not_overshot():
+    r = rig()
     T = home(r)
 
     def reach(t):
@@ -142,8 +131,8 @@ def test_a_hand_that_stops_is_not_overshot(simulated):
     assert np.max(y) < 0.1205 and y[-1] == pytest.approx(0.12, abs=1e-3)
 
 
-def test_when_frames_stop_the_goal_comes_to_rest_soon(simulated):
-    r = rig(simulated, time_out=2.0)
+def test_when_frames_stop_the_goal_comes_to_rest_soon():
+    r = rig(time_out=2.0)
     T = home(r)
     r.follow(1.5, lambda t: moved(T, [0.0, 0.2 * t, 0.0]), frames_for=0.7)
     y = np.array([r.rig.kinematics.forward(q)[1, 3] for q in r.goals]) - T[1, 3]
@@ -177,10 +166,10 @@ HARD = {
 
 @pytest.mark.parametrize("where", HARD)
 @pytest.mark.parametrize("servo_law", ["none", "lts"])
-def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(simulated, where, servo_law):
+def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(where, servo_law):
     wide = dict(opening_angle=170.0, z_lower_limit=0.11, z_upper_limit=0.9, inner_sphere_limit=0.41)
-    home_pos = np.degrees(rig(simulated).rig.home.q).tolist()
-    r = rig(simulated, servo_law=servo_law, time_out=1.0, use_home_pos=True, home_pos=home_pos, **wide)
+    home_pos = np.degrees(rig().rig.home.q).tolist()
+    r = rig(servo_law=servo_law, time_out=1.0, use_home_pos=True, home_pos=home_pos, **wide)
     T = home(r)
     r.follow(11.0, out_and_back(T, *HARD[where]))
     assert r.step.mode == "servo" and r.joints.stops == 0, r.events[-3:]
@@ -197,8 +186,8 @@ def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(simulated,
     assert np.max(turns) < 24
 
 
-def test_a_wrong_servo_law_is_refused_before_anything_is_followed(simulated):
-    r = rig(simulated, "none", servo_law="lts")
+def test_a_wrong_servo_law_is_refused_before_anything_is_followed():
+    r = rig("none", servo_law="lts")
     assert r.step.mode == "stopped" and "Set servo_law: none" in r.step.command.fault
     np.testing.assert_allclose(r.joints.q, r.rig.home.q, atol=np.radians(0.07))
 
@@ -206,23 +195,23 @@ def test_a_wrong_servo_law_is_refused_before_anything_is_followed(simulated):
 @pytest.mark.parametrize(("server", "servo_law", "said"), [
     ("lts", "lts", "is lts, as set"), ("none", "none", "is none, as set"), ("lts", "none", "would follow closer"),
 ])  # fmt: skip
-def test_the_law_is_said_at_the_start(simulated, server, servo_law, said):
-    r = rig(simulated, server, servo_law=servo_law)
+def test_the_law_is_said_at_the_start(server, servo_law, said):
+    r = rig(server, servo_law=servo_law)
     assert r.step.mode == "home" and any(said in event for event in r.events)
 
 
-def test_a_held_arm_leaves_the_law_unclear_and_goals_as_for_none(simulated):
-    r = simulated.SimulatedRig("lts", servo_law="lts")
+def test_a_held_arm_leaves_the_law_unclear_and_goals_as_for_none():
+    r = SimulatedRig("lts", servo_law="lts")
     r.joints.safety_stop = "held"
     r.at_home()
     assert r.step.mode == "home" and any("unclear" in event and "as for servo_law none" in event for event in r.events)
 
 
 @pytest.mark.parametrize("hertz", [0.1, 0.5])
-def test_goals_for_the_lts_law_bring_the_arm_closer_and_rest_with_it(simulated, hertz):
+def test_goals_for_the_lts_law_bring_the_arm_closer_and_rest_with_it(hertz):
     behind = {}
     for servo_law in ("none", "lts"):
-        r = rig(simulated, "lts", servo_law=servo_law)
+        r = rig("lts", servo_law=servo_law)
         tool = stopping(circle(home(r), 0.06, hertz), 3.0)
         r.follow(4.0, tool)
         arm = np.array([r.rig.kinematics.forward(q)[:3, 3] for q in r.q])

@@ -1,0 +1,8 @@
+"""The benchmarks are tested here."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1]))  # where bench is a package
