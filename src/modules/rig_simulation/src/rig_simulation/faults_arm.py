@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import random
-from collections import deque
 
 import numpy as np
 
+from rig_simulation.delay_line import DelayLine
 from rig_simulation.faults import Fault, Faults, Value, share_of
 from rig_simulation.garbage import garbled
 
@@ -35,7 +34,7 @@ class Answers:
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
         self._random = random.Random(0)
-        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._waiting: DelayLine[bytes] = DelayLine()
 
     def put(self, text: str, now: float) -> None:
         """Takes answers, each with its line's end, that the application gives at the time `now` [s]."""
@@ -46,26 +45,22 @@ class Answers:
                 continue
             if self._random.random() < faults.get("garbled", 0.0):
                 answer = garbled(answer[:-1], self._random).replace(b"\n", b"\r") + b"\n"
-            # An answer never overtakes an earlier one, whatever has been switched meanwhile: this is one TCP stream.
-            due = max(due, self._waiting[-1][0]) if self._waiting else due
             if "torn" in faults:
                 for i, byte in enumerate(answer):
-                    self._waiting.append((due + i * faults["torn"], bytes([byte])))
+                    self._waiting.put(bytes([byte]), due + i * faults["torn"])
             else:
-                self._waiting.append((due, answer))
+                self._waiting.put(answer, due)
 
     def take(self, now: float) -> list[bytes]:
         """Returns what is to be sent by the time `now` [s], in pieces that are sent one by one."""
         if self._faults.is_on("half_open"):
             return []
-        pieces = []
-        while self._waiting and self._waiting[0][0] <= now:
-            pieces.append(self._waiting.popleft()[1])
+        pieces = self._waiting.take(now)
         return pieces if self._faults.is_on("torn") else [b"".join(pieces)] if pieces else []
 
-    def due(self) -> float:
+    def next_due(self) -> float:
         """Returns when the next answer is to be sent [s]; infinity if none waits."""
-        return self._waiting[0][0] if self._waiting else math.inf
+        return self._waiting.next_due()
 
     def drop(self) -> None:
         """Forgets what waits, since its connection is gone."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import random
-from collections import deque
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
+from rig_simulation.delay_line import DelayLine
 from rig_simulation.faults import Fault, Faults, Value, share_of
 from rig_simulation.garbage import garbled
 
@@ -65,7 +65,7 @@ class Wire:
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
         self._random = random.Random(0)
-        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._waiting: DelayLine[bytes] = DelayLine()
         self._frozen: bytes | None = None
         self._held: bytes | None = None
         self._inside: dict[str, float] = {}
@@ -89,12 +89,9 @@ class Wire:
             packet = self._frozen or packet
             if self._random.random() < faults.get("garbled", 0.0):
                 packet = broken(packet, self._random)
-            due = now + faults.get("slow", 0.0)
-            self._waiting += [(due, one) for one in self._in_order(packet, faults)]
-        sent = []
-        while self._waiting and self._waiting[0][0] <= now:
-            sent.append(self._waiting.popleft()[1])
-        return sent
+            for one in self._in_order(packet, faults):
+                self._waiting.put(one, now + faults.get("slow", 0.0))
+        return self._waiting.take(now)
 
     def incoming(self, commands: list[bytes]) -> list[bytes]:
         """Returns the commands that arrive."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import random
-from collections import deque
 
+from rig_simulation.delay_line import DelayLine
 from rig_simulation.faults import Fault, Faults, Value, share_of
 from rig_simulation.garbage import garbled
 from rig_simulation.leap import wire
@@ -55,7 +55,7 @@ class Stream:
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
         self._random = random.Random(0)
-        self._waiting: deque[tuple[float, str]] = deque()
+        self._waiting: DelayLine[str] = DelayLine()
         self._frozen: str | None = None
         self._last = self._burst = float("-inf")
         self._hands = Hands()
@@ -73,15 +73,12 @@ class Stream:
         frame = self._frozen or frame
         if "garbled" in faults and self._random.random() < faults["garbled"]:
             frame = broken(frame, self._random)
-        self._waiting.append((now + faults.get("slow", 0.0), frame))
+        self._waiting.put(frame, now + faults.get("slow", 0.0))
         if "bursts" in faults:
             if now < self._burst + faults["bursts"]:
                 return []
             self._burst = now
-        due = []
-        while self._waiting and self._waiting[0][0] <= now:
-            due.append(self._waiting.popleft()[1])
-        return due
+        return self._waiting.take(now)
 
 
 class Hands:

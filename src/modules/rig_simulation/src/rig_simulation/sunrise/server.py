@@ -154,7 +154,7 @@ class Server:
             self._stop.wait(tick)
             return
         with self.lock:
-            until_answer = max(0.0, self._answers.due() - time.monotonic())
+            until_answer = max(0.0, self._answers.next_due() - time.monotonic())
         for key, _ in self._selector.select(min(tick, until_answer)):
             if key.fileobj is self._listener:
                 self._accept()
