@@ -195,8 +195,9 @@ def test_bursts(client, fault):
     fault("bursts", value=0.5)
     while not client.silent(0.25):
         pass
-    burst = [client.frame(0.2) for _ in range(10)]
-    assert burst[-1]["timestamp"] - burst[0]["timestamp"] > 75_000, "at once, but of different moments"
+    burst = [client.frame() for _ in range(10)]
+    span = burst[-1]["timestamp"] - burst[0]["timestamp"]
+    assert 75_000 < span < 600_000, "after the silence frames of different moments, one behind the other"
     fault("bursts", on=False)
     frames = [client.frame() for _ in range(100)]
     assert [frame["id"] for frame in frames] == sorted({frame["id"] for frame in frames})
