@@ -50,12 +50,14 @@ class WatchedStream:
             now = time.monotonic()
             return self._watch.health(now), self._watch.rate(now)
 
-    def report(self) -> None:
-        """Logs a change of state."""
+    def report(self) -> bool:
+        """Logs a change of state; returns whether there was one."""
         health, _ = self.health()
-        if health.state != self._said:
-            self._said = health.state
-            (rospy.loginfo if health.usable else rospy.logwarn)("%s", health.sentence)
+        if health.state == self._said:
+            return False
+        self._said = health.state
+        (rospy.loginfo if health.usable else rospy.logwarn)("%s", health.sentence)
+        return True
 
     def look_if(self, wanted: bool) -> None:
         """Takes the pictures while somebody else does."""
@@ -89,7 +91,7 @@ class CameraWatchdog:
 
     def __init__(self, config: WatchConfig) -> None:
         self._streams = {name: WatchedStream(name, config) for name in STREAMS}
-        Diagnostics("camera_watchdog", self._diagnose)
+        self._diagnostics = Diagnostics("camera_watchdog", self._diagnose)
 
     def run(self) -> None:
         """Watches until ROS shuts down."""
@@ -100,8 +102,8 @@ class CameraWatchdog:
                 taken = _topics_that_others_take()
                 for stream in self._streams.values():
                     stream.look_if(taken(stream.topic))
-            for stream in self._streams.values():
-                stream.report()
+            if any([stream.report() for stream in self._streams.values()]):
+                self._diagnostics.publish()
             time.sleep(POLL_S)
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:

@@ -82,9 +82,11 @@ class DepthSensor:
             nodes = self._fb * config.warp_sd * rng.standard_normal(WARP_NODES, dtype=np.float32)
             self._warp = cv2.resize(nodes, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
         self._noise = self._jitter = None
-        if config.noise or config.min_signal > 0.0 or config.edge_jitter > 0.0:
+        if config.noise or config.min_signal > 0.0:
             self._noise = NoiseField(camera.height, camera.width, 1, config.correlation, rng)
-            self._jitter = self._noise.scaled(config.edge_jitter, np.int16)
+        if config.edge_jitter > 0.0:
+            jitter = NoiseField(camera.height, camera.width, 2, config.correlation, rng)
+            self._jitter = jitter.scaled(config.edge_jitter, np.int16)
         self._u = (np.arange(camera.width) - camera.K[0, 2]).astype(np.float32)
         self._v = (np.arange(camera.height) - camera.K[1, 2]).astype(np.float32)[:, None]
         self._sight = (self._u / camera.K[0, 0]) ** 2 + (self._v / camera.K[1, 1]) ** 2 + 1.0
@@ -115,11 +117,7 @@ class DepthSensor:
     def _with_edges(self, inverse_depth: np.ndarray) -> np.ndarray:
         """Returns the camera's inverse depth; at edges, one surface or the other, never something between them."""
         smooth = self._lens.look(inverse_depth)
-        shape = smooth.shape
-        if self._jitter is None:
-            shift = np.zeros((*shape, 2), np.int16)
-        else:
-            shift = np.stack((self._jitter.cut(), self._jitter.cut()), axis=-1)
+        shift = np.int16(0) if self._jitter is None else self._jitter.cut()
         beside = self._lens.look_beside(inverse_depth, shift)
         return np.where(np.abs(beside - smooth) > EDGE * smooth, beside, smooth)
 

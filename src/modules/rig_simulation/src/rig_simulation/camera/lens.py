@@ -67,12 +67,12 @@ class Lens:
         """
         return cv2.remap(picture, *self._smooth, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
-    def look_beside(self, picture: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    def look_beside(self, picture: np.ndarray, shift: np.ndarray | np.int16) -> np.ndarray:
         """Returns the camera's picture, each pixel taken whole from a place `shift` beside its own.
 
         Args:
             picture: shape (window.height, window.width[, 3]), rows from the bottom.
-            shift: to the right and up, shape (height, width, 2), int16 [px].
+            shift: to the right and up, shape (height, width, 2) or one number for all, int16 [px].
         """
         nothing = np.empty(0, np.uint16)
         return cv2.remap(picture, self._nearest + shift, nothing, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)

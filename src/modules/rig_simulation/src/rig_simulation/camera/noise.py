@@ -17,7 +17,7 @@ class NoiseField:
 
     Args:
         height, width: of a cut [px].
-        channels: 1 or 3.
+        channels: 1 to 4.
         correlation: standard deviation of the Gaussian that the white noise is smoothed with [px]; 0 = none.
         rng: source of the field and of the cuts.
     """

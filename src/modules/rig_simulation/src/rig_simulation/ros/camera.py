@@ -67,12 +67,15 @@ class Camera:
         Diagnostics("camera", self._diagnose)
 
     def run(self) -> None:
-        """Publishes until ROS shuts down; waits where the world does not answer."""
+        """Publishes until ROS shuts down; waits where the world does not answer.
+
+        Raises:
+            DeviceError: this machine cannot render without a screen.
+        """
         due = time.monotonic()
         while not rospy.is_shutdown():
             try:
-                if self._world.follow():
-                    self._camera.attach(self._world.model)
+                new = self._world.follow()
             except DeviceError as error:
                 if self._trouble != str(error):
                     rospy.logwarn("No pictures: %s", error)
@@ -82,6 +85,8 @@ class Camera:
                 if self._trouble:
                     rospy.loginfo("The simulated world answers; pictures come.")
                     self._trouble = ""
+                if new:
+                    self._camera.attach(self._world.model)
                 self._publish_next()
                 due += self._period
                 if due < time.monotonic():
