@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -85,5 +86,7 @@ def run(network, picture: np.ndarray) -> np.ndarray:
 def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> torch.jit.ScriptModule:
     """Returns the network traced for one picture of `side` rows and columns, its weights turned into constants."""
     network = network.eval().to(memory_format=torch.channels_last)
-    with torch.no_grad():
+    with torch.no_grad(), warnings.catch_warnings():
+        # torch advises its compiler instead, which needs a C++ compiler at run time.
+        warnings.simplefilter("ignore", DeprecationWarning)
         return torch.jit.freeze(torch.jit.trace(network, torch.zeros(1, 1, side, side)))

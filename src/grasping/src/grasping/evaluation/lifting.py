@@ -28,11 +28,12 @@ HOLD_N = 80.0
 """Greatest force of the hand along its approach and its lift: a hand on an obstacle stops."""
 STEP_S = 0.002
 
-HAND = """<body name="hand" pos="{pos}" quat="{quat}" gravcomp="1">
-<joint name="approach" type="slide" axis="0 0 1" damping="200"/>
+HAND = """<body name="carriage" pos="{pos}" quat="{quat}" gravcomp="1">
+<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
 <joint name="lift" type="slide" axis="{up}" damping="200"/>
+<body name="hand" gravcomp="1"><joint name="approach" type="slide" axis="0 0 1" damping="200"/>
 <geom type="box" size="{half_palm} {half_breadth} 0.01" pos="0 0 {palm_z}" mass="0.5"/>
-{fingers}</body>"""
+{fingers}</body></body>"""
 FINGER = """<body name="finger{n}" pos="{x} 0 0" gravcomp="1">
 <joint name="finger{n}" type="slide" axis="{side} 0 0" damping="20" range="0 {travel}"/>
 <geom type="box" size="{half_thickness} {half_breadth} {half_length}" pos="0 0 {z}" density="6000"/></body>"""
@@ -80,7 +81,7 @@ def lift(scene: Scene, T_world_grasp: np.ndarray, opening: float, gripper: Gripp
     mujoco.mj_forward(model, data)
     heights = [int(a) for a in model.jnt_qposadr[: len(scene.objects)] + 2]
     before = data.qpos[heights].copy()
-    place = {name: model.joint(name).qposadr[0] for name in ("approach", "lift", "finger0")}
+    approach_at = model.joint("approach").qposadr[0]
     force = -FORCE_N, FORCE_N  # [N] of each finger: against its stop, then inwards
     reached = False
     for phase, duration in enumerate(TIMES_S):
@@ -92,7 +93,7 @@ def lift(scene: Scene, T_world_grasp: np.ndarray, opening: float, gripper: Gripp
             data.ctrl[2:] = force[min(phase, 1)]
             mujoco.mj_step(model, data)
         if phase == 0:
-            reached = abs(data.qpos[place["approach"]] - START_M) < 0.005
+            reached = abs(data.qpos[approach_at] - START_M) < 0.005
     rise = data.qpos[heights] - before
     most = float(rise.max()) if np.all(np.isfinite(rise)) else 0.0
     return Lift(most > RISE_M and not data.warning.number.any(), most, reached)

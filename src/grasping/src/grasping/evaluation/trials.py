@@ -56,12 +56,14 @@ class Outcome(NamedTuple):
     Attributes:
         found: the method returned a grasp.
         lifted: an object was lifted.
+        reached: the hand met nothing on its way.
         rectangle: right by the rectangle metric.
         quality: that the method gave it.
     """
 
     found: bool
     lifted: bool
+    reached: bool
     rectangle: bool
     quality: float
 
@@ -99,11 +101,11 @@ def judge(of: Situation, chosen: Peak | None) -> Outcome:
     error = rng.normal(0.0, POSITION_ERROR_M, 2), rng.normal(0.0, ANGLE_ERROR_RAD)
     where = None if chosen is None else grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, _camera())
     if where is None:
-        return Outcome(False, False, False, 0.0)
+        return Outcome(False, False, False, False, 0.0)
     miss = pose(rotation_about(2, error[1]), (*error[0], 0.0))
     T_world_camera = pose(of.view.camera.R, of.view.camera.position)
     trial = lift(of.view.scene, T_world_camera @ where.T_camera_grasp @ miss, where.width, GRIPPER, friction)
-    return Outcome(True, trial.lifted, is_right(chosen, of.rectangles), chosen.quality)
+    return Outcome(True, trial.lifted, trial.reached, is_right(chosen, of.rectangles), chosen.quality)
 
 
 def _camera() -> CameraModel:

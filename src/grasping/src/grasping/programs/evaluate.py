@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import csv
 import multiprocessing
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -25,6 +26,7 @@ NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
 """As the reference experiments smooth; the node's wider blur is for the moving camera."""
 
 
+@lru_cache(maxsize=8)
 def network_method(path: Path):
     """Returns the grasp finder of a weight file."""
     network = frozen(weights.load(path.read_bytes()).network)

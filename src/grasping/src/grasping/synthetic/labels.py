@@ -21,8 +21,8 @@ LOWEST_OBJECT_M = 0.008
 PAD_UNEVENNESS_M = 0.0075
 """How far the surface may stand out under a finger's pad beyond the point it should touch."""
 HORIZONTAL_BONUS = 0.05
-"""Between directions equally good, as on a disc, the one nearest to the horizontal is the target: one answer that can
-be learnt, where the mean of several would be none."""
+"""Between directions about equally good, as on a disc, the one nearest to the horizontal is the target: one answer
+that can be learnt, where the mean of several would be none."""
 FREE = 1e3
 """Depth of what is outside the map [m]."""
 

@@ -80,7 +80,7 @@ class Trainer:
             for kept, new in zip(self.mean.parameters(), self.network.parameters()):
                 kept.lerp_(new, 1.0 - memory)
         self.step += 1
-        return float(loss)
+        return loss.item()
 
     def validate(self, samples) -> dict[str, float]:
         """Returns the losses of the mean network on whole pictures, and the share of best pixels that are grasps."""
@@ -90,7 +90,7 @@ class Trainer:
             with torch.no_grad():
                 maps = self._maps(self.mean, depth)
             found = losses(maps, target)
-            rows.append([*(float(v) for v in found), _best_is_grasp(maps.float(), target)])
+            rows.append([*(v.item() for v in found), _best_is_grasp(maps.float(), target)])
         names = ("validation", "quality", "angle", "width", "hits")
         return dict(zip(names, np.mean(rows, axis=0).tolist()))
 

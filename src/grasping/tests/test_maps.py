@@ -1,0 +1,86 @@
+"""Smoothing and peaks: laws, and the published blur written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from grasping.maps import Maps, Smoothing, gaussian, highest, peaks, smoothed
+
+
+def blurred(picture, sigma):
+    """SciPy's gaussian_filter, written out."""
+    radius = int(4.0 * sigma + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    kernel /= kernel.sum()
+    for axis in (0, 1):
+        padded = np.pad(picture, [(radius, radius) if a == axis else (0, 0) for a in (0, 1)], mode="symmetric")
+        picture = np.apply_along_axis(np.convolve, axis, padded, kernel, "valid")
+    return picture
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0, 5.0])
+def test_blur_is_scipys(sigma):
+    picture = np.random.default_rng(1).standard_normal((60, 70)).astype(np.float32)
+    np.testing.assert_allclose(gaussian(picture, sigma), blurred(picture.astype(float), sigma), atol=1e-5)
+
+
+def output(angle, quality=None, width=0.4):
+    shape = angle.shape
+    quality = np.ones(shape) if quality is None else quality
+    maps = [quality, np.cos(2.0 * angle), np.sin(2.0 * angle), np.full(shape, width)]
+    return np.stack(maps).astype(np.float32)
+
+
+def test_angle_is_not_spoilt_where_it_jumps():
+    angle = np.full((40, 40), np.radians(88.0))
+    angle[:, 20:] = np.radians(-88.0)
+    found = smoothed(output(angle), np.ones((40, 40), bool), Smoothing()).angle
+    assert np.degrees(np.abs(found)).min() > 87.0
+
+
+@given(st.floats(-1.5, 1.5))
+@settings(max_examples=20, deadline=None)
+def test_constant_maps_stay(angle):
+    maps = smoothed(output(np.full((30, 30), angle)), np.ones((30, 30), bool), Smoothing())
+    np.testing.assert_allclose(maps.angle, angle, atol=1e-3)
+    np.testing.assert_allclose(maps.width, 60.0, rtol=1e-4)
+    np.testing.assert_allclose(maps.quality, 1.0, rtol=1e-4)
+
+
+def test_missing_pixels_have_no_quality():
+    valid = np.ones((60, 60), bool)
+    valid[:, :30] = False
+    maps = smoothed(output(np.zeros((60, 60))), valid, Smoothing())
+    assert maps.quality[:, :8].max() == 0.0
+    assert maps.quality[:, -8:].min() > 0.99
+
+
+def spots(*places):
+    quality = np.zeros((100, 100), np.float32)
+    for row, column, value in places:
+        quality[row, column] = value
+    return Maps(quality, np.zeros_like(quality), np.full_like(quality, 30.0))
+
+
+def test_peaks_come_best_first_and_apart():
+    maps = spots((30, 30, 0.9), (35, 35, 0.8), (70, 70, 0.95), (30, 70, 0.1), (2, 50, 1.0))
+    found = peaks(maps, 5, distance=10, threshold=0.2)
+    assert [(p.row, p.column) for p in found] == [(70, 70), (30, 30)]
+    assert found[0].quality == pytest.approx(0.95)
+    assert peaks(maps, 1, distance=10)[0].row == 70
+    assert peaks(spots(), 3) == []
+    assert (highest(maps).row, highest(maps).column) == (2, 50)
+
+
+@given(st.integers(0, 10**6), st.integers(2, 12))
+@settings(max_examples=20, deadline=None)
+def test_peaks_are_maxima_and_keep_their_distance(seed, distance):
+    quality = gaussian(np.random.default_rng(seed).random((80, 80), dtype=np.float32), 2.0)
+    found = peaks(Maps(quality, quality, quality), 50, distance, 0.0)
+    for i, p in enumerate(found):
+        near = quality[p.row - distance : p.row + distance + 1, p.column - distance : p.column + distance + 1]
+        assert near.max() == quality[p.row, p.column]
+        assert all(max(abs(p.row - q.row), abs(p.column - q.column)) > distance for q in found[:i])

@@ -1,0 +1,99 @@
+"""The package's networks are the published ones, only faster."""
+
+from __future__ import annotations
+
+import published_networks
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from grasping.networks import GGCNN, KERAS, NETWORKS, shuffled_transpose
+from grasping.predictor import frozen
+
+PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
+
+
+def pair(name):
+    torch.manual_seed(3)
+    published = PUBLISHED[name]()
+    network = NETWORKS[name]()
+    network.load_state_dict(published.state_dict())
+    return published, network
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize("side", [300, 156])
+def test_output_is_the_published_networks(name, side):
+    published, network = pair(name)
+    picture = torch.randn(2, 1, side, side)
+    with torch.no_grad():
+        wanted = published(picture)
+        torch.testing.assert_close(network(picture), wanted, rtol=0.0, atol=1e-5)
+        if side == 300:
+            torch.testing.assert_close(frozen(network)(picture[:1]), wanted[:1], rtol=0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_gradients_are_the_published_networks(name):
+    published, network = pair(name)
+    picture = torch.randn(1, 1, 60, 60)
+    for net in (published, network):
+        net(picture).square().sum().backward()
+    for (key, a), (_, b) in zip(published.named_parameters(), network.named_parameters()):
+        torch.testing.assert_close(b.grad, a.grad, rtol=1e-3, atol=1e-4 * float(a.grad.abs().max()), msg=key)
+
+
+@pytest.mark.parametrize(("name", "count"), [("ggcnn", 62_420), ("ggcnn2", 66_676), ("ggcnn_keras", 62_420)])
+def test_number_of_parameters(name, count):
+    assert sum(p.numel() for p in NETWORKS[name]().parameters()) == count
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(1, 7), st.integers(1, 7), st.integers(1, 4), st.integers(1, 4))
+def test_shuffled_transpose_is_the_transposed_convolution(h, w, inputs, outputs):
+    x, bias = torch.randn(2, inputs, h, w), torch.randn(outputs)
+    weight = torch.randn(inputs, outputs, 9, 9)
+    torch.testing.assert_close(
+        shuffled_transpose(x, weight, bias), F.conv_transpose2d(x, weight, bias, stride=3), rtol=1e-4, atol=1e-4
+    )
+
+
+@pytest.mark.parametrize(("name", "side"), [("ggcnn", 302), ("ggcnn2", 301)])
+def test_sides_that_change_the_size_are_refused(name, side):
+    with pytest.raises(ValueError, match=f"the picture is {side} x {side}, but its sides must be multiples of"):
+        NETWORKS[name]()(torch.zeros(1, 1, side, side))
+
+
+def same_convolution(x, weight, stride):
+    """Returns Keras' convolution with padding "same"."""
+    pads = []
+    for size, kernel in zip(x.shape[:1:-1], weight.shape[:1:-1]):
+        total = max((-(-size // stride) - 1) * stride + kernel - size, 0)
+        pads += [total // 2, total - total // 2]
+    return F.conv2d(F.pad(x, pads), weight, stride=stride)
+
+
+def same_transpose(x, weight, stride):
+    """Returns Keras' transposed convolution: the adjoint of its convolution."""
+    size = [stride * n for n in x.shape[2:]]
+    zero = torch.zeros(len(x), weight.shape[1], *size, requires_grad=True)
+    return torch.autograd.grad(same_convolution(zero, weight, stride), zero, x)[0]
+
+
+def test_keras_borders_are_keras_same_padding():
+    torch.manual_seed(5)
+    network = GGCNN(KERAS)
+    for parameter in network.parameters():
+        parameter.data.uniform_(-0.2, 0.2)
+    picture = torch.randn(1, 1, 300, 300)
+    x = picture
+    for layer in (network.conv1, network.conv2, network.conv3):
+        x = F.relu(same_convolution(x, layer.weight.data, layer.stride[0]) + layer.bias.data[:, None, None])
+    for layer in (network.convt1, network.convt2, network.convt3):
+        x = F.relu(same_transpose(x, layer.weight.data, layer.stride[0]) + layer.bias.data[:, None, None])
+    heads = [network.pos_output, network.cos_output, network.sin_output, network.width_output]
+    wanted = torch.cat([same_convolution(x, h.weight.data, 1) + h.bias.data[:, None, None] for h in heads], dim=1)
+    with torch.no_grad():
+        torch.testing.assert_close(network(picture), wanted, rtol=1e-5, atol=1e-5 * float(wanted.abs().max()))

@@ -1,0 +1,83 @@
+"""From pixels to poses, and the chain from a depth picture to a grasp."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.camera_model import pinhole
+from grasping.depth_image import Crop, Picture
+from grasping.maps import Peak
+from grasping.predictor import Predictor, PredictorSettings
+from grasping.projection import camera_pixel, depth_between_fingers, grasp
+
+F = 570.3
+CAMERA = pinhole("test", 640, 480, [[F, 0.0, 319.5], [0.0, F, 239.5], [0.0, 0.0, 1.0]])
+CROP = Crop(40, 120, 400)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 299), st.integers(0, 299), st.floats(-1.57, 1.57), st.floats(0.5, 1.5))
+def test_the_grasp_is_where_its_pixel_looks(row, column, angle, z):
+    found = grasp(Peak(row, column, 0.8, angle, 60.0), CROP, 300, np.full((480, 640), z), CAMERA)
+    T = found.T_camera_grasp
+    np.testing.assert_allclose(CAMERA.project(T[:3, 3]), found.pixel, atol=1e-9)
+    assert T[2, 3] == pytest.approx(z)
+    # Both fingers, projected, lie on a line of that angle (v runs down), `width` apart in the network's picture.
+    ends = CAMERA.project(np.array([T[:3, 3] + s * 0.5 * found.width * T[:3, 0] for s in (-1.0, 1.0)]))
+    line = (ends[1] - ends[0]) * 300 / 400
+    np.testing.assert_allclose(line, 60.0 * np.array([np.cos(angle), -np.sin(angle)]), atol=1e-6)
+    np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, 1.0))
+
+
+def test_pixels_are_within_half_a_pixel_of_the_published_rule():
+    for row, column in ((0, 0), (150, 150), (299, 299), (17, 203)):
+        u, v = camera_pixel(Peak(row, column, 0.0, 0.0, 0.0), CROP, 300)
+        assert abs(u - (column / 300 * 400 + 120)) < 0.5
+        assert abs(v - (row / 300 * 400 + 40)) < 0.5
+
+
+def test_depth_is_the_median_of_the_readings_near():
+    depth = np.full((480, 640), np.nan)
+    assert grasp(Peak(150, 150, 1.0, 0.0, 30.0), CROP, 300, depth, CAMERA) is None
+    depth[239:242, 319:322] = [[0.6, 0.61, 0.62], [9.0, 0.61, np.inf], [0.0, -1.0, 0.6]]
+    assert grasp(Peak(150, 150, 1.0, 0.0, 30.0), CROP, 300, depth, CAMERA).T_camera_grasp[2, 3] == pytest.approx(0.61)
+
+
+def test_depth_between_the_fingers_is_the_mean_of_the_ten_nearest():
+    depth = np.full((300, 300), 0.5)
+    depth[110, 135:145] = 0.2 + 0.01 * np.arange(10)
+    depth[0, 0] = 0.05
+    picture = Picture(CROP, depth, depth, depth > 0.0, 0.5)
+    assert depth_between_fingers(picture) == pytest.approx(0.245)
+
+
+class Nearest(torch.nn.Module):
+    """A network that calls good what is near, with an angle of 30 degrees and an opening of 45 pixels."""
+
+    side_multiple = 1
+
+    def forward(self, depth):
+        one = torch.ones_like(depth)
+        return torch.cat([-depth, 0.5 * one, 0.8660254 * one, 0.3 * one], dim=1)
+
+
+def test_predictor_finds_the_near_spot():
+    depth = np.full((480, 640), 0.8)
+    depth[200:221, 300:321] = 0.7
+    depth[:, 600:] = np.nan
+    found = Predictor(Nearest(), PredictorSettings()).predict(depth, CAMERA)
+    grasp_found = found.grasps[0]
+    assert np.hypot(grasp_found.pixel[0] - 310.0, grasp_found.pixel[1] - 210.0) < 1.5
+    assert grasp_found.angle == pytest.approx(np.pi / 6.0, abs=1e-4)
+    assert grasp_found.width == pytest.approx(45.0 * 400 / 300 * 0.7 / F, rel=1e-3)
+    several = Predictor(Nearest(), PredictorSettings(count=3, threshold=0.01)).predict(depth, CAMERA)
+    assert [(p.row, p.column) for p in several.peaks] == [(found.peaks[0].row, found.peaks[0].column)]
+
+
+def test_predictor_refuses_a_small_picture():
+    with pytest.raises(ValueError, match="does not fit"):
+        Predictor(Nearest(), PredictorSettings()).predict(np.ones((300, 300)), CAMERA)

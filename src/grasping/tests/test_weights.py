@@ -1,0 +1,110 @@
+"""Weight files: the published kinds load, nothing in them runs, and all else is refused in one sentence."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections import OrderedDict
+
+import published_networks
+import pytest
+import torch
+
+from grasping import weights
+
+PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
+
+
+def file(content, old: bool = False) -> bytes:
+    buffer = io.BytesIO()
+    torch.save(content, buffer, _use_new_zipfile_serialization=not old)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+@pytest.mark.parametrize("old", [True, False], ids=["old container", "zip container"])
+@pytest.mark.parametrize("whole", [True, False], ids=["whole model", "state dict"])
+def test_published_kinds_load(name, old, whole):
+    published = PUBLISHED[name]()
+    loaded = weights.load(file(published if whole else published.state_dict(), old))
+    assert loaded.name == name
+    for key, value in published.state_dict().items():
+        torch.testing.assert_close(loaded.network.state_dict()[key], value, rtol=0.0, atol=0.0)
+    assert not loaded.network.training
+
+
+def test_published_keras_file_loads(shared_data):
+    path = shared_data / "ggcnn" / "epoch_29_model.hdf5"
+    loaded = weights.load(path.read_bytes(), "07ed61da2f5b5aa5d8d10a85c0a26023bae489c3b15fe16e58227c14738a3770")
+    assert (loaded.name, loaded.origin) == ("ggcnn_keras", "GG-CNN, RSS 2018, Keras")
+    # A ridge 60 mm high and 40 pixels broad: the grasp is on it and across it.
+    picture = torch.zeros(1, 1, 300, 300)
+    picture[:, :, 60:240, 130:170] = -0.06
+    picture -= picture.mean()
+    with torch.no_grad():
+        quality, cos, _, width = loaded.network(picture)[0]
+    row, column = divmod(int(quality.argmax()), 300)
+    assert 60 <= row < 240
+    assert 130 <= column < 170
+    assert float(cos[row, column]) > 0.5
+    assert 40.0 < 150.0 * float(width[row, column]) < 120.0
+
+
+class Foreign:
+    """What it would do when it is unpickled must not happen."""
+
+    def __init__(self, path):
+        self.path = str(path)
+
+    def __reduce__(self):
+        return os.mkdir, (self.path,)
+
+
+@pytest.mark.parametrize("old", [True, False], ids=["old container", "zip container"])
+def test_nothing_foreign_runs(tmp_path, old):
+    mark = tmp_path / "ran"
+    data = file({"weight": Foreign(mark)}, old)
+    with pytest.raises(weights.WeightsError, match="neither a state dict nor a model"):
+        weights.load(data)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "neither a torch file nor a Keras"),
+        (b"hello", "neither a torch file nor a Keras"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(64), "does not hold GG-CNN's layers"),
+        (b"PK\x03\x04" + bytes(64), "cannot be read"),
+        (b"\x80\x02cos\nsystem\n.", "cannot be read"),
+        (file({"a": torch.zeros(1)}), "fit no known network"),
+        (file([1, 2]), "neither a state dict nor a model"),
+        (file({"features.14.weight": torch.zeros(1), "features.16.weight": torch.zeros(1)}), "before July 2020"),
+    ],
+    ids=["empty", "text", "broken hdf5", "broken zip", "broken pickle", "other arrays", "a list", "older GG-CNN2"],
+)
+def test_other_files_are_refused(data, sentence):
+    with pytest.raises(weights.WeightsError, match=sentence):
+        weights.load(data)
+
+
+def test_wrong_shape_is_named():
+    state = OrderedDict(published_networks.GGCNN().state_dict())
+    state["conv1.weight"] = torch.zeros(32, 4, 9, 9)
+    with pytest.raises(weights.WeightsError, match=r"conv1.weight has the shape \(32, 4, 9, 9\) instead of"):
+        weights.load(file(state))
+
+
+def test_values_that_are_not_finite_are_refused():
+    state = published_networks.GGCNN2().state_dict()
+    state["features.0.bias"][3] = float("nan")
+    with pytest.raises(weights.WeightsError, match="not finite"):
+        weights.load(file(state))
+
+
+def test_hash_is_checked():
+    data = file(published_networks.GGCNN().state_dict())
+    found = weights.load(data).sha256
+    assert weights.load(data, found).name == "ggcnn"
+    with pytest.raises(weights.WeightsError, match="was expected"):
+        weights.load(data, "0" * 64)
