@@ -222,7 +222,7 @@ def test_a_cup_is_grasped_lifted_weighed_and_put_down_again():
     T = rig.arm.robot.flange(rig.arm.q)
     # The grip is in the middle between thumb and fingers, 13 mm beside the flange's axis; 0.15 m beyond the flange.
     grip = T @ np.array([-0.013, 0.0, 0.15, 1.0])
-    above = place + (0.0, 0.0, 0.20) - grip[:3]
+    above = np.add(place, [0.0, 0.0, 0.20]) - grip[:3]
     rig.move_tool(above, 0.1)
     rig.move_tool((0.0, 0.0, -0.18), 0.1)
     rig.wait(1.0)

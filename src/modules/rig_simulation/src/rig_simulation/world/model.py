@@ -3,9 +3,9 @@
 Two processes that build it from the same description have the same model. The world frame is upright with its origin in
 the arm's base; with an upright arm it is `kuka/base_frame`.
 
-Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint so named;
-`panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`, which
-look along their own -z with y up, as MuJoCo wants it: the optical frames turned by half a turn about x.
+Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint of that
+name; `panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`,
+which look along their own -z with y up, as MuJoCo wants it: the optical frames turned by half a turn about x.
 """
 
 from __future__ import annotations

@@ -166,19 +166,15 @@ def scene_from(values: Any) -> Scene:
         ConfigError: with all faults.
     """
     faults: list[str] = []
-    keys = ("table", "camera", "objects")
+    rest = _parsed(_Rest, values, "", faults, ("table", "camera", "objects"))
     sections = values if isinstance(values, Mapping) else {}
-    rest = _parsed(_Rest, values, "", faults, keys)
-    faults += [f"{key} is missing; it must be a mapping." for key in keys if key not in sections]
-    table = _parsed(Table, sections.get("table", {}), "table/", faults)
-    camera = _parsed(CameraPlace, sections.get("camera", {}), "camera/", faults)
-    objects = {}
-    listed = sections.get("objects", {})
-    if not isinstance(listed, Mapping):
-        faults.append(f"objects is {listed!r}, but must be a mapping of names to objects.")
-        listed = {}
-    for name, entry in listed.items():
-        objects[name] = _object(name, entry, faults)
+    found = {key: _section(sections, key, faults) for key in ("table", "camera", "objects")}
+    if None in found.values():
+        raise ConfigError(faults)
+    table = _parsed(Table, found["table"], "table/", faults)
+    camera = _parsed(CameraPlace, found["camera"], "camera/", faults)
+    listed = found["objects"]
+    objects = {name: _object(name, entry, faults) for name, entry in listed.items()}
     if faults:
         raise ConfigError(faults)
     return Scene(table, camera, rest.scatter, objects)
@@ -205,6 +201,16 @@ def panel_from(values: Any) -> Panel:
 @dataclasses.dataclass(frozen=True)
 class _PanelSize:
     size: np.ndarray = vector(2, "m", above=0.0, high=1.0)
+
+
+def _section(values: Mapping[str, Any], key: str, faults: list[str]) -> Mapping[str, Any] | None:
+    if key not in values:
+        faults.append(f"{key} is missing; it must be a mapping.")
+    elif not isinstance(values[key], Mapping):
+        faults.append(f"{key} is {values[key]!r}, but must be a mapping.")
+    else:
+        return values[key]
+    return None
 
 
 def _object(name: Any, entry: Any, faults: list[str]) -> SceneObject | None:
