@@ -45,6 +45,10 @@ def test_optical_frames_look_ahead_with_y_down():
     optical = frames["camera_depth_optical_frame"][1][:3, :3]
     np.testing.assert_array_equal(optical @ [0, 0, 1], [1, 0, 0])
     np.testing.assert_array_equal(optical @ [0, 1, 0], [0, 0, -1])
+    for name in ("rgb", "depth"):
+        parent, T = frames[f"camera/{name}_frame"]
+        assert parent == f"camera_{name}_optical_frame"
+        np.testing.assert_array_equal(T, np.eye(4))
     assert frames["camera_rgb_frame"][0] == frames["camera_depth_frame"][0] == "camera_link"
 
 

@@ -1,6 +1,7 @@
 """The frames of the RGB-D camera: where its two cameras stand in camera_link, and their optical frames.
 
-camera_link and the two camera frames: x ahead, y left, z up. Optical frames: x right, y down, z ahead.
+camera_link and the two camera frames: x ahead, y left, z up. Optical frames: x right, y down, z ahead. They have two
+names each: the driver's, which stand in the pictures' headers, and camera/rgb_frame and camera/depth_frame.
 """
 
 from __future__ import annotations
@@ -29,4 +30,5 @@ def camera_frames(config: CameraFramesConfig) -> list[tuple[str, str, np.ndarray
     for name, position in (("rgb", config.rgb), ("depth", config.depth)):
         frames.append(("camera_link", f"camera_{name}_frame", pose(p=position)))
         frames.append((f"camera_{name}_frame", f"camera_{name}_optical_frame", pose(R_CAMERA_OPTICAL)))
+        frames.append((f"camera_{name}_optical_frame", f"camera/{name}_frame", pose()))
     return frames
