@@ -16,7 +16,7 @@ ARM_FAULTS = (
     Fault("silent", "commands are followed, but answers are lost", share_of("answers")),
     Fault("slow", "every answer comes late", Value("delay [s]", 0.2, 0.001, 60.0)),
     Fault("garbled", "answers are garbage with a line's end", share_of("answers")),
-    Fault("torn", "answers come byte by byte", Value("time between two bytes [s]", 0.002, 0.001, 1.0)),
+    Fault("torn", "answers come byte by byte", Value("time between two bytes [s]", 0.0005, 0.0001, 1.0)),
     Fault("restarted", "the application ends on the pad and the port is closed; switched off it starts again"),
     Fault("refused", "motions are answered `done`, `nak`: the arm stays, the tool is taken off"),
     Fault("frozen", "the joint angles in answers stand still while the arm moves"),
