@@ -31,6 +31,7 @@ SEEDS, SEED_RAD = 2, np.radians(50.0)
 
 GRID = 5
 WAY_STEP_RAD = np.radians(4.0)
+TOLERANCE_M = 0.002
 PRIOR = 1e-3
 """Of what is known before the first view, so that the determinant exists: as many as 1/sqrt(PRIOR) m and rad."""
 
@@ -134,7 +135,7 @@ class ViewPlanner:
             )
             for seed in (near, start):
                 q = self._arm.joints_for(T_base_flange, seed)
-                if q is not None and self.clear(q, T_base_camera) and self.seen(q, T_base_camera):
+                if q is not None and self.clearance(q, T_base_camera) > 0.0 and self.seen(q, T_base_camera):
                     found.append(Place(read_only(q), read_only(self._arm.flange(q))))
                     break
         return found
@@ -151,7 +152,7 @@ class ViewPlanner:
         return chosen
 
     def tour(self, places: list[Place], q, T_base_camera: np.ndarray) -> list[Leg]:
-        """Returns the way from q, shape (7,) [rad], to the places and back to the start.
+        """Returns the way from q, shape (7,) [rad], to the places.
 
         Always the nearest is next to which the way, all joints together, is clear, directly or by the start; places
         without such a way are left out.
@@ -174,24 +175,43 @@ class ViewPlanner:
     def _ways_clear(self, q, way, T_base_camera: np.ndarray) -> bool:
         return all(self.way_clear(a, b, T_base_camera) for a, b in zip([q, *way[:-1]], way))
 
-    def way_clear(self, q, goal, T_base_camera: np.ndarray) -> bool:
-        """Returns whether the arm can go from q to goal, shape (7,) [rad], with all joints together."""
-        steps = max(2, int(np.ceil(np.max(np.abs(goal - q)) / WAY_STEP_RAD)) + 1)
-        return all(self.clear(q + part * (goal - q), T_base_camera) for part in np.linspace(0.0, 1.0, steps)[1:])
+    def way_back(self, q, legs: list[Leg], T_base_camera: np.ndarray) -> list[np.ndarray]:
+        """Returns joints to go to one after the other from the end of the legs, which began at q, back to the start.
 
-    def clear(self, q, T_base_camera: np.ndarray) -> bool:
-        """Returns whether the arm at q hits neither table nor camera nor itself."""
+        It goes back on its own track until the way to the start is clear; empty if that never is.
+        """
+        start = np.radians(self._config.start)
+        track = [np.asarray(q), *(goal for leg in legs for goal in leg.way)]
+        way: list[np.ndarray] = []
+        for here, before in zip(track[::-1], [*track[-2::-1], None]):
+            if self.way_clear(here, start, T_base_camera):
+                return [*way, start]
+            way.append(before)
+        return []
+
+    def way_clear(self, q, goal, T_base_camera: np.ndarray) -> bool:
+        """Returns whether the arm can go from q to goal, shape (7,) [rad], with all joints together.
+
+        Where it comes too near to something at q already, it may not come nearer.
+        """
+        steps = max(2, int(np.ceil(np.max(np.abs(goal - q)) / WAY_STEP_RAD)) + 1)
+        least = min(0.0, self.clearance(q, T_base_camera) - TOLERANCE_M)
+        way = (q + part * (goal - q) for part in np.linspace(0.0, 1.0, steps)[1:])
+        return all(self.clearance(joints, T_base_camera) > least for joints in way)
+
+    def clearance(self, q, T_base_camera: np.ndarray) -> float:
+        """Returns how far arm, hand and panel at q are from table, camera and arm, less what they should be [m]."""
         spine, plate, hand = self._bodies(q)
-        points = np.concatenate((spine[2:], plate, hand))
-        low = self._config.min_height
-        if np.any(spine[2:] @ self._up < low + ARM_RADIUS_M) or np.any(hand @ self._up < low + HAND_RADIUS_M):
-            return False
-        if np.any(plate @ self._up < low):
-            return False
-        if np.min(np.linalg.norm(points - T_base_camera[:3, 3], axis=1)) < CAMERA_CLEARANCE_M:
-            return False
         held = np.concatenate((plate, hand[1:]))
-        return all(np.min(_distances(held, a, b)) > ARM_RADIUS_M for a, b in zip(spine[:3], spine[1:4]))
+        low = self._config.min_height
+        return min(
+            np.min(spine[2:] @ self._up) - low - ARM_RADIUS_M,
+            np.min(hand @ self._up) - low - HAND_RADIUS_M,
+            np.min(plate @ self._up) - low,
+            np.min(np.linalg.norm(np.concatenate((spine[2:], held)) - T_base_camera[:3, 3], axis=1))
+            - CAMERA_CLEARANCE_M,
+            *(np.min(_distances(held, a, b)) - ARM_RADIUS_M for a, b in zip(spine[:3], spine[1:4])),
+        )
 
     def seen(self, q, T_base_camera: np.ndarray) -> bool:
         """Returns whether the whole panel is in the picture, and the arm not before it."""

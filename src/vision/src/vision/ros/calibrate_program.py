@@ -124,25 +124,35 @@ def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: 
     _agree(options, "Is the way free, and may it move?")
     arm = VisitingArm(address, model, options.velocity)
     try:
-        start = np.radians(config.start)
-        arm.go(start, print)
-        guess = _sighted_guess(arm, setup, sights, planner, _first_guess(setup, config, R_world_base), start, rng)
+        guess = _first_guess(setup, config, R_world_base)
+        _go_to_start(arm, planner, guess, np.radians(config.start))
+        guess = _sighted_guess(arm, setup, sights, planner, guess, np.radians(config.start), rng)
         print("The panel is seen. Choosing the views ...")
-        places = planner.choose(planner.candidates(guess, rng), guess)
-        legs = planner.tour(places, arm.joints(), guess)
+        here = arm.joints()
+        legs = planner.tour(planner.choose(planner.candidates(guess, rng), guess), here, guess)
         if len(legs) < setup.limits.min_views:
             raise DeviceError(
                 f"Only {len(legs)} views can be reached, {setup.limits.min_views} are needed: check the guess, "
                 "the distances and min_height in calibration_views.yaml."
             )
-        _agree(options, f"Visit {len(legs)} views, about {_duration(legs, arm.joints(), options.velocity):.0f} s?")
+        _agree(options, f"Visit {len(legs)} views, about {_duration(legs, here, options.velocity):.0f} s?")
         views = _visit(arm, legs, setup, sights)
-        if planner.way_clear(arm.joints(), start, guess):
-            arm.go(start, print)
+        for q in planner.way_back(here, legs, guess):
+            arm.go(q, print)
         return views
     finally:
         arm.close()
         print("The connection is closed and the server on the robot ends with it; start it again for the next program.")
+
+
+def _go_to_start(arm: VisitingArm, planner: ViewPlanner, guess: np.ndarray, start: np.ndarray) -> None:
+    """Raises DeviceError if the way there, all joints together, is not clear."""
+    if not planner.way_clear(arm.joints(), start, guess):
+        raise DeviceError(
+            "On the straight way of the joints to the start the arm, hand or panel would come too near to the table, "
+            "the camera or the arm: bring the arm elsewhere first, with rosrun kuka_control simple_controller.py."
+        )
+    arm.go(start, print)
 
 
 def _first_guess(setup: CalibrationSetup, config: ViewsConfig, R_world_base: np.ndarray) -> np.ndarray:
