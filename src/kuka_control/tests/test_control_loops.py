@@ -125,6 +125,7 @@ class World:
         self.scale = 1.0
         self.tool = None
         self.skew = 0.0
+        self.conflict = None
         self.newest = None
         self.events = []
         self.modes = []
@@ -136,7 +137,7 @@ class World:
         for i in range(max(1, round(seconds / DT))):
             if tool is not None and i % 3 == 0:
                 T = tool(self.now - start) if callable(tool) else tool
-                self.newest = Desired(T, CLOCK + self.now + self.skew)
+                self.newest = Desired(T, CLOCK + self.now + self.skew, self.conflict)
             inputs = Inputs(
                 self.newest, CLOCK + self.now, self.control_on, self.engagements, self.scale, self.exit_requested
             )
@@ -421,6 +422,35 @@ def test_an_unreachable_frame_keeps_the_joints_and_is_said_once():
     assert world.loop.counts["ik_failures"] > 10
     assert sum("keeps its joints" in e for e in world.events) == 1
     np.testing.assert_allclose(world.arm.q, before, atol=1e-9)
+    assert "servo mode. The arm keeps its joints: The tool pose is out of reach" in world.steps[-1].reason
+    world.run(0.1, shifted(0.0, 0.0, 0.15))
+    assert "keeps its joints" not in world.steps[-1].reason
+
+
+def test_an_unreachable_frame_at_home_is_in_the_status_while_it_comes_and_control_is_on():
+    world = World().at_home()
+    world.run(0.5, shifted(0.0, 0.0, 0.25))
+    assert world.steps[-1].reason == "The arm is at home."
+    world.control_on = True
+    world.run(0.5, shifted(0.0, 0.0, 0.25))
+    assert world.mode == "home" and world.arm.told == []
+    assert world.steps[-1].reason.startswith("The arm is at home. The arm keeps its joints: The tool pose is out of")
+    world.run(1.0)
+    assert world.steps[-1].reason == "The arm is at home."
+
+
+def test_a_frame_that_two_nodes_publish_is_not_followed_and_the_status_says_so():
+    world = World().following()
+    world.conflict = "Two nodes, /a and /b, publish it."
+    world.run(0.1, shifted(0.05, 0.0, 0.0))
+    assert world.steps[-1].reason.endswith(world.conflict)
+    world.run(4.0, shifted(0.05, 0.0, 0.0))
+    assert world.mode == "home" and world.steps[-1].reason == f"The arm is at home. {world.conflict}"
+    assert world.events.count(world.conflict) == 1
+    assert world.loop.counts["refused_frames"] == 1
+    world.conflict = None
+    world.run(4.0, shifted(0.05, 0.0, 0.0))
+    assert world.mode == "servo" and "/a" not in world.steps[-1].reason
 
 
 def test_a_frame_outside_is_clipped_and_the_bound_is_named():

@@ -6,6 +6,7 @@ import json
 import re
 import signal
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
@@ -353,6 +354,44 @@ def test_a_jump_is_picked_up_anew(robot, start, hand, wait_until):
     node.wait_for_mode("servo")
     wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
     assert robot.ask()["stops"] == 0
+
+
+ANOTHER = """
+import rospy, tf2_ros
+from geometry_msgs.msg import TransformStamped
+rospy.init_node("another")
+message = TransformStamped(child_frame_id="leap_motion/virtual_frame")
+message.header.frame_id, message.transform.translation.x, message.transform.rotation.w = "kuka/base_frame", 0.5, 1.0
+broadcaster = tf2_ros.TransformBroadcaster()
+while not rospy.is_shutdown():
+    message.header.stamp = rospy.Time.now()
+    broadcaster.sendTransform(message)
+    rospy.sleep(0.01)
+"""
+
+
+def test_a_frame_that_two_nodes_publish_is_refused_until_one_ends(ros, processes, robot, start, hand, wait_until):
+    from rig_msgs.msg import KukaStatus
+
+    node = start(time_out=1.0)
+    node.wait_for_mode("home")
+    states = ros.record("kuka/status", KukaStatus)
+    node.control(True)
+    T = shifted(home_tool(), 0.0, 0.0, 0.05)
+    hand(T, parent_chain=True)
+    node.wait_for_mode("servo")
+    wait_until(lambda: at(robot, T), MOVE_S, "the tool where the hand is")
+    another = processes.start(sys.executable, "-c", ANOTHER)
+    said = (
+        r"The desired tool frame is refused: /another and /test_\S+ both publish leap_motion/virtual_frame; end one of"
+    )
+    wait_until(lambda: re.search(said, states[-1].reason), 30.0, "the status that names both")
+    node.wait_for_mode("home")
+    wait_until(lambda: re.search(said, states[-1].reason) and states[-1].mode == "home", 20.0, "the status at home")
+    assert len(re.findall(said, node.log)) == 1 and robot.ask()["stops"] == 0
+    processes.end(another)
+    node.wait_for_mode("servo")
+    wait_until(lambda: at(robot, T), MOVE_S, "the tool where the hand is")
 
 
 def test_an_infeasible_frame_shuts_the_controller_down(robot, start, hand):

@@ -97,6 +97,7 @@ class ControlLoop(ABC):
         self._engagements = self._engagement = 0
         self._aim: Target | None = None
         self._failing = False
+        self._kept: str | None = None
 
     def step(self, seen: Observation, now: float) -> Step:
         """Returns what is to be done now.
@@ -117,7 +118,8 @@ class ControlLoop(ABC):
         else:
             command = self._state(seen, taken.fresh, now)
         bounds = self._aim.bounds if self._aim else ()
-        return Step(command, self._mode, self._reason, tuple(self._events), self._aim, bounds + self._limited_by)
+        reason = " ".join(filter(None, (self._reason, self._hindrance(seen, now))))
+        return Step(command, self._mode, reason, tuple(self._events), self._aim, bounds + self._limited_by)
 
     @abstractmethod
     def _follow(self, seen: Observation, target: Target, now: float) -> Command:
@@ -253,19 +255,27 @@ class ControlLoop(ABC):
             return None
         if target.q is None:
             self.counts["ik_failures"] += 1
+            self._kept = f"The arm keeps its joints: {target.failure}"
             if not self._failing:
-                self._say("warn", f"The arm keeps its joints: {target.failure}")
+                self._say("warn", self._kept)
             self._failing = True
             return None
-        self._failing = False
+        self._failing, self._kept = False, None
         if target.bounds and not (self._aim and self._aim.bounds):
             self.counts["workspace_clips"] += 1
         self._aim = target
         return target
 
+    def _hindrance(self, seen: Observation, now: float) -> str | None:
+        """Returns why the frames that come in are not followed although control is on, a sentence; else None."""
+        if not seen.control_on:
+            return None
+        kept = self._kept if self._stream.silent_for(now) <= self._settings.time_out else None
+        return self._stream.refusal(now) or kept
+
     def _enter(self, mode: str, state, reason: str) -> None:
         """Changes the state; what it does and why is said once."""
-        self._state, self._mode, self._reason = state, mode, reason
+        self._state, self._mode, self._reason, self._kept = state, mode, reason, None
         self._say("error" if mode == "stopped" and state == self._latched else "info", reason)
 
     def _say(self, level: str, sentence: str) -> None:

@@ -15,6 +15,9 @@ from common.poses import check_pose
 MAX_SKEW_S = 0.5
 """How far a stamp may be from the clock [s]."""
 
+REFUSING_S = 0.5
+"""Frames count as refused until so long after the last one that was [s]."""
+
 MAX_DISTANCE_M = 5.0
 """A desired tool further from the base than this was not meant in metres [m]."""
 
@@ -26,10 +29,12 @@ class Desired:
     Attributes:
         T_base_tool: shape (4, 4) [m].
         stamp: its time stamp, ROS time [s].
+        conflict: why it is not to be followed, a sentence, if that showed where it came in; else None.
     """
 
     T_base_tool: np.ndarray
     stamp: float
+    conflict: str | None = None
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,7 @@ class DesiredStream:
         self._seen = None
         self._last_good = None
         self._refusing = False
+        self._refusal: tuple[str, float] | None = None
 
     def take(self, newest: Desired | None, clock: float, now: float) -> Taken:
         """Looks at the newest frame: only one whose stamp differs from the one before is new.
@@ -67,10 +73,16 @@ class DesiredStream:
         fault = _fault(newest, clock)
         if fault is None:
             self._refusing = False
+            self._refusal = None
             self._last_good = now
             return Taken(newest)
         said, self._refusing = self._refusing, True
+        self._refusal = (fault, now)
         return Taken(refused=None if said else fault)
+
+    def refusal(self, now: float) -> str | None:
+        """Returns why the frames that come in are refused, a sentence; None if they are not, or none come."""
+        return self._refusal[0] if self._refusal and now - self._refusal[1] <= REFUSING_S else None
 
     def silent_for(self, now: float) -> float:
         """Returns how long no new good frame has come [s]; infinite when none ever came."""
@@ -78,6 +90,8 @@ class DesiredStream:
 
 
 def _fault(desired: Desired, clock: float) -> str | None:
+    if desired.conflict is not None:
+        return desired.conflict
     skew = desired.stamp - clock
     if abs(skew) > MAX_SKEW_S:
         side = "ahead of" if skew > 0.0 else "behind"

@@ -19,7 +19,7 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from kuka_control.gui.panel_state import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN, PanelState, Tone
+from kuka_control.gui.panel_state import PanelState, Tone
 from kuka_control.gui.sentence import Sentence, label
 from kuka_control.gui.style import STYLE
 

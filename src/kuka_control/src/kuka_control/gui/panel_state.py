@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-SCALING_MIN = 0.1
-SCALING_MAX = 1.5
-SCALING_DEFAULT = 1.0
+from kuka_control.scaling import SCALING_DEFAULT
+
 ABSENT_S = 1.5
 """Without a status for so long the controller counts as absent."""
 

@@ -6,10 +6,12 @@ import math
 import threading
 import time
 
+import numpy as np
 import rospy
 import tf2_ros
 
 from common.ros.conversions import pose_from_transform
+from kuka_control.frame_sources import Conflict, FrameSources
 from kuka_control.stream import Desired
 
 BASE = "kuka/base_frame"
@@ -20,6 +22,9 @@ REMIND_S = 5.0
 class DesiredTool(tf2_ros.TransformListener):
     """Listens to tf and wakes the control loop when something came.
 
+    A frame that two nodes publish jumps between what both say, so it is left out; if the desired tool frame stands in
+    it, that one counts as refused.
+
     Attributes:
         stamp: that of the newest desired tool frame, as it came; None before the first.
     """
@@ -27,11 +32,14 @@ class DesiredTool(tf2_ros.TransformListener):
     def __init__(self) -> None:
         self._arrived = threading.Event()
         self._newest: Desired | None = None
+        self._sources = FrameSources()
+        self._conflict: Conflict | None = None
         self.stamp: rospy.Time | None = None
         super().__init__(tf2_ros.Buffer(debug=False), tcp_nodelay=True)
 
     def callback(self, data) -> None:
         """Takes tf messages in; numbers that are none are refused here."""
+        self._leave_out_conflicts(data)
         good = [t for t in data.transforms if _finite(t.transform)]
         if len(good) < len(data.transforms):
             bad = next(t for t in data.transforms if not _finite(t.transform))
@@ -53,8 +61,23 @@ class DesiredTool(tf2_ros.TransformListener):
             self._arrived.clear()
         return self._newest
 
+    def _leave_out_conflicts(self, data) -> None:
+        node, now = data._connection_header["callerid"], time.monotonic()
+        data.transforms = [
+            t
+            for t in data.transforms
+            if self._sources.heard(_name(t.child_frame_id), _name(t.header.frame_id), node, now)
+        ]
+
     def _look(self) -> bool:
         """Looks the frame up; returns whether it is another one than before."""
+        conflict = self._sources.conflict(DESIRED, time.monotonic())
+        if conflict is not None:
+            if conflict is self._conflict:
+                return False
+            self._conflict, self.stamp = conflict, rospy.Time.now()
+            self._newest = Desired(np.eye(4), self.stamp.to_sec(), f"The desired tool frame is refused: {conflict}.")
+            return True
         try:
             message = self.buffer.lookup_transform(BASE, DESIRED, rospy.Time(0))
             if message.header.stamp == self.stamp:
@@ -67,6 +90,11 @@ class DesiredTool(tf2_ros.TransformListener):
             rospy.logwarn_throttle(REMIND_S, f"The desired tool frame is refused: {error}.")
             return False
         return True
+
+
+def _name(frame: str) -> str:
+    """Returns the name of a frame as tf2 has it, without the slash that old nodes put before it."""
+    return frame.lstrip("/")
 
 
 def _finite(transform) -> bool:

@@ -1,0 +1,60 @@
+"""Two nodes that publish one frame are told apart from one node, and from one that takes over."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kuka_control.frame_sources import HANDOVER_S, FrameSources
+
+BASE, LEAP, TOOL = "kuka/base_frame", "leap_motion/virtual_frame", "kuka/tool_frame/desired"
+
+
+@given(st.lists(st.floats(0.0, 3.0), max_size=50))
+def test_one_node_for_each_frame_is_no_conflict(gaps):
+    sources, now = FrameSources(), 0.0
+    for gap in gaps:
+        now += gap
+        assert sources.heard(TOOL, LEAP, "/a", now) and sources.heard(LEAP, BASE, "/b", now)
+        assert sources.conflict(TOOL, now) is None
+
+
+@given(st.floats(0.001, HANDOVER_S / 2.01), st.integers(2, 20))
+def test_two_that_alternate_are_named_from_the_first_word_of_the_second(gap, count):
+    sources = FrameSources()
+    assert sources.heard(TOOL, LEAP, "/b", 0.0)
+    for i in range(1, count):
+        assert not sources.heard(TOOL, LEAP, "/a" if i % 2 else "/b", i * gap)
+        conflict = sources.conflict(TOOL, i * gap)
+        assert conflict.when == i * gap
+        assert str(conflict) == f"/a and /b both publish {TOOL}; end one of them"
+
+
+def test_a_conflict_about_a_frame_that_others_stand_in_counts_for_them_and_not_the_other_way_round():
+    sources = FrameSources()
+    sources.heard(TOOL, LEAP, "/a", 0.0)
+    sources.heard(LEAP, BASE, "/a", 0.0)
+    sources.heard(LEAP, BASE, "/b", 0.1)
+    sources.heard("hand/frame", LEAP, "/a", 0.1)
+    assert sources.conflict(TOOL, 0.2).frame == sources.conflict("hand/frame", 0.2).frame == LEAP
+    sources = FrameSources()
+    sources.heard(LEAP, BASE, "/a", 0.0)
+    sources.heard(TOOL, LEAP, "/a", 0.0)
+    sources.heard(TOOL, LEAP, "/b", 0.1)
+    assert sources.conflict(LEAP, 0.2) is None
+
+
+def test_another_node_takes_over_after_a_silence():
+    sources = FrameSources()
+    assert sources.heard(TOOL, BASE, "/a", 0.0)
+    assert not sources.heard(TOOL, BASE, "/b", 0.9 * HANDOVER_S)
+    assert sources.heard(TOOL, BASE, "/b", 1.1 * HANDOVER_S)
+    assert sources.conflict(TOOL, 1.1 * HANDOVER_S) is not None
+    assert sources.conflict(TOOL, 2.0 * HANDOVER_S) is None
+
+
+def test_frames_in_a_circle_end_the_search():
+    sources = FrameSources()
+    sources.heard("a", "b", "/n", 0.0)
+    sources.heard("b", "a", "/n", 0.0)
+    assert sources.conflict("a", 0.1) is None
