@@ -39,10 +39,13 @@ def test_the_flange_the_status_and_the_key(ros, controller, wait_until):
 
     rospy.wait_for_service("simulation/release", 10.0)
     release = rospy.ServiceProxy("simulation/release", Trigger)
+    back_off = rospy.ServiceProxy("simulation/back_off", Trigger)
     assert (release().success, release().message) == (False, "No safety stop is active.")
+    assert not back_off().success
     controller.ask("set_external_torque", value=[30, 0, 0, 0, 0, 0, 0])
     wait_until(lambda: status[-1].level == DiagnosticStatus.WARN, 15.0, "the stop")
     assert "joint 1 is 30.0 Nm" in status[-1].message
+    assert back_off().success
     controller.ask("set_external_torque", value=[0] * 7)
     assert release().success
     wait_until(lambda: status[-1].level == DiagnosticStatus.OK, 15.0, "the release")

@@ -80,7 +80,15 @@ def test_all_faults_are_told_at_once():
 
 
 @pytest.mark.parametrize(
-    "values", [None, 3, [], {"size": [0.1, 0.1], "tags": []}, {"size": [0.1], "tags": [{"id": 9}]}]
+    "values",
+    [
+        None,
+        3,
+        [],
+        {"size": [0.1, 0.1], "tags": []},
+        {"size": [0.1], "tags": [{"id": 9}]},
+        {"size": [0.1, 0.1], "tags": [None]},
+    ],
 )
 def test_what_is_no_panel_is_refused(values):
     with pytest.raises(ConfigError):

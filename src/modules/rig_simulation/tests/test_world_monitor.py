@@ -1,0 +1,84 @@
+"""The node that publishes the objects of the simulated world and offers resets."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+pytestmark = pytest.mark.ros
+PORTS = [text for name in ("", "control-", "hand-", "hand-control-", "world-") for text in (f"--{name}port", "0")]
+
+
+@pytest.fixture
+def world(processes, wait_until):
+    """A running world whose time is stepped; yields a client of its control port."""
+    from rig_simulation.control_port import ControlClient
+
+    program = processes.start("rosrun", "rig_simulation", "world.py", "--stepped", "--scene", "cup", *PORTS)
+
+    def ready():
+        return re.search(rb"^world: .*control port 127.0.0.1:(\d+)$", program.log_path.read_bytes(), re.MULTILINE)
+
+    port = int(wait_until(ready, 60.0, "the world")[1])
+    with ControlClient("127.0.0.1", port, 10.0) as client:
+        client.port = port
+        yield client
+
+
+def test_objects_reset_and_change_of_scene(ros, world, wait_until):
+    import rospy
+    from std_srvs.srv import Trigger
+
+    from rig_msgs.msg import ObjectStates
+    from rig_msgs.srv import SetScene
+
+    states = ros.record("simulation/object_states", ObjectStates)
+    ros.run("rig_simulation", "world_monitor.py", f"_port:={world.port}")
+    states.wait(3, 30.0)
+    world.ask("step", count=500)
+    wait_until(lambda: states[-1].objects[0].touches == ["table"], 15.0, "the cup to stand")
+    cup = states[-1].objects[0]
+    truth = world.ask("objects")["objects"]["cup"]
+    assert (states[-1].header.frame_id, cup.name) == ("kuka/base_frame", "cup")
+    assert (cup.pose.position.x, cup.pose.position.y, cup.pose.position.z) == pytest.approx(truth["position"])
+    assert cup.pose.orientation.z == pytest.approx(truth["quaternion"][2])
+    assert cup.clearance == pytest.approx(0.0, abs=5e-4)
+
+    reset = rospy.ServiceProxy("simulation/reset", Trigger)
+    reset.wait_for_service(15.0)
+    assert reset().success
+    wait_until(lambda: states[-1].objects[0].clearance > 1e-4, 15.0, "the cup in the air of its start")
+
+    set_scene = rospy.ServiceProxy("simulation/set_scene", SetScene)
+    refused = set_scene("kitchen")
+    assert not refused.success
+    assert "no file 'kitchen'" in refused.message
+    assert set_scene("objects").success
+    wait_until(lambda: len(states[-1].objects) == 5, 15.0, "the other scene")
+
+
+def test_without_a_world_it_says_so_and_waits(ros, free_port, wait_until):
+    import rospy
+    from std_srvs.srv import Trigger
+
+    node = ros.run("rig_simulation", "world_monitor.py", f"_port:={free_port()}")
+    wait_until(lambda: "does not answer" in node.log_path.read_text(), 30.0, "a warning")
+    reset = rospy.ServiceProxy("simulation/reset", Trigger)
+    reset.wait_for_service(15.0)
+    answer = reset()
+    assert not answer.success
+    assert "does not answer" in answer.message
+    assert node.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [("_port:=0", "~port is 0"), ("_prt:=5", "~prt is not a known key"), ("_rate:=-1", "~rate")],
+)
+def test_bad_parameters_are_one_sentence(ros, argument, sentence):
+    node = ros.run("rig_simulation", "world_monitor.py", argument)
+    assert node.wait(30.0) == 1
+    log = node.log_path.read_text()
+    assert sentence in log
+    assert "Traceback" not in log
