@@ -95,6 +95,19 @@ def load(data: bytes, sha256: str | None = None) -> Loaded:
     return Loaded(network.eval(), name, found, KNOWN.get(found, ""))
 
 
+def listed_sha256(sums: str, name: str) -> str:
+    """Returns the hash of the file `name` in the text of a list as `sha256sum` writes it.
+
+    Raises:
+        WeightsError: the list does not name the file.
+    """
+    for line in sums.splitlines():
+        found, _, file = line.partition("  ")
+        if file == name:
+            return found
+    raise WeightsError(f"The list of hashes does not name {name}.")
+
+
 def _which(state) -> str:
     """Returns the name of the network whose layers the state dict names."""
     for name in ("ggcnn", "ggcnn2"):

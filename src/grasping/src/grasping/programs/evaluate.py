@@ -12,14 +12,17 @@ from functools import lru_cache
 from pathlib import Path
 
 import cv2
+import mujoco
 import numpy as np
 import torch
 from tqdm import tqdm
 
+from common.errors import RigError
 from grasping import maps, weights
 from grasping.evaluation import heuristics, trials
 from grasping.evaluation.statistics import share
 from grasping.predictor import frozen, run
+from grasping.programs.make_dataset import ignore_warning
 
 COLUMNS = ("scene", "objects", "method", *trials.Outcome._fields)
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
@@ -42,6 +45,7 @@ def try_scene(task) -> list[dict]:
     number, missing, files = task
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
+    mujoco.set_mju_user_warning(ignore_warning)
     count = 1 if number % 2 == 0 else 3 + number // 2 % 3
     of = trials.situation(number, count)
     rows = []
@@ -86,8 +90,13 @@ def main() -> None:
     parser.add_argument("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
     parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
     arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
     files = {name: Path(file) for name, file in arguments.weights}
+    try:
+        for file in files.values():
+            weights.load(file.read_bytes())
+    except (OSError, RigError) as error:
+        parser.error(str(error))
+    arguments.folder.mkdir(parents=True, exist_ok=True)
     methods = ["oracle", *heuristics.HEURISTICS, *files]
     results = arguments.folder / "results.csv"
     rows = []

@@ -7,6 +7,7 @@ import multiprocessing
 from pathlib import Path
 
 import cv2
+import mujoco
 import numpy as np
 from tqdm import tqdm
 
@@ -20,11 +21,16 @@ def make_shard(task: tuple[Path, str, int]) -> Path:
     path, split, first = task
     if not path.exists():
         cv2.setNumThreads(1)
+        mujoco.set_mju_user_warning(ignore_warning)
         made = [samples.sample(samples.view(split, seed)) for seed in range(first, first + SHARD)]
         part = path.with_suffix(".part.npz")
         np.savez_compressed(part, **{name: np.stack([getattr(s, name) for s in made]) for name in made[0]._fields})
         part.replace(path)
     return path
+
+
+def ignore_warning(_text: str) -> None:
+    """MuJoCo would write a log file; scenes and trials with a warning are thrown away by their own checks."""
 
 
 def main() -> None:

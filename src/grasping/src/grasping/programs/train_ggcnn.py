@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from common.errors import RigError
 from grasping.training.trainer import Settings, Trainer
 
 COLUMNS = ("step", "rate", "training", "validation", "quality", "angle", "width", "hits")
@@ -24,11 +25,11 @@ def load(folder: Path, split: str, most: int) -> dict[str, np.ndarray]:
     """Returns the samples of at most `most` shards of a split, joined.
 
     Raises:
-        FileNotFoundError: there is none.
+        RigError: there is none.
     """
     shards = sorted(p for p in folder.glob(f"{split}_*.npz") if ".part" not in p.name)[:most]
     if not shards:
-        raise FileNotFoundError(f"{folder} holds no shard of the split {split}: run make_dataset.py first")
+        raise RigError(f"{folder} holds no shard of the split {split}: run make_dataset.py first.")
     loaded = []
     for shard in tqdm(shards, unit="shard", desc=split):
         with np.load(shard) as arrays:
@@ -73,8 +74,11 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     settings = Settings(**{name: getattr(arguments, name) for name in asdict(default)})
+    try:
+        train, validation = (load(arguments.data, split, arguments.shards) for split in ("train", "validation"))
+    except RigError as error:
+        parser.error(str(error))
     arguments.run.mkdir(parents=True, exist_ok=True)
-    train, validation = (load(arguments.data, split, arguments.shards) for split in ("train", "validation"))
     trainer, rows, best = Trainer(settings), [], float("inf")
     checkpoint = arguments.run / "checkpoint.pt"
     if checkpoint.exists():

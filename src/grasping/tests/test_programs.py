@@ -1,0 +1,85 @@
+"""The programs from data to table, on a handful of scenes; each goes on where it ended."""
+
+from __future__ import annotations
+
+import csv
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from grasping import weights
+from grasping.networks import NETWORKS
+from grasping.programs import evaluate, make_dataset, train_ggcnn
+
+
+def call(monkeypatch, program, *arguments):
+    monkeypatch.setattr(sys, "argv", [program.__name__, *map(str, arguments)])
+    program.main()
+
+
+@pytest.fixture(name="data")
+def data_fixture(tmp_path, monkeypatch):
+    monkeypatch.setattr(make_dataset, "SHARD", 2)
+    for split, count in (("train", 4), ("validation", 2)):
+        call(monkeypatch, make_dataset, tmp_path / "data", "--split", split, "--scenes", count)
+    return tmp_path / "data"
+
+
+def test_shards_are_made_once(data, monkeypatch):
+    names = ["train_000000.npz", "train_000002.npz", "validation_000000.npz"]
+    assert sorted(p.name for p in data.iterdir()) == names
+    (data / names[1]).unlink()
+    kept = (data / names[0]).stat().st_mtime_ns
+    call(monkeypatch, make_dataset, data, "--split", "train", "--scenes", "4")
+    assert (data / names[0]).stat().st_mtime_ns == kept
+    with np.load(data / names[1]) as shard:
+        assert shard["depth"].shape == (2, 300, 300)
+        assert set(shard) == {"depth", "quality", "angle", "width", "known"}
+
+
+def test_training_ends_and_goes_on(data, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    options = ["--count", "2", "--side", "60", "--every", "2", "--half", "false"]
+    call(monkeypatch, train_ggcnn, data, run, "--steps", "2", *options)
+    call(monkeypatch, train_ggcnn, data, run, "--steps", "4", *options)
+    with (run / "curves.csv").open(newline="") as file:
+        assert [row["step"] for row in csv.DictReader(file)] == ["2", "4"]
+    assert (run / "curves.png").stat().st_size > 1000
+    content = (run / "weights.pt").read_bytes()
+    assert weights.load(content).name == "ggcnn2"
+    assert len(content) < 300_000
+
+
+def test_training_without_data_says_what_to_do(tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_ggcnn, tmp_path, tmp_path / "run")
+    assert "run make_dataset.py first." in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("content", "sentence"), [(None, "No such file"), (b"?", "neither a torch file nor")])
+def test_evaluation_refuses_a_bad_weight_file(tmp_path, monkeypatch, capsys, content, sentence):
+    file = tmp_path / "weights.pt"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, evaluate, tmp_path / "results", "--weights", "bad", file)
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
+
+
+def test_evaluation_goes_on(tmp_path, monkeypatch):
+    file = tmp_path / "weights.pt"
+    torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
+    results = tmp_path / "results" / "results.csv"
+    call(monkeypatch, evaluate, tmp_path / "results", "--scenes", "1")
+    first = results.read_text()
+    call(monkeypatch, evaluate, tmp_path / "results", "--scenes", "2", "--weights", "untrained", file)
+    assert results.read_text().startswith(first)
+    rows = list(csv.DictReader(results.read_text().splitlines()))
+    methods = {"oracle", "random pixel", "principal axis", "edge pair", "untrained"}
+    assert {(r["scene"], r["method"]) for r in rows} == {(s, m) for s in "01" for m in methods}
+    assert len(rows) == 10
+    assert "| untrained |" in (tmp_path / "results" / "table.md").read_text()
