@@ -42,6 +42,8 @@ CAMERA_INFO = "camera/rgb/camera_info"
 SETTLE_S = 0.6
 VIEW_TIMEOUT_S = 6.0
 FIRST_PLACES = 6
+FLANGE_WAIT_S = 1.0
+STILL_M = 5e-4
 INTERRUPTED = 130
 
 
@@ -70,8 +72,6 @@ def main() -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    if options.by_hand and not sys.stdin.isatty():
-        raise Refused("Moving the arm by hand needs a terminal.")
     setup = read_setup(DETECTOR)
     sights = PanelSights(setup.target)
     if options.again:
@@ -92,10 +92,13 @@ def _views_by_hand(setup: CalibrationSetup, sights: PanelSights) -> list[View]:
     print(
         "Move the arm so that the panel is seen tilted, each time about another axis. Enter: take it, q: that is all."
     )
-    while input(f"View {len(views) + 1}: ").strip().lower() != "q":
-        seen = sights.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
+    while _answer(f"View {len(views) + 1}: ") not in ("q", None):
         try:
-            T_base_flange = frames.flange(rospy.Time(0), 1.0)
+            before = frames.flange(rospy.Time.now(), FLANGE_WAIT_S)
+            seen = sights.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
+            T_base_flange = frames.flange(rospy.Time.now(), FLANGE_WAIT_S)
+            if np.linalg.norm(T_base_flange[:3, 3] - before[:3, 3]) > STILL_M:
+                raise ValueError("the arm moved")
             views.append(view_from(seen, T_base_flange, views, setup.limits))
             print(f"  taken, {len(seen)} pictures")
         except (ValueError, DeviceError) as error:
@@ -247,12 +250,16 @@ def _agree(options: argparse.Namespace, question: str) -> None:
     if options.yes:
         print(question.replace("?", "."))
         return
-    try:
-        answer = input(f"{question} [y/N] ")
-    except EOFError:
-        answer = ""
-    if answer.strip().lower() not in ("y", "yes"):
+    if _answer(f"{question} [y/N] ") not in ("y", "yes"):
         raise Refused("Then not; nothing was stored.")
+
+
+def _answer(question: str) -> str | None:
+    """Returns what the person types, in lower case, or None at the end of the input."""
+    try:
+        return input(question).strip().lower()
+    except EOFError:
+        return None
 
 
 def _duration(legs: list[Leg], q: np.ndarray, velocity: float) -> float:

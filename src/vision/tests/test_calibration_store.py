@@ -1,0 +1,81 @@
+"""The folder of calibrations: what is written is whole or not there, and torn files never count."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from hand_eye_scene import SD, scene
+
+from common.errors import ConfigError, DeviceError
+from common.poses import pose
+from vision.calibration_record import LIVE, CalibrationRecord
+from vision.hand_eye import View
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def store(tmp_path):
+    from vision.ros.calibration_store import CalibrationStore, StoreConfig
+
+    return CalibrationStore(StoreConfig(str(tmp_path / "new" / "folder"), "1234", "LBR7R800", "MF_elektrisch"))
+
+
+@pytest.fixture
+def record():
+    _, _, views = scene(1, 4, SD)
+    return CalibrationRecord(
+        "2026-01-31T12:00:00", LIVE, "LBR7R800", "MF_elektrisch", "tag_frame", "1234", "camera_rgb_optical_frame",
+        pose(p=(1.0, 2.0, 3.0)), np.eye(4), 0.5, 0.1, 0.2, np.ones((4, 2)), tuple(views),
+    )  # fmt: skip
+
+
+def test_the_newest_of_this_arm_and_camera_counts(store, record):
+    assert store.newest() is None
+    store.save(record)
+    newest = store.save(replace(record, date="2026-02-01T08:00:00", rms_mm=0.25))
+    store.save(replace(record, date="2026-02-02T08:00:00", camera="another"))
+    store.save(replace(record, date="2026-02-03T08:00:00", robot="LBR14R820"))
+    found, file = store.newest()
+    assert (file, found.rms_mm) == (newest, 0.25)
+    assert isinstance(found.views[0], View)
+    assert newest.name == "camera_place_2026-02-01T080000.yaml"
+
+
+@pytest.mark.parametrize("damage", ["half", "empty", "binary", "other"])
+def test_a_torn_file_does_not_count(store, record, damage):
+    from vision.ros.calibration_store import read
+
+    good = store.save(record)
+    torn = store.save(replace(record, date="2026-02-01T08:00:00"))
+    content = torn.read_bytes()
+    torn.write_bytes(
+        {"half": content[: len(content) // 2], "empty": b"", "binary": b"\xff\xfe\x00", "other": b"a: 1"}[damage]
+    )
+    assert store.newest()[1] == good
+    with pytest.raises((ConfigError, DeviceError)):
+        read(torn)
+
+
+def test_a_full_disk_leaves_no_file_and_the_old_one_whole(store, record, monkeypatch):
+    good = store.save(record)
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(DeviceError, match="No space left on device; the calibration before stays"):
+        store.save(replace(record, date="2026-02-01T08:00:00"))
+    assert [file.name for file in store.folder.iterdir()] == [good.name]
+    assert yaml.safe_load(good.read_text())["date"] == record.date
+
+
+def test_a_folder_that_cannot_be_made(store, record, tmp_path):
+    (tmp_path / "new").write_text("a file in the way")
+    with pytest.raises(DeviceError, match="Cannot write"):
+        store.save(record)
+    assert store.newest() is None

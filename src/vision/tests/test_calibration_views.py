@@ -1,0 +1,177 @@
+"""Where the arm holds the panel: every view is seen, reached and clear, and together they determine the calibration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from apriltag_ros.settings import targets
+from common.camera_model import from_calibration
+from common.config import parse
+from common.errors import ConfigError
+from common.poses import inverse, pose
+from common.rotations import rotation_about
+from rig_description.urdf import urdf
+from vision.arm_model import SHIFT_TOLERANCE_M, ArmModel
+from vision.calibration_views import EDGE_PX, Leg, Place, ViewPlanner, ViewsConfig, guessed_camera
+from vision.hand_eye import View, check_motion
+from vision.panel import PanelConfig
+
+CONFIG = Path(__file__).parents[1] / "config"
+
+
+def read(schema, name):
+    return parse(schema, yaml.safe_load((CONFIG / name).read_text()))
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ArmModel(urdf("LBR7R800", "MF_elektrisch"))
+
+
+@pytest.fixture(scope="module")
+def config():
+    return replace(read(ViewsConfig, "calibration_views.yaml"), tries=400, count=10)
+
+
+@pytest.fixture(scope="module")
+def points():
+    (target,) = targets(yaml.safe_load((CONFIG / "tags.yaml").read_text()))
+    return np.concatenate([tag.corners for tag in target.tags])
+
+
+@pytest.fixture(scope="module")
+def planner(arm, config, points):
+    panel = read(PanelConfig, "panel.yaml")
+    camera = from_calibration(yaml.safe_load((CONFIG / "xtion_rgb.yaml").read_text()))
+    return ViewPlanner(config, arm, camera, points, panel.plate, panel.T_flange_tag, np.eye(3))
+
+
+@pytest.fixture(scope="module")
+def guess(config):
+    return guessed_camera(config, np.eye(3))
+
+
+@pytest.fixture(scope="module")
+def places(planner, guess):
+    return planner.choose(planner.candidates(guess, np.random.default_rng(1)), guess)
+
+
+def test_inverse_kinematics_lead_to_the_wanted_place(arm):
+    rng = np.random.default_rng(0)
+    found = 0
+    for _ in range(30):
+        q = rng.uniform(0.6 * arm.lower, 0.6 * arm.upper)
+        wanted = arm.flange(q)
+        reached = arm.joints_for(wanted, q + rng.uniform(-0.3, 0.3, 7))
+        if reached is not None:
+            found += 1
+            assert np.all(reached >= arm.lower) and np.all(reached <= arm.upper)
+            np.testing.assert_allclose(arm.flange(reached), wanted, atol=4 * SHIFT_TOLERANCE_M)
+    assert found > 20
+    assert arm.joints_for(pose(p=(3.0, 0.0, 0.0)), np.zeros(7)) is None
+
+
+def test_the_spine_is_a_chain_of_known_lengths(arm):
+    spine = arm.spine(np.radians([10, 20, 30, 40, 50, 60, 70]))
+    lengths = np.linalg.norm(np.diff(spine, axis=0), axis=1)
+    np.testing.assert_allclose(lengths, [0.34, 0.4, 0.4, 0.126 + 0.035], atol=1e-9)
+
+
+def test_views_are_seen_tilted_and_clear(planner, places, guess, config, points):
+    assert len(places) >= 8
+    panel = read(PanelConfig, "panel.yaml")
+    camera = from_calibration(yaml.safe_load((CONFIG / "xtion_rgb.yaml").read_text()))
+    for place in places:
+        T = inverse(guess) @ place.T_base_flange @ panel.T_flange_tag
+        ray = T[:3, 3] / np.linalg.norm(T[:3, 3])
+        tilt = np.degrees(np.arccos(-T[:3, 2] @ ray))
+        assert config.tilt[0] - 1.0 < tilt < config.tilt[1] + 1.0
+        assert config.distance[0] - 0.01 < np.linalg.norm(T[:3, 3]) < config.distance[1] + 0.01
+        pixels = camera.project(points @ T[:3, :3].T + T[:3, 3])
+        assert np.all(pixels > EDGE_PX) and np.all(pixels < np.array([639.0, 479.0]) - EDGE_PX)
+        assert planner.clearance(place.q, guess) > 0.0
+
+
+def test_views_turn_about_several_axes(places):
+    check_motion([View(place.T_base_flange, np.eye(4), np.eye(6)) for place in places])
+
+
+def test_the_chosen_views_are_surer_than_the_first_ones(planner, guess):
+    candidates = planner.candidates(guess, np.random.default_rng(2))
+    chosen = planner.choose(candidates, guess)
+
+    def spread(views):
+        total = sum(planner._information(view, guess) for view in views) + 1e-6 * np.eye(12)
+        return np.trace(np.linalg.inv(total)[6:9, 6:9])
+
+    assert spread(chosen) < spread(candidates[: len(chosen)])
+
+
+def test_every_way_of_the_tour_and_back_is_clear(planner, places, guess, config):
+    start = np.radians(config.start)
+    legs = planner.tour(places, start, guess)
+    assert len(legs) >= 8
+    q = start
+    for leg in legs:
+        np.testing.assert_array_equal(leg.way[-1], leg.place.q)
+        for goal in leg.way:
+            assert planner.way_clear(q, goal, guess)
+            q = goal
+    for goal in planner.way_back(start, legs, guess):
+        assert planner.way_clear(q, goal, guess)
+        q = goal
+    np.testing.assert_allclose(q, start)
+
+
+def test_a_way_through_the_table_is_not_clear_but_out_of_it_is(planner, guess, config):
+    high = np.radians(config.start)
+    low = np.radians([-45.0, 70.0, 0.0, -70.0, 0.0, 40.0, 0.0])
+    assert planner.clearance(high, guess) > 0.0 > planner.clearance(low, guess)
+    assert not planner.way_clear(high, low, guess)
+    assert planner.way_clear(low, high, guess)
+
+
+def test_back_on_its_own_track_where_the_straight_way_is_barred(planner, guess, config, monkeypatch):
+    start, a, b = np.zeros(7), np.full(7, 0.1), np.full(7, 0.2)
+    legs = [Leg(Place(q, np.eye(4)), (q,)) for q in (a, b)]
+    home = np.radians(config.start)
+    monkeypatch.setattr(planner, "way_clear", lambda q, goal, _: q[0] == 0.1)
+    np.testing.assert_array_equal(planner.way_back(start, legs, guess), [a, home])
+    monkeypatch.setattr(planner, "way_clear", lambda *_: False)
+    assert planner.way_back(start, legs, guess) == []
+
+
+def test_a_camera_that_is_far_away_sees_nothing(planner):
+    away = pose(rotation_about(0, np.pi), (0.0, 0.0, 6.0))
+    assert planner.candidates(away, np.random.default_rng(0)) == []
+    assert planner.choose([], away) == []
+
+
+def test_the_guess_looks_at_its_target_under_any_mounting(config):
+    for R in (np.eye(3), rotation_about(0, np.pi)):
+        T = guessed_camera(config, R)
+        world = pose(R) @ T
+        ahead = config.guess_target - config.guess_position
+        np.testing.assert_allclose(world[:3, 2], ahead / np.linalg.norm(ahead), atol=1e-12)
+        np.testing.assert_allclose(world[:3, 3], config.guess_position, atol=1e-12)
+        assert world[2, 0] == pytest.approx(0.0, abs=1e-12)
+        assert world[2, 1] < 0.0, "y of an optical frame points down"
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"tilt": [45, 20]}, "the first must be the smaller"),
+        ({"distance": [1.0, 1.0]}, "the first must be the smaller"),
+        ({"guess_target": [1.1, -0.1, 0.0]}, "straight above or below"),
+    ],
+)
+def test_faults_of_the_configuration(change, sentence):
+    values = yaml.safe_load((CONFIG / "calibration_views.yaml").read_text())
+    with pytest.raises(ConfigError, match=sentence):
+        parse(ViewsConfig, {**values, **change})
