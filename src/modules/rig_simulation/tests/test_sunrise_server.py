@@ -280,3 +280,27 @@ def test_the_program_says_that_its_port_is_taken():
         out, err = program.communicate(timeout=30.0)
     assert (program.returncode, out, err.count("\n")) == (1, "", 1)
     assert "in use" in err
+
+
+def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(monkeypatch, serve, wait_until):
+    step = Arm.step
+
+    def slow_step(arm, dt):
+        time.sleep(0.002)
+        step(arm, dt)
+
+    server = serve()
+    client = Connection(server)
+    for line in ("jRelVel_1.0_", "jp_1.0_0.0_0.0_0.0_0.0_0.0_0.0_"):
+        assert client.ask(line) == "done\n"
+    monkeypatch.setattr(Arm, "step", slow_step)
+    assert client.ask("doPTPinJS") == "done\n"
+    wait_until(lambda: state(server)["joints"][0] > 0.0, 10.0, "the arm to move")
+    waits = []
+    for _ in range(10):
+        begin = time.monotonic()
+        assert client.ask("getJointsPositions").count("_") == 7
+        waits.append(time.monotonic() - begin)
+    assert min(waits) < 0.15, "20 steps of 2 ms, not a second of them"
+    assert time.monotonic() - state(server)["time"] < 1.0, "what it is behind does not grow"
+    client.close()

@@ -16,7 +16,7 @@ from rig_simulation.faults_arm import ARM_FAULTS
 from rig_simulation.sunrise.arm import Arm, ArmSettings, Surroundings
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.sunrise.robot import Robot
-from rig_simulation.sunrise.server import Server, ServerSettings
+from rig_simulation.sunrise.server import AT_ONCE_S, Server, ServerSettings
 from rig_simulation.sunrise.servo import LAWS
 
 NAME = "sunrise_controller"
@@ -42,7 +42,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def make_server(
-    options: argparse.Namespace, surroundings: Surroundings | None = None, clock: Callable[[], float] = time.monotonic
+    options: argparse.Namespace,
+    surroundings: Surroundings | None = None,
+    clock: Callable[[], float] = time.monotonic,
+    at_once: float = AT_ONCE_S,
 ) -> Server:
     """Returns the server that the options describe, with an arm of its own.
 
@@ -50,6 +53,7 @@ def make_server(
         options: with what `add_options` adds, and `control_port`.
         surroundings: what the arm moves in.
         clock: time that it lives in [s].
+        at_once: see Server.
 
     Raises:
         DeviceError: a port is not to be had.
@@ -60,7 +64,7 @@ def make_server(
         options.wiped_window, options.wait_for_client, options.deaf_after_lost_client, options.end_exits
     )
     arm = Arm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, surroundings)
-    return Server(arm, settings, options.host, options.port, options.control_port, _log, clock)
+    return Server(arm, settings, options.host, options.port, options.control_port, _log, clock, at_once)
 
 
 def ready_line(server: Server) -> str:

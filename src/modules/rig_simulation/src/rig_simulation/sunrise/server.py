@@ -26,6 +26,10 @@ BACKLOG = 50
 MOVING_TICK_S = 0.004
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
+AT_ONCE_S = 0.02
+"""So much the arm catches up before its client is looked after again."""
+LONGEST_LAG_S = 0.2
+"""Time that a machine is behind by more than this is lost: the arm moves in slow motion, but the server answers."""
 MOTION = "doPTP"
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
@@ -59,6 +63,7 @@ class Server:
         control_port: likewise.
         log: takes one sentence about each change of state.
         clock: time that the arm lives in [s]; it may run faster, slower or in steps.
+        at_once: longest time that the arm moves on in one go [s]; infinite for a clock that waits for it.
 
     Attributes:
         lock: held while anything of the arm or its surroundings changes.
@@ -77,11 +82,13 @@ class Server:
         control_port: int,
         log: Callable[[str], None] = lambda _: None,
         clock: Callable[[], float] = time.monotonic,
+        at_once: float = AT_ONCE_S,
     ) -> None:
         self._arm = arm
         self._settings = settings
         self._log = log
-        self._clock = clock
+        self._clock, self._at_once = clock, at_once
+        self._behind = False
         self._panel = Panel()
         self.faults = Faults(ARM_FAULTS)
         self._answers = Answers(self.faults)
@@ -155,7 +162,7 @@ class Server:
             return
         with self.lock:
             until_answer = max(0.0, self._answers.next_due() - time.monotonic())
-        for key, _ in self._selector.select(min(tick, until_answer)):
+        for key, _ in self._selector.select(0.0 if self._behind else min(tick, until_answer)):
             if key.fileobj is self._listener:
                 self._accept()
             else:
@@ -197,7 +204,7 @@ class Server:
             self._arm.attach(np.eye(4))
             self._answers.put("done\nnak\n", now)
         else:
-            self._answers.put(self._application.receive(line, self._clock()), now)
+            self._answers.put(self._application.receive(line, self._next_time()), now)
 
     def _send(self) -> None:
         for piece in self._answers.take(time.monotonic()):
@@ -326,8 +333,19 @@ class Server:
             self._advance()
             self._arm.set_tool_force(_numbers(value, 3))
 
+    def _next_time(self) -> float:
+        """Returns the time that the arm moves on to: the clock's, or a part of the way where the arm is behind."""
+        now, arm = self._clock(), self._arm
+        if arm.time is None or arm.asleep or math.isinf(self._at_once):
+            self._behind = False
+            return now
+        arm.time = max(arm.time, now - LONGEST_LAG_S)
+        reached = min(now, arm.time + self._at_once)
+        self._behind = reached < now
+        return reached
+
     def _advance(self) -> None:
-        self._answers.put(self._application.advance(self._clock()), time.monotonic())
+        self._answers.put(self._application.advance(self._next_time()), time.monotonic())
 
 
 def _numbers(value, count: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import signal
 import sys
 
@@ -22,6 +23,7 @@ from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.reflex.link import HandLink
 from rig_simulation.reflex.program import exchange, handlers
 from rig_simulation.sunrise import program as sunrise
+from rig_simulation.sunrise.server import AT_ONCE_S
 from rig_simulation.world.arm import ArmJoints
 from rig_simulation.world.clock import Clock
 from rig_simulation.world.control import WorldRequests
@@ -77,7 +79,7 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
     world.add(HandWire(hand.simulated, link))
 
     clock = Clock(None if options.stepped else options.speed)
-    server = sunrise.make_server(options, ArmJoints(world), clock)
+    server = sunrise.make_server(options, ArmJoints(world), clock, math.inf if options.stepped else AT_ONCE_S)
     resources.callback(server.close)
     switch_all(server.faults, options.fault)
     switch_all(link.faults, options.hand_fault)
