@@ -11,12 +11,14 @@ from common.poses import inverse
 from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig
 from kuka_control.home_pose import Home, custom_home, home_pose
 from kuka_control.kinematics import DhDeviations, Kinematics, kinematics_of
-from kuka_control.motion_limits import MotionLimits, ShapeLimits, SpeedLimits, Unlimited
+from kuka_control.motion_limits import MotionLimits, SpeedLimits, Unlimited
 from kuka_control.ptp_loop import PtpLoop, PtpSettings
 from kuka_control.real_time_loop import RealTimeLoop, RealTimeSettings
 from kuka_control.robot_model import RobotModel, robot_model
+from kuka_control.speed_change import ShapeLimits
 from kuka_control.target import TargetChain
 from kuka_control.workspace import Workspace
+from kuka_control.workspace_brake import WorkspaceBrake
 
 RANGE_MARGIN_RAD = float(np.radians(0.1))
 """Servo goals keep this distance to the ends of the joint ranges, where the robot's controller would end servo mode."""
@@ -104,12 +106,22 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
 def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
     """Returns the limits of the stream of servo goals; faster joints change their speed more quickly in proportion."""
     pace = rig.model.max_speed / np.min(rig.model.max_speed)
+    acceleration = config.joint_acceleration * pace
+
+    def tool_position(q: np.ndarray) -> np.ndarray:
+        return rig.kinematics.forward(q)[:3, 3]
+
+    def tool_jacobian(q: np.ndarray) -> np.ndarray:
+        return rig.kinematics.jacobian(q)
+
+    brake = WorkspaceBrake(rig.workspace, tool_position, tool_jacobian, acceleration)
     return MotionLimits(
         SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed),
-        ShapeLimits(config.joint_acceleration * pace, config.joint_jerk * pace),
+        ShapeLimits(acceleration, config.joint_jerk * pace),
         rig.model.lower + RANGE_MARGIN_RAD,
         rig.model.upper - RANGE_MARGIN_RAD,
-        lambda q: rig.kinematics.forward(q)[:3, 3],
+        tool_position,
+        brake,
     )
 
 

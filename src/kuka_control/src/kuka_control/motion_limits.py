@@ -18,15 +18,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
 
 from common.poses import read_only
+from kuka_control.speed_change import Moved, ShapeLimits, SpeedChange
+from kuka_control.workspace_brake import WorkspaceBrake
 
 GAIN_PER_S = 40.0
 """The goal makes up for a small distance to its target with this share of it per second."""
-
-EVEN_S = 0.012
-"""A change of speed is spread over this time, if the limits do not ask for more [s]."""
 
 LATE_S = 0.04
 """A change of speed that takes longer than this is held back by the limits of acceleration and jerk [s]."""
@@ -62,22 +60,14 @@ class SpeedLimits:
 
 
 @dataclass(frozen=True)
-class ShapeLimits:
-    """How quickly each joint may change its speed, shape (7,): acceleration [rad/s^2] and jerk [rad/s^3]."""
-
-    acceleration: np.ndarray
-    jerk: np.ndarray
-
-
-@dataclass(frozen=True)
 class Limited:
     """A servo goal.
 
     Attributes:
         q: the goal, shape (7,) [rad].
         v: its speed, shape (7,) [rad/s].
-        limited_by: "joint speed", "tool speed", "joint acceleration", "joint limit" or "lag of the arm", what holds
-            the goal back; None while it meets its target as it wishes.
+        limited_by: "joint speed", "tool speed", "joint acceleration", "joint limit", "lag of the arm" or "workspace",
+            what holds the goal back; None while it meets its target as it wishes.
     """
 
     q: np.ndarray
@@ -93,6 +83,7 @@ class MotionLimits:
         shape: limits of acceleration and jerk.
         lower, upper: joint ranges, shape (7,) [rad], that no goal leaves.
         tool_position: position of the tool point [m], shape (3,), at joints q.
+        brake: keeps the tool inside the workspace; where left out, nothing does but the target.
     """
 
     def __init__(
@@ -102,31 +93,25 @@ class MotionLimits:
         lower: np.ndarray,
         upper: np.ndarray,
         tool_position: Callable[[np.ndarray], np.ndarray],
+        brake: WorkspaceBrake | None = None,
     ) -> None:
         self._speeds = speeds
         self._lower = lower
         self._upper = upper
         self._braking = BRAKING_SHARE * shape.acceleration
         self._tool_position = tool_position
-        self._ruckig = Ruckig(7)
-        self._trajectory = Trajectory(7)
-        self._input = InputParameter(7)
-        self._input.control_interface = ControlInterface.Velocity
-        self._input.max_acceleration = shape.acceleration.tolist()
-        self._input.max_jerk = shape.jerk.tolist()
-        self._input.target_acceleration = [0.0] * 7
-        self._input.minimum_duration = EVEN_S
+        self._brake = brake
+        self._change = SpeedChange(shape, lower, upper)
         self.reset(np.zeros(7))
 
     def reset(self, q: np.ndarray) -> None:
         """Starts from the joints q, at rest."""
-        self._q = read_only(q)
-        self._v = self._a = np.zeros(7)
+        self._now = Moved(read_only(q), np.zeros(7), np.zeros(7))
 
     @property
     def goal(self) -> np.ndarray:
         """The last goal, shape (7,) [rad]."""
-        return self._q
+        return self._now.q
 
     def step(
         self, target: np.ndarray, measured: np.ndarray, dt: float, share: float = 1.0, speed: np.ndarray | None = None
@@ -142,18 +127,21 @@ class MotionLimits:
         """
         dt = min(max(dt, 0.0), MAX_CYCLE_S)
         speed = np.zeros(7) if speed is None else speed
-        error = target - self._q - dt * self._v
-        at_rest = not np.any(speed) and np.max(np.abs(self._v)) < AT_REST_RAD_S
-        if at_rest and np.max(np.abs(target - self._q)) < AT_REST_RAD:
+        q, v = self._now.q, self._now.v
+        error = target - q - dt * v
+        at_rest = not np.any(speed) and np.max(np.abs(v)) < AT_REST_RAD_S
+        if at_rest and np.max(np.abs(target - q)) < AT_REST_RAD:
             self.reset(target)
-            return Limited(self._q, read_only(self._v), None)
+            return Limited(self._now.q, read_only(self._now.v), None)
         wish, held_by = self._wish(error, speed)
         allowed, limited_by = self._allowed(wish, measured, share)
-        within = np.clip(allowed, -self._speed_within(self._q - self._lower), self._speed_within(self._upper - self._q))
+        within = np.clip(allowed, -self._speed_within(q - self._lower), self._speed_within(self._upper - q))
         if np.max(np.abs(within - allowed)) > AT_REST_RAD_S:
             limited_by = limited_by or "joint limit"
-        late = self._approach(within, dt)
-        return Limited(self._q, read_only(self._v), limited_by or held_by or ("joint acceleration" if late else None))
+        if self._approach(within, dt):
+            limited_by = "workspace"
+        late = "joint acceleration" if self._now.duration > LATE_S else None
+        return Limited(self._now.q, read_only(self._now.v), limited_by or held_by or late)
 
     def _speed_within(self, room: np.ndarray) -> np.ndarray:
         """Returns the speeds that can be braked within a room, shape (7,) [rad]."""
@@ -173,7 +161,8 @@ class MotionLimits:
 
     def _allowed(self, wish: np.ndarray, measured: np.ndarray, share: float) -> tuple[np.ndarray, str | None]:
         """Returns the wish slowed down to the limits, and the limit that slows it down most."""
-        way = self._tool_position(self._q + LOOK_AHEAD_S * wish) - self._tool_position(self._q)
+        q = self._now.q
+        way = self._tool_position(q + LOOK_AHEAD_S * wish) - self._tool_position(q)
         fastest = float(np.max(np.abs(wish) / self._speeds.joints)) / share
         tool = float(np.linalg.norm(way)) / (LOOK_AHEAD_S * self._speeds.tool * share)
         factor, limited_by = min(
@@ -183,27 +172,19 @@ class MotionLimits:
             key=lambda candidate: candidate[0],
         )
         begin, end = LEAD_RAD
-        behind = np.sign(wish) * (self._q - measured) - ARM_S * factor * np.abs(wish)
+        behind = np.sign(wish) * (q - measured) - ARM_S * factor * np.abs(wish)
         room = (end - float(np.max(behind[wish != 0.0], initial=0.0))) / (end - begin)
         if room >= 1.0:
             return factor * wish, limited_by
         return max(room, 0.0) * factor * wish, "lag of the arm"
 
     def _approach(self, wish: np.ndarray, dt: float) -> bool:
-        """Moves on for dt [s] towards a speed; returns whether acceleration or jerk limits hold that back."""
-        state = self._input
-        state.current_position, state.current_velocity = self._q.tolist(), self._v.tolist()
-        state.current_acceleration, state.target_velocity = self._a.tolist(), wish.tolist()
-        result = self._ruckig.calculate(state, self._trajectory)
-        if result not in (Result.Working, Result.Finished):
-            raise ArithmeticError(
-                f"no motion from speed {self._v} and acceleration {self._a} to speed {wish}: {result}"
-            )
-        q, v, a = self._trajectory.at_time(dt)
-        self._q = read_only(np.clip(q, self._lower, self._upper))
-        inside = self._q == q
-        self._v, self._a = np.where(inside, v, 0.0), np.where(inside, a, 0.0)
-        return self._trajectory.duration > LATE_S
+        """Moves on for dt [s] towards a speed; returns whether the end of the workspace holds that back."""
+        if self._brake is None:
+            self._now = self._change.step(self._now, wish, dt)
+            return False
+        self._now, held = self._brake.step(self._change, self._now, wish, dt)
+        return held
 
 
 class Unlimited:

@@ -172,6 +172,33 @@ class Workspace:
         result = self.constrain(position)
         return isinstance(result, Constrained) and not result.bounds
 
+    def rooms(self, position: np.ndarray) -> tuple[float, ...]:
+        """Returns how far it is to each bound [m], negative beyond it: two side planes, two z limits, two spheres.
+
+        Args:
+            position: shape (3,) [m].
+        """
+        x, y, z = position.tolist()
+        (a, b, _), (c, d, _) = self._side_normals
+        r = math.hypot(x, y, z - self.joint_2_height)
+        sides = -(a * x + b * y), -(c * x + d * y)
+        return (*sides, z - self.z_lower, self.z_upper - z, r - self.inner_sphere, self.outer_sphere - r)
+
+    def outward(self, position: np.ndarray) -> np.ndarray:
+        """Returns the unit vectors that lead out of the workspace across each bound of `rooms`, shape (6, 3).
+
+        Args:
+            position: shape (3,) [m], not the origin of joint 2.
+        """
+        radial = position - np.array([0.0, 0.0, self.joint_2_height])
+        radial /= np.linalg.norm(radial)
+        return np.array([*self._side_normals, (0.0, 0.0, -1.0), (0.0, 0.0, 1.0), -radial, radial])
+
+    @cached_property
+    def _side_normals(self) -> tuple[tuple[float, float, float], ...]:
+        turns = (self.heading + side * (self.opening_angle + math.pi) / 2.0 for side in (1.0, -1.0))
+        return tuple((math.cos(turn), math.sin(turn), 0.0) for turn in turns)
+
     def constrain(self, position: np.ndarray) -> Constrained | Infeasible:
         """Returns the position itself, the one that the bounds leave of it, or that it is infeasible.
 
