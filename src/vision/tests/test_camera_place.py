@@ -1,0 +1,147 @@
+"""The node camera_place: live and stored place, what is stored on demand, stale frames, and how it ends."""
+
+import numpy as np
+import pytest
+from panel_scene import OPTICAL, T_LINK_OPTICAL, PanelScene, parameters
+
+from common.poses import inverse, pose
+from common.rotations import rotation_about
+
+pytestmark = pytest.mark.ros
+
+T_FLANGE_PANEL = pose([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], (0.0, 0.0711, 0.0435))
+T_BASE_FLANGE = pose(rotation_about(1, 2.5), (0.5, -0.3, 0.4))
+T_BASE_CAMERA = T_BASE_FLANGE @ T_FLANGE_PANEL @ inverse(pose(rotation_about(0, 2.7), (0.05, 0.02, 0.9)))
+
+
+@pytest.fixture
+def scene(ros, tmp_path):
+    import rospy
+
+    rospy.set_param("camera_calibration", parameters(tmp_path / "store"))
+    scene = PanelScene(T_BASE_CAMERA, T_FLANGE_PANEL, lambda: T_BASE_FLANGE)
+    yield scene
+    scene.close()
+    rospy.delete_param("camera_calibration")
+
+
+@pytest.fixture
+def buffer(ros):
+    import tf2_ros
+
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+    yield buffer
+    listener.unregister()
+
+
+def place(buffer, timeout=30.0):
+    """Returns T_base_camera in tf."""
+    import rospy
+
+    from common.ros.conversions import pose_from_transform
+
+    found = buffer.lookup_transform("kuka/base_frame", OPTICAL, rospy.Time(0), rospy.Duration(timeout))
+    return pose_from_transform(found.transform)
+
+
+def call(name):
+    import rospy
+    from std_srvs.srv import Trigger
+
+    rospy.wait_for_service(name, 30.0)
+    return rospy.ServiceProxy(name, Trigger)()
+
+
+def test_live_then_stored_then_loaded_without_the_tag(ros, scene, buffer, processes, wait_until, tmp_path):
+    node = ros.run("vision", "camera_place_node.py")
+    np.testing.assert_allclose(place(buffer), T_BASE_CAMERA, atol=0.01)
+    assert "the place is live" in node.log_path.read_text()
+    link = T_BASE_CAMERA @ inverse(T_LINK_OPTICAL)
+    import rospy
+
+    from common.ros.conversions import pose_from_transform
+
+    found = buffer.lookup_transform("kuka/base_frame", "camera_link", rospy.Time(0), rospy.Duration(5.0))
+    np.testing.assert_allclose(pose_from_transform(found.transform), link, atol=0.01)
+    answer = wait_until(lambda: (lambda a: a if a.success else None)(call("camera_place/store")), 15.0, "the storing")
+    assert "is stored in" in answer.message
+    assert processes.end(node) == 0
+    (file,) = (tmp_path / "store").iterdir()
+
+    scene.visible = False
+    buffer.clear()
+    again = ros.run("vision", "camera_place_node.py", "_mode:=stored")
+    np.testing.assert_allclose(place(buffer), T_BASE_CAMERA, atol=0.005)
+    assert file.name in again.log_path.read_text()
+
+
+def test_flange_seen_hangs_below_the_tag(ros, scene, buffer):
+    import rospy
+
+    from common.ros.conversions import pose_from_transform
+
+    ros.run("vision", "camera_place_node.py")
+    found = buffer.lookup_transform("tag_frame", "kuka/flange_frame/seen", rospy.Time(0), rospy.Duration(30.0))
+    np.testing.assert_allclose(pose_from_transform(found.transform), inverse(T_FLANGE_PANEL), atol=1e-9)
+
+
+def test_a_stale_flange_gives_no_place(ros, scene, wait_until):
+    scene.measured = False
+    node = ros.run("vision", "camera_place_node.py", "_mode:=live")
+    wait_until(lambda: "tf has no way from kuka/base_frame" in node.log_path.read_text(), 20.0, "the warning")
+    scene.measured = True
+    wait_until(lambda: call("camera_place/store").success, 20.0, "a place")
+    scene.measured = False
+    wait_until(lambda: "it is stale" in node.log_path.read_text(), 30.0, "the warning")
+    wait_until(lambda: "not seen just now" in call("camera_place/store").message, 20.0, "the refusal")
+
+
+def test_what_does_not_keep_still_is_not_stored(ros, scene, wait_until, tmp_path):
+    scene.noise = np.full(6, 0.01)
+    ros.run("vision", "camera_place_node.py")
+    wait_until(lambda: "did not keep still" in call("camera_place/store").message, 20.0, "the refusal")
+    assert not (tmp_path / "store").exists()
+
+
+def test_a_torn_calibration_is_named_and_left_aside(ros, scene, wait_until, tmp_path):
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store" / "camera_place_2026-01-01T000000.yaml").write_text("date: '2026-01-01T00:00:00'\nT_base_cam")
+    node = ros.run("vision", "camera_place_node.py")
+    wait_until(lambda: "is left aside" in node.log_path.read_text(), 20.0, "the sentence")
+    wait_until(lambda: "the place is live" in node.log_path.read_text(), 20.0, "live")
+
+
+def test_reload_without_a_calibration(ros, scene):
+    ros.run("vision", "camera_place_node.py")
+    assert call("camera_place/reload").success
+
+
+@pytest.mark.parametrize(
+    ("parameter", "change", "sentence"),
+    [
+        ("_mode:=both", {}, "~mode is 'both', but must be one of auto, stored, live"),
+        ("_mod:=live", {}, "~mod is not a known key"),
+        ("_mode:=stored", {}, "There is no calibration for LBR7R800 and camera 1234"),
+        ("_mode:=live", {"camera_calibration/panel/frame": "box"}, "not for the panel box"),
+        ("_mode:=live", {"camera_calibration/limits/pictures": 0}, "camera_calibration/limits/pictures is 0"),
+        ("_mode:=live", {"camera_calibration/store/folder": "relative"}, "store/folder is 'relative'"),
+    ],
+)
+def test_it_ends_with_a_sentence(ros, scene, parameter, change, sentence):
+    import rospy
+
+    for key, value in change.items():
+        rospy.set_param(key, value)
+    node = ros.run("vision", "camera_place_node.py", parameter)
+    assert node.wait(30.0) == 1
+    log = node.log_path.read_text()
+    assert sentence in log
+    assert "Traceback" not in log
+
+
+def test_it_waits_for_its_parameters_and_ends_with_an_interrupt(ros, processes, wait_until):
+    node = ros.run("vision", "camera_place_node.py")
+    wait_until(lambda: "Waiting for the parameter" in node.log_path.read_text(), 20.0, "the waiting")
+    processes.end(node)
+    assert "Traceback" not in node.log_path.read_text()
