@@ -2,7 +2,8 @@
 
 For each direction of the gripper the map is turned until the jaws close along the rows. At each cell the finger tips
 go some way below the surface; the map cut at that height shows what they meet: the contacts, whether the fingers have
-room, and the surface's normals there, which must lie in the friction cone. The camera's axis is the approach.
+room, and the surface's normals there, which must lie in the friction cone, both in the cut and upwards: a ball held
+above its equator slips out. The camera's axis is the approach.
 
 Angles follow the picture: from its horizontal, anticlockwise, modulo pi.
 """
@@ -20,7 +21,7 @@ LOWEST_OBJECT_M = 0.008
 """What stands out of the table by less is table."""
 PAD_UNEVENNESS_M = 0.0075
 """How far the surface may stand out under a finger's pad beyond the point it should touch."""
-HORIZONTAL_BONUS = 0.05
+HORIZONTAL_BONUS = 0.08
 """Between directions about equally good, as on a disc, the one nearest to the horizontal is the target: one answer
 that can be learnt, where the mean of several would be none."""
 FREE = 1e3
@@ -192,6 +193,12 @@ def _along_rows(surface, table, cell, gripper):
         across, along = cv2.Sobel(blurred, cv2.CV_32F, 0, 1), cv2.Sobel(blurred, cv2.CV_32F, 1, 0)
         slope = np.abs(across) / np.maximum(np.abs(along), 1e-6)
         worst = np.maximum(slope[y, left + 1], slope[y, right - 1])
+        top = cut - near[y, x]
+        for inner in (np.minimum(left + 2, right - 1), np.maximum(right - 2, left + 1)):
+            # How far the face leans: its rise over the cell and a half from the contact; one that reaches the top
+            # so soon is upright.
+            rise = cut - near[y, inner]
+            worst = np.maximum(worst, np.where(rise > 0.8 * top, 0.0, 1.5 * cell / np.maximum(rise, 1e-6)))
         filled = np.cumsum(np.pad(pad, ((0, 0), (1, 0))), axis=1, dtype=np.int16)
         room = filled[y, pad_left + 1] == filled[y, pad_left + 1 - need]
         room &= filled[y, pad_right + need] == filled[y, pad_right]
