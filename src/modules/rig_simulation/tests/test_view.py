@@ -19,7 +19,7 @@ from rig_simulation.control_port import ControlClient
 from rig_simulation.view.films import ContactSheet, FilmError, Mp4, film_for, with_lines
 from rig_simulation.view.forces import LONGEST_M, METRES_PER_NEWTON, arrows, pair_forces
 from rig_simulation.view.scene_forces import add_arrows
-from rig_simulation.view.shapes import above, base_pose, shapes
+from rig_simulation.view.shapes import base_pose, beyond, shapes
 from rig_simulation.world.files import read_scene
 from rig_simulation.world.model import WorldDescription, build_model
 
@@ -92,11 +92,11 @@ def test_shapes_are_where_the_physics_has_them(world):
     np.testing.assert_allclose(body.size, [0.066, 0.066, 0.14])
 
 
-def test_labels_stand_over_the_highest_point(world):
+def test_labels_stand_beyond_the_farthest_point(world):
     model, data = world
     up = inverse(base_pose(data))[:3, 2]
     bottle = [shape for shape in shapes(model, data) if shape.body == "object/bottle"]
-    label = base_pose(data) @ [*above(bottle, up, 0.04), 1.0]
+    label = base_pose(data) @ [*beyond(bottle, up, 0.04), 1.0]
     middle = data.body("object/bottle").xpos
     np.testing.assert_allclose(label[:3], [*middle[:2], middle[2] + 0.10 + 0.04], atol=1e-9)
 

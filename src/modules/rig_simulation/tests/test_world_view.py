@@ -44,7 +44,7 @@ def test_objects_and_forces_are_shown(ros, world_port, wait_until):
         name, newtons, unit = label.text.split()
         assert (name, unit) == ("table", "N")
         assert 0.3 < float(newtons) < 10.0, "its weight"
-        assert label.pose.position.z > max(heights)
+        assert label.pose.position.y > truth[1] + 0.1, "beside the cup"
         world.ask("set_scene", scene="empty")
     wait_until(lambda: not of(objects[-1], Marker.CUBE, "object/"), 30.0, "the empty scene")
 

@@ -1,7 +1,7 @@
 """Shows the simulated world in RViz: table and objects, and the forces where bodies touch.
 
 Topics, both visualization_msgs/MarkerArray in kuka/base_frame: `simulation/objects`, and `simulation/contacts` with an
-arrow for each contact, 1 cm a newton, its tip where the force acts, and over each body what touches it with how many N.
+arrow for each contact, 3 cm a newton, its tip where the force acts, and beside each body what bears on it, in N.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from common.rotations import quaternion_from_rotation
 from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient
 from rig_simulation.view.forces import Arrow, PairForce, arrows, pair_forces, short
-from rig_simulation.view.shapes import BALL, BOX, CYLINDER, Shape, above, base_pose, shapes
+from rig_simulation.view.shapes import BALL, BOX, CYLINDER, Shape, base_pose, beyond, shapes
 
 NAME = "world_view"
 FRAME = "kuka/base_frame"
@@ -34,7 +34,7 @@ LIFETIME_S = 1.0
 """Markers of a world that is gone vanish after this time."""
 
 KINDS = {BOX: Marker.CUBE, BALL: Marker.SPHERE, CYLINDER: Marker.CYLINDER}
-SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_ABOVE_M = 0.005, 0.011, 0.015, 0.022, 0.04
+SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.005, 0.011, 0.015, 0.022, 0.09
 OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)
 
 
@@ -107,12 +107,12 @@ def arrow_marker(arrow: Arrow, T_base_world: np.ndarray) -> Marker:
 
 
 def label_marker(pairs: list[PairForce], parts: list[Shape], T_base_world: np.ndarray) -> Marker:
-    """Returns the label of all forces on one body, over the body where its shapes are known."""
+    """Returns the label of all forces on one body, beside the body where its shapes are known."""
     by_robot = any(pair.by_robot for pair in pairs)
     marker = Marker(type=Marker.TEXT_VIEW_FACING, ns="label", color=OF_ROBOT if by_robot else OF_OTHERS)
     marker.pose.orientation.w = 1.0
     if parts:
-        marker.pose.position = Point(*above(parts, T_base_world[:3, 2], LABEL_ABOVE_M).tolist())
+        marker.pose.position = Point(*beyond(parts, T_base_world[:3, 1], LABEL_BESIDE_M).tolist())
     else:
         marker.pose.position = _point(pairs[0].place, T_base_world)
     marker.scale.z = LETTER_M

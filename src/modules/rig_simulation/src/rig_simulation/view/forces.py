@@ -10,7 +10,7 @@ import numpy as np
 
 from common.poses import read_only
 
-METRES_PER_NEWTON = 0.01
+METRES_PER_NEWTON = 0.03
 LONGEST_M = 0.25
 LEAST_N = 0.02
 ROBOT = ("kuka/", "reflex/", "panel")

@@ -40,16 +40,19 @@ class Shape:
     colour: tuple[float, ...]
 
 
-def above(parts: Sequence[Shape], up: np.ndarray, clearance: float) -> np.ndarray:
-    """Returns the point that is `clearance` [m] higher than the highest point of a body, over its middle.
+def beyond(parts: Sequence[Shape], towards: np.ndarray, clearance: float) -> np.ndarray:
+    """Returns the point straight from the middle of a body in a direction, `clearance` [m] beyond its farthest point.
 
     Args:
         parts: all shapes of the body.
-        up: unit vector in kuka/base_frame, shape (3,).
+        towards: unit vector in kuka/base_frame, shape (3,).
     """
     middle = np.mean([part.T_base_shape[:3, 3] for part in parts], axis=0)
-    tops = [up @ part.T_base_shape[:3, 3] + np.abs(up @ part.T_base_shape[:3, :3]) @ part.size / 2.0 for part in parts]
-    return middle + (max(tops) - up @ middle + clearance) * up
+    ends = [
+        towards @ part.T_base_shape[:3, 3] + np.abs(towards @ part.T_base_shape[:3, :3]) @ part.size / 2.0
+        for part in parts
+    ]
+    return middle + (max(ends) - towards @ middle + clearance) * towards
 
 
 def base_pose(data: mujoco.MjData) -> np.ndarray:
