@@ -528,6 +528,47 @@ def test_it_waits_for_its_parameters_and_says_so(ros, wait_until):
     assert process.poll() is None
 
 
+def test_it_waits_for_the_rest_of_its_parameters_and_refuses_an_incomplete_set_in_one_sentence(ros, wait_until):
+    """As after leap_kuka_debug.launch, which uploads two keys of another set."""
+    import rospy
+
+    rospy.set_param("kuka", {"center_line": [1, 0, 0], "ws_center": [0.5, 0, 0.5]})
+    node = Node(ros.run("kuka_control", PTP), wait_until)
+    wait_until(lambda: re.search("Waiting for parameters under /kuka/: .*robot", node.log), 30.0, "the sentence")
+    assert node.wait_for_end(40.0) == 1
+    refused = re.findall(
+        r"kuka/ holds no complete set of parameters, but only center_line, ws_center; .*robot.*", node.log
+    )
+    assert refused and len({line[line.index("kuka/ holds") :] for line in refused}) == 1
+    assert "is missing; it must be" not in node.log and "Traceback" not in node.log
+
+
+def test_parameters_that_come_late_are_taken(ros, robot, wait_until):
+    import rospy
+    from std_msgs.msg import String
+
+    rospy.set_param("kuka", {"center_line": [1, 0, 0], "ws_center": [0.5, 0, 0.5]})
+    modes = ros.record("kuka/mode", String)
+    node = Node(ros.run("kuka_control", PTP), wait_until)
+    wait_until(lambda: re.search("Waiting for parameters under /kuka/: .*robot", node.log), 30.0, "the sentence")
+    set_params(PTP, ip="127.0.0.1", port=robot.port)
+    wait_until(lambda: modes, MOVE_S, "a controller that runs")
+    assert node.process.poll() is None
+
+
+def test_simulated_time_without_a_clock_is_said(ros, wait_until):
+    import rospy
+
+    rospy.set_param("use_sim_time", True)
+    set_params(PTP)
+    node = Node(ros.run("kuka_control", PTP), wait_until)
+    wait_until(
+        lambda: "use_sim_time is true, but nobody publishes /clock within 10 s" in node.log, 30.0, "the sentence"
+    )
+    assert node.wait_for_end(60.0) == 1
+    assert "Traceback" not in node.log
+
+
 @pytest.mark.parametrize("robot", [("--mounting", "180", "0", "0")], indirect=True)
 def test_an_arm_on_a_ceiling_follows_the_hand(ros, robot, start, hand, wait_until):
     import tf2_ros

@@ -6,11 +6,15 @@ import contextlib
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import rospy
 
 from common.errors import ConfigError, RigError
+
+CLOCK_S = 10.0
+CLOCK_POLL_S = 0.05
 
 
 def run(name: str, main: Callable[[], None]) -> None:
@@ -25,6 +29,7 @@ def run(name: str, main: Callable[[], None]) -> None:
         sys.exit(1)  # interrupted before it began
     _shut_down_beside_the_main_thread()
     try:
+        _wait_for_clock()
         main()
     except rospy.ROSException:
         if not rospy.core.is_shutdown_requested():  # then the topics close while main runs
@@ -34,6 +39,25 @@ def run(name: str, main: Callable[[], None]) -> None:
             rospy.logfatal("%s: %s", rospy.get_name(), sentence)
         rospy.signal_shutdown("fault")
         sys.exit(1)
+
+
+def _wait_for_clock() -> None:
+    """Waits until ROS time is known.
+
+    Raises:
+        RigError: time is simulated, and nobody tells it.
+        rospy.ROSInterruptException: ROS shut down while waiting.
+    """
+    deadline = time.monotonic() + CLOCK_S
+    while not rospy.rostime.is_wallclock() and rospy.get_rostime().is_zero():
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shut down while waiting for /clock")
+        if time.monotonic() > deadline:
+            raise RigError(
+                f"The parameter use_sim_time is true, but nobody publishes /clock within {CLOCK_S:g} s: play a "
+                "recording with --clock, or rosparam set use_sim_time false."
+            )
+        time.sleep(CLOCK_POLL_S)
 
 
 def _shut_down_beside_the_main_thread() -> None:

@@ -8,9 +8,16 @@ from collections.abc import Iterable
 
 import rospy
 
-from common.config import Schema, parse
+from common.config import Schema, parse, required
+from common.errors import ConfigError
 
 POLL_S = 0.2
+UPLOAD_S = 1.0
+"""A launch file has uploaded a yaml so long after its first key [s]."""
+
+FEW = 3
+"""More missing keys than these are no slip in a file: the file was not loaded."""
+
 REMIND_S = 5.0
 
 
@@ -31,22 +38,53 @@ def wait_for_param(name: str):
     return rospy.get_param(name)
 
 
-def wait_for_config(schema: type[Schema], namespace: str, others: Iterable[str] = ()) -> Schema:
+def wait_for_config(
+    schema: type[Schema], namespace: str, others: Iterable[str] = (), patience: float = UPLOAD_S
+) -> Schema:
     """Returns the configuration under `namespace` once its parameters are there; says so while it waits.
 
-    A launch file uploads a yaml key by key, so it waits until the last key of the schema has come, for a second at most
-    after the first.
+    A launch file uploads a yaml key by key, so it waits until the last key of the schema has come.
+
+    Args:
+        schema: a frozen dataclass of common.config.
+        namespace: of the parameters.
+        others: keys that may stand beside the schema's own.
+        patience: how long it waits at most after the first key has come [s].
 
     Raises:
         ConfigError: the values are missing, unknown or out of range.
+        rospy.ROSInterruptException: ROS shut down while waiting.
     """
     wait_for_param(namespace)
     names = [f.name for f in dataclasses.fields(schema)]
-    deadline = time.monotonic() + 1.0
-    values = rospy.get_param(namespace)
-    while time.monotonic() < deadline and not (isinstance(values, dict) and all(n in values for n in names)):
-        time.sleep(POLL_S)
-        values = rospy.get_param(namespace)
+    values = _all_uploaded(namespace, names, min(patience, UPLOAD_S))
+    missing = _missing(values, required(schema))
+    if missing and patience > UPLOAD_S:
+        rospy.logwarn("Waiting for parameters under %s/: %s.", rospy.resolve_name(namespace), ", ".join(missing))
+        values = _all_uploaded(namespace, required(schema), patience - UPLOAD_S)
+        missing = _missing(values, required(schema))
+    if len(missing) > FEW:
+        raise ConfigError([
+            f"{namespace}/ holds no complete set of parameters, but only {', '.join(sorted(values)) or 'none'}; "
+            f"{len(missing)} are missing: {', '.join(missing)}."
+        ])  # fmt: skip
     config = parse(schema, values, prefix=f"{namespace}/", others=others)
     rospy.loginfo("%s: %s", namespace, ", ".join(f"{n}={getattr(config, n)}" for n in names))
     return config
+
+
+def _all_uploaded(namespace: str, names: Iterable[str], seconds: float):
+    """Returns what is under `namespace` once all the names are there, at the latest after so many seconds."""
+    deadline = time.monotonic() + seconds
+    values = rospy.get_param(namespace)
+    while time.monotonic() < deadline and _missing(values, names):
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException(f"shut down while waiting for parameters under {namespace}/")
+        time.sleep(POLL_S)
+        values = rospy.get_param(namespace)
+    return values
+
+
+def _missing(values, names: Iterable[str]) -> list[str]:
+    """Returns the names without a value; none where the namespace is a value of its own, which is another fault."""
+    return [name for name in names if name not in values] if isinstance(values, dict) else []

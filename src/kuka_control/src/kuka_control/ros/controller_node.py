@@ -32,6 +32,9 @@ from kuka_control.ros.workspace_markers import publish_workspace
 from kuka_control.switches import Switches
 from kuka_control.wrench import moment_at_tool
 
+PARAMETERS_S = 15.0
+"""How long some of the parameters may be there before the others, such as those for leap_kuka alone [s]."""
+
 CONNECT_PATIENCE_S = 20.0
 CONNECT_RETRY_S = 0.5
 
@@ -54,7 +57,7 @@ def ptp_main() -> None:
 
 def _run(schema: type[ArmConfig], make_loop: Callable[[ArmConfig, Rig], ControlLoop]) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    config = wait_for_config(schema, "kuka", others=neighbours(schema))
+    config = wait_for_config(schema, "kuka", others=neighbours(schema), patience=PARAMETERS_S)
     rig = Rig.of(config, dh_deviations(config))
     arm = _connect(config, rig)
     try:
