@@ -219,7 +219,7 @@ def test_the_launch_file_brings_frames_and_waits_for_the_world(ros, free_port, w
     listener = tf2_ros.TransformListener(buffer)
     pair = ("camera_rgb_optical_frame", "camera_depth_optical_frame", rospy.Time())
     wait_until(lambda: buffer.can_transform(*pair), 30.0, "the frames")
-    assert buffer.lookup_transform(*pair).transform.translation.x == pytest.approx(-0.025)
+    assert buffer.lookup_transform(*pair).transform.translation.x == pytest.approx(-0.027)
     wait_until(lambda: driver().get("level") == 2, 30.0, "the driver's report that there is no world")
     wait_until(lambda: watchdog().get("rgb") == "waiting", 30.0, "the watchdog's report")
     assert process.poll() is None

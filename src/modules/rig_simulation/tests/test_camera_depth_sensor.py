@@ -143,11 +143,11 @@ def test_the_projectors_shadow_lies_to_the_left_as_wide_as_the_disparities_diffe
 
 
 def test_registered_depth_also_misses_what_the_infrared_camera_does_not_see(lens):
-    depth = sensor(lens, shadows=True, infrared_offset=-0.025).take(box_before_wall(lens), white(lens))
+    depth = sensor(lens, shadows=True, infrared_offset=-0.027).take(box_before_wall(lens), white(lens))
     lost = np.flatnonzero(depth[120] == 0)
     left, right = lost[lost < 100], lost[lost >= 200]
-    assert (left.max(), len(left)) == (99, pytest.approx(F * 0.050 * 0.625, abs=1.0))
-    assert (right.min(), len(right)) == (200, pytest.approx(F * 0.025 * 0.625, abs=1.0))
+    assert (left.max(), len(left)) == (99, pytest.approx(F * (BASELINE - 0.027) * 0.625, abs=1.0))
+    assert (right.min(), len(right)) == (200, pytest.approx(F * 0.027 * 0.625, abs=1.0))
 
 
 @settings(deadline=None, max_examples=40)

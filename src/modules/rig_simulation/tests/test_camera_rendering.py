@@ -26,7 +26,7 @@ CURVED = CameraModel(
 BALLS = np.array([[0.0, 0.0, 1.0], [-0.4, 0.25, 0.9], [0.5, -0.3, 1.2], [-0.35, -0.3, 1.1], [0.3, 0.22, 0.8]])
 """Centres in the optical frame of the colour camera [m]."""
 RADIUS = 0.02
-OFFSET = 0.025
+OFFSET = 0.027
 FILE = yaml.safe_load((Path(__file__).parents[1] / "config" / "camera.yaml").read_text())
 QUIET = {"noise": False, "edge_jitter": 0.0, "quantisation": 0.0, "shadows": False, "max_angle": 90.0}
 QUIET = {**FILE["depth"], **QUIET, "min_signal": 0.0, "scale_error_sd": 0.0, "warp_sd": 0.0}

@@ -99,7 +99,7 @@ def test_the_camera_looks_at_its_target_with_its_picture_upright():
     assert T[2, 2] > 0.0 and T[2, 1] == 0.0
     pair = PAIRS[-1]
     pair.take(np.zeros(7))
-    for name, beside in (("rgb", 0.045), ("depth", 0.020)):
+    for name, beside in (("rgb", 0.045), ("depth", 0.018)):
         seen = pair.data.camera(f"camera_{name}_optical_frame")
         R_world_camera = seen.xmat.reshape(3, 3)
         np.testing.assert_allclose(-R_world_camera[:, 2], ahead, atol=1e-9)

@@ -39,7 +39,7 @@ T_FLANGE_TAG = pose([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], (0.0, 0.0711, 0.0435))
 """Pose of the panel in the flange: beside it, its face along the flange's axis, its y axis along the flange's z."""
 PLATE_THICKNESS = 0.004
 
-RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.020, 0.0)
+RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.018, 0.0)
 CAMERA_SIZE = (0.018, 0.090, 0.018)
 FOVY_DEG = 45.0
 """Whoever renders sets the intrinsics of his camera; this is what the data sheet says."""
