@@ -42,7 +42,7 @@ CAMERA_INFO = "camera/rgb/camera_info"
 SETTLE_S = 0.6
 VIEW_TIMEOUT_S = 6.0
 FIRST_PLACES = 6
-FLANGE_WAIT_S = 1.0
+FLANGE_WAIT_S = 3.0
 STILL_M = 5e-4
 INTERRUPTED = 130
 
@@ -89,6 +89,7 @@ def _run(options: argparse.Namespace) -> None:
 def _views_by_hand(setup: CalibrationSetup, sights: PanelSights) -> list[View]:
     """Returns the views at which the person pressed Enter; somebody else moves the arm."""
     frames, views = Frames(), []
+    frames.flange(rospy.Time(0), FLANGE_WAIT_S)
     print(
         "Move the arm so that the panel is seen tilted, each time about another axis. Enter: take it, q: that is all."
     )

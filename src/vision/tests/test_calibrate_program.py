@@ -1,0 +1,192 @@
+"""The program calibrate_camera on the simulated arm: it asks, visits, refuses or stores, and ends with a sentence."""
+
+import re
+
+import numpy as np
+import pytest
+from panel_scene import PanelScene, parameters
+
+from common.poses import inverse, pose
+from common.rotations import rotation_about, rotation_angle, unit
+
+pytestmark = pytest.mark.ros
+
+T_FLANGE_PANEL = pose([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], (0.0, 0.0711, 0.0435))
+AHEAD = unit(np.array([0.42, -0.46, 0.10]) - np.array([1.02, -0.02, 0.70]))
+RIGHT = unit(np.cross(AHEAD, (0.0, 0.0, 1.0)))
+T_BASE_CAMERA = pose(np.column_stack((RIGHT, np.cross(AHEAD, RIGHT), AHEAD)), (1.02, -0.02, 0.70))
+"""About 0.12 m from where calibration_views.yaml guesses the camera."""
+
+PROGRAM = ("rosrun", "vision", "calibrate_camera.py", "--ip", "127.0.0.1", "--velocity", "0.5")
+
+
+class SimulatedArm:
+    """The simulated controller, and where its flange is."""
+
+    def __init__(self, processes, wait_until):
+        from rig_simulation.control_port import ControlClient
+
+        program = processes.start(
+            "rosrun", "rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "0"
+        )
+        line = wait_until(
+            lambda: re.search(r"127.0.0.1:(\d+), control port 127.0.0.1:(\d+)", program.log_path.read_text()),
+            30.0,
+            "it",
+        )
+        self.port, control = int(line[1]), int(line[2])
+        self.client = ControlClient("127.0.0.1", control, 5.0)
+
+    def flange(self):
+        return np.array(self.client.ask("state")["flange"])
+
+
+@pytest.fixture
+def arm(processes, wait_until):
+    return SimulatedArm(processes, wait_until)
+
+
+@pytest.fixture
+def scene(ros, arm, tmp_path):
+    import rospy
+
+    views = {"count": 9, "tries": 300}
+    values = parameters(tmp_path / "store", **views)
+    values["limits"].update(pictures=4)
+    rospy.set_param("camera_calibration", values)
+    scene = PanelScene(T_BASE_CAMERA, T_FLANGE_PANEL, arm.flange, measured=False)
+    yield scene
+    scene.close()
+    rospy.delete_param("camera_calibration")
+
+
+@pytest.fixture
+def calibrate(processes, arm):
+    def start(*options):
+        return processes.start(*PROGRAM, "--port", str(arm.port), *options)
+
+    return start
+
+
+def stored(tmp_path):
+    folder = tmp_path / "store"
+    return sorted(folder.iterdir()) if folder.exists() else []
+
+
+def moved(arm):
+    return np.abs(arm.client.ask("state")["joints"]).max() > 1e-3
+
+
+def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scene, tmp_path, processes):
+    from vision.ros.calibration_store import read
+
+    program = calibrate("--yes")
+    assert program.wait(240.0) == 0, program.log_path.read_text()
+    (file,) = stored(tmp_path)
+    log = program.log_path.read_text()
+    assert "The calibration is good" in log and str(file) in log
+    record = read(file)
+    assert len(record.views) >= 8
+    assert (record.camera, record.robot, record.panel) == ("1234", "LBR7R800", "tag_frame")
+    off = inverse(T_BASE_CAMERA) @ record.T_base_camera
+    assert np.linalg.norm(off[:3, 3]) < 0.003
+    assert np.degrees(rotation_angle(off[:3, :3])) < 0.3
+    np.testing.assert_allclose(record.T_flange_panel, T_FLANGE_PANEL, atol=0.004)
+
+    again = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file))
+    assert again.wait(30.0) == 1, "nobody was there to say yes"
+    assert "The camera is 0.0 mm and 0.00 deg from where" in again.log_path.read_text()
+    assert stored(tmp_path) == [file]
+
+
+def test_a_panel_that_is_not_as_drawn_is_refused_and_the_old_one_kept(calibrate, scene, arm, tmp_path):
+    scene.T_flange_panel = T_FLANGE_PANEL @ pose(rotation_about(0, 0.1), (0.0, 0.03, 0.0))
+    program = calibrate("--yes")
+    assert program.wait(240.0) == 1
+    log = program.log_path.read_text()
+    assert "from its drawing, allowed are" in log
+    assert "Nothing was stored; the calibration before stays." in log
+    assert "Traceback" not in log
+    assert stored(tmp_path) == []
+
+
+def test_a_panel_that_is_seen_nowhere(calibrate, scene, tmp_path):
+    scene.visible = False
+    program = calibrate("--yes")
+    assert program.wait(240.0) == 1
+    assert "The panel was not seen at" in program.log_path.read_text()
+    assert stored(tmp_path) == []
+
+
+def test_without_yes_and_terminal_nothing_moves(calibrate, scene, arm):
+    program = calibrate()
+    assert program.wait(60.0) == 1
+    log = program.log_path.read_text()
+    assert "There is no terminal to ask on" in log
+    assert not moved(arm)
+
+
+def test_by_hand_with_nobody_moving_the_arm(processes, scene):
+    scene.measured = True
+    program = processes.start("bash", "-c", "printf '\\n\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
+    assert program.wait(90.0) == 1
+    log = program.log_path.read_text()
+    assert "taken, 4 pictures" in log
+    assert "not taken: the arm was here before: 0.0 mm and 0.0 deg" in log
+    assert "1 views are too few" in log
+
+
+def test_by_hand_without_a_controller(processes, scene):
+    program = processes.start("bash", "-c", "printf '\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
+    assert program.wait(90.0) == 1
+    assert "calibrate_camera: tf has no way from kuka/base_frame" in program.log_path.read_text()
+
+
+def test_no_robot(processes, scene, arm, free_port):
+    program = processes.start(*PROGRAM, "--yes", "--port", str(free_port()))
+    assert program.wait(60.0) == 1
+    log = program.log_path.read_text()
+    assert "There is no connection to the robot" in log
+    assert "Traceback" not in log
+
+
+def test_a_controller_that_has_the_robot_is_named(processes, scene, calibrate, arm, wait_until, tmp_path):
+    node = tmp_path / "node.py"
+    node.write_text("import rospy; rospy.init_node('kuka_ptp_node'); print('here', flush=True); rospy.spin()")
+    holder = processes.start("python3", str(node))
+    wait_until(lambda: "here" in holder.log_path.read_text(), 20.0, "the node")
+    program = calibrate("--yes")
+    assert program.wait(60.0) == 1
+    assert "The node kuka_ptp_node has the robot's only connection" in program.log_path.read_text()
+    assert not moved(arm)
+
+
+@pytest.mark.parametrize(
+    ("options", "change", "sentence"),
+    [
+        (("--velocity", "0.9"), {}, "'0.9' is not a number in (0, 0.5]"),
+        (("--again", "/nowhere.yaml"), {}, "Cannot read /nowhere.yaml"),
+        (("--yes",), {"tilt": [45, 20]}, "but the first must be the smaller one"),
+        (("--yes", "--robot", "UR5"), {}, "kuka/robot is 'UR5'"),
+    ],
+)
+def test_it_ends_with_a_sentence(processes, scene, arm, options, change, sentence):
+    import rospy
+
+    for key, value in change.items():
+        rospy.set_param(f"camera_calibration/views/{key}", value)
+    program = processes.start(*PROGRAM, "--port", str(arm.port), *options)
+    assert program.wait(60.0) in (1, 2)
+    log = program.log_path.read_text()
+    assert sentence in log
+    assert "Traceback" not in log
+    assert not moved(arm)
+
+
+def test_an_interrupt_stores_nothing(calibrate, scene, processes, wait_until, tmp_path):
+    program = calibrate("--yes")
+    wait_until(lambda: "Visit" in program.log_path.read_text(), 60.0, "the visit")
+    assert processes.end(program, 30.0) == 130
+    log = program.log_path.read_text()
+    assert "Interrupted; nothing was stored" in log and "Traceback" not in log
+    assert stored(tmp_path) == []
