@@ -117,6 +117,16 @@ def test_slanted_faces_are_outside_the_friction_cone():
     assert across.max() < 0.1
 
 
+@pytest.mark.parametrize(("radius", "held"), [(0.03, True), (0.043, False)])
+def test_a_lying_can_is_not_held_above_its_equator(radius, held):
+    """The tips reach 25 mm below the top: past the middle of the thin one, not of the thick one."""
+    c = CELL * (np.arange(N) - 0.5 * (N - 1))
+    x, y = np.meshgrid(c, c)
+    top = radius + np.sqrt(np.maximum(radius**2 - y**2, 0.0))
+    surface = np.where((np.abs(y) < radius) & (np.abs(x) < 0.06), TABLE - top, TABLE)
+    assert (found(surface).scores[:, N // 2, N // 2].max() > 0.2) == held
+
+
 def test_disc_prefers_the_horizontal():
     c = CELL * (np.arange(N) - 0.5 * (N - 1))
     x, y = np.meshgrid(c, c)
