@@ -14,6 +14,9 @@ from kuka_control.workspace import Workspace, boundary_lines
 TRIAD_M = 0.13
 """Length of the axes of a frame [m]."""
 
+SIDE_RAD = np.radians(62.0)
+"""From center_line to where the scene is looked at from, seen from above."""
+
 LINKS = ((0, 1, 22), (1, 2, 19), (2, 3, 16), (3, 4, 12))
 """Corner, next corner and width of each part of the arm [points]."""
 
@@ -27,9 +30,11 @@ def draw_scene(axes: Axes3D, picture: Picture) -> None:
     _draw_samples(axes, picture)
     _draw_arm(axes, picture.arm)
     home = picture.rig.home
-    _draw_triad(axes, np.eye(4), "base")
-    _draw_triad(axes, home.T_base_flange, "flange", 0.7)
-    _draw_triad(axes, home.T_base_tool, "tool")
+    azimuth = picture.rig.workspace.heading + SIDE_RAD
+    to_the_right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    _draw_triad(axes, np.eye(4), "base", to_the_right)
+    _draw_triad(axes, home.T_base_flange, "flange", to_the_right, 0.7)
+    _draw_triad(axes, home.T_base_tool, "tool", to_the_right)
     axes.scatter(*home.centre, marker="*", s=170, color="black", zorder=FRONT + 3, depthshade=False)
     _set_view(axes, picture)
 
@@ -84,12 +89,14 @@ def _draw_tube(axes: Axes3D, ends: np.ndarray, width: float, colour: str) -> Non
                   zorder=FRONT - 1 + 0.1 * order)  # fmt: skip
 
 
-def _draw_triad(axes: Axes3D, T: np.ndarray, name: str, size: float = 1.0) -> None:
+def _draw_triad(axes: Axes3D, T: np.ndarray, name: str, to_the_right: np.ndarray, size: float = 1.0) -> None:
+    """Draws the axes of a frame, and its name on the side that they leave free."""
     origin = T[:3, 3]
+    text, side = (f"{name}   ", "right") if to_the_right @ T[:3, :2].sum(axis=1) > 0.0 else (f"   {name}", "left")
     for column, colour in zip(T[:3, :3].T, colours.AXES):
         tip = origin + size * TRIAD_M * column
         axes.plot(*np.array([origin, tip]).T, color=colour, linewidth=2.8, zorder=FRONT + 2)
-    axes.text(*origin, f"   {name}", fontsize=12, va="bottom", zorder=FRONT + 4,
+    axes.text(*origin, text, fontsize=12, ha=side, va="bottom", zorder=FRONT + 4,
               path_effects=[withStroke(linewidth=3, foreground="white")])  # fmt: skip
 
 
@@ -101,8 +108,8 @@ def _set_view(axes: Axes3D, picture: Picture) -> None:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_zlim(low[2], high[2])
-    axes.set_box_aspect(high - low, zoom=1.05)
-    axes.view_init(elev=22.0, azim=np.degrees(picture.rig.workspace.heading) + 62.0)
+    axes.set_box_aspect(high - low, zoom=0.98)
+    axes.view_init(elev=22.0, azim=np.degrees(picture.rig.workspace.heading + SIDE_RAD))
     axes.set_xlabel("x [m]", labelpad=8, fontsize=11)
     axes.set_ylabel("y [m]", labelpad=8, fontsize=11)
     axes.zaxis.set_rotate_label(False)
