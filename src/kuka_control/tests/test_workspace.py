@@ -197,6 +197,16 @@ def test_foot_of_the_base_is_feasible():
     assert isinstance(AHEAD.constrain(np.array([0.6, 0.0, 0.0])), Constrained)
 
 
+@given(positions)
+def test_rooms_tell_how_far_it_is_to_each_bound_and_outward_in_which_direction(position):
+    rooms, outward = AHEAD.rooms(position), AHEAD.outward(position)
+    np.testing.assert_allclose(np.linalg.norm(outward, axis=1), 1.0)
+    assert AHEAD.contains(position) == (position[0] > 0.0 and min(rooms) >= -1e-12)
+    step = 1e-6
+    for i, normal in enumerate(outward):
+        assert AHEAD.rooms(position + step * normal)[i] == pytest.approx(rooms[i] - step, abs=1e-9)
+
+
 @pytest.mark.parametrize("position", [(math.nan, 0.0, 0.4), (0.6, math.inf, 0.4), (0.6, 0.0)])
 def test_what_is_no_position_is_refused(position):
     with pytest.raises(ValueError, match="three finite numbers"):

@@ -111,7 +111,9 @@ class WorkspaceBrake:
             for normal, way, room in zip(normals, ways.T, self._workspace.rooms(position)):
                 excess = float(normal @ J[:3] @ left) - INWARD_PER_S * room
                 left = left - max(excess, 0.0) * way
-        return left
+        # Near a singular pose that may need fast joints; none is to be faster than those of the wish.
+        pace, wished = (float(np.max(np.abs(v) / self._acceleration)) for v in (left, wish))
+        return left if pace <= wished else wished / pace * left
 
     def _out(self, change: SpeedChange, now: Moved) -> float:
         """Returns how far the tool leaves the workspace, at most, if the joints stop from now on [m]."""

@@ -1,0 +1,246 @@
+"""The tool stays in the workspace: steps after which it could still stop inside, and the whole stream of goals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("rig_simulation")
+
+from bench.simulated import SimulatedRig
+from kuka_control.kinematics import Kinematics
+from kuka_control.motion_limits import MotionLimits, SpeedLimits
+from kuka_control.robot_model import robot_model
+from kuka_control.speed_change import Moved, ShapeLimits, SpeedChange
+from kuka_control.workspace import Workspace
+from kuka_control.workspace_brake import SLACK_M, WorkspaceBrake
+
+DT = 0.004
+ALLOWED_M = 0.002
+"""How far the tool point of a goal may be outside [m]."""
+
+MODEL = robot_model("LBR7R800", "MF_elektrisch")
+T_FLANGE_TOOL = np.eye(4)
+T_FLANGE_TOOL[2, 3] = 0.106
+ARM = Kinematics(MODEL, T_FLANGE_TOOL)
+ACCELERATION = 12.0 * MODEL.max_speed / np.min(MODEL.max_speed)
+JERK = ACCELERATION / 12.0 * 1000.0
+WORKSPACE = Workspace([1.0, -1.0, 0.0], np.radians(50.0), 0.2, 0.6, 0.5, 0.7, MODEL.base_shoulder)
+HOME = ARM.inverse(np.array([
+    [-0.5**0.5, -0.5**0.5, 0.0, WORKSPACE.centre[0]],
+    [0.5**0.5, -0.5**0.5, 0.0, WORKSPACE.centre[1]],
+    [0.0, 0.0, 1.0, WORKSPACE.centre[2]],
+    [0.0, 0.0, 0.0, 1.0],
+]) @ np.diag([1.0, -1.0, -1.0, 1.0]), near=np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])).q  # fmt: skip
+REST = np.zeros(7)
+
+speeds = st.lists(st.floats(-1.5, 1.5), min_size=7, max_size=7).map(np.array)
+shifts = st.tuples(st.floats(-0.35, 0.35), st.floats(-0.35, 0.35), st.floats(-0.35, 0.35))
+places = st.tuples(st.floats(-0.99, 0.99), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+
+
+def tool_position(q):
+    return ARM.forward(q)[:3, 3]
+
+
+def outside(q):
+    """Returns how far the tool point is outside of the workspace at joints q [m]."""
+    return max(0.0, -min(WORKSPACE.rooms(tool_position(q))))
+
+
+def limits(brake=True):
+    brakes = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION) if brake else None
+    shape = ShapeLimits(ACCELERATION, JERK)
+    result = MotionLimits(
+        SpeedLimits(0.9 * MODEL.max_speed, 0.7), shape, MODEL.lower, MODEL.upper, tool_position, brakes
+    )
+    result.reset(HOME)
+    return result
+
+
+def run(follower, targets):
+    return np.array([follower.step(target, follower.goal, DT).q for target in targets])
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.tuples(speeds, st.integers(5, 60)), min_size=1, max_size=6))
+def test_no_wish_of_joint_speeds_carries_the_tool_out(wishes):
+    brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
+    change = SpeedChange(ShapeLimits(ACCELERATION, JERK), MODEL.lower, MODEL.upper)
+    now = Moved(HOME, REST, REST)
+    for wish, steps in wishes:
+        for _ in range(steps):
+            now, _ = brake.step(change, now, wish, DT)
+            assert outside(now.q) < ALLOWED_M
+
+
+@settings(deadline=None, max_examples=30)
+@given(speeds, st.integers(5, 60))
+def test_what_stays_inside_is_untouched_bit_by_bit(wish, steps):
+    brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
+    change = SpeedChange(ShapeLimits(ACCELERATION, JERK), MODEL.lower, MODEL.upper)
+    now = Moved(HOME, REST, REST)
+    for _ in range(steps):
+        free = change.step(now, wish, DT)
+        now, held = brake.step(change, now, wish, DT)
+        if held:
+            assert max(outside(q) for q in change.stopping(free)) > SLACK_M
+            return
+        for taken, expected in ((now.q, free.q), (now.v, free.v), (now.a, free.a)):
+            np.testing.assert_array_equal(taken, expected)
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.lists(st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06)), min_size=2, max_size=4))
+def test_far_from_all_bounds_the_stream_is_the_same_as_without_a_brake(turns):
+    targets = [HOME + np.array([a, b, 0, a, 0, b, a]) for a, b in turns for _ in range(40)]
+    np.testing.assert_array_equal(run(limits(), targets), run(limits(brake=False), targets))
+
+
+@given(places, speeds)
+def test_along_takes_away_the_way_out_and_nothing_else(place, wish):
+    turn, out, height = place
+    z = 0.2 + 0.4 * height
+    inner, outer = WORKSPACE.radii(z)
+    angle, r = -np.pi / 4 + turn * np.radians(25.0), inner + out * (outer - inner)
+    T = ARM.forward(HOME).copy()
+    T[:3, 3] = r * np.cos(angle), r * np.sin(angle), z
+    q = ARM.inverse(T, near=HOME).q
+    if q is None or abs(q[3]) < 0.3:
+        return
+    brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
+    left = brake.along(q, wish)
+    rooms, normals = np.array(WORKSPACE.rooms(T[:3, 3])), WORKSPACE.outward(T[:3, 3])
+    J = ARM.jacobian(q)
+    acted = normals @ J[:3] @ wish > 40.0 * rooms
+    assert np.all(normals @ J[:3] @ left <= np.maximum(40.0 * rooms, 0.0) + 2e-2)
+    if not np.any(acted):
+        np.testing.assert_allclose(left, wish, atol=1e-9)
+    pace, wished = (np.max(np.abs(v) / ACCELERATION) for v in (left, wish))
+    assert pace <= wished + 1e-9
+    if pace > wished - 1e-9:
+        return
+    change = J @ (left - wish)
+    assert np.linalg.norm(change[3:]) < 2e-2, "the attitude of the tool is left alone"
+    # What is taken away of the tool's velocity lies in the space of the normals of the bounds near by.
+    near = normals[40.0 * rooms < 3.0]
+    rest = change[:3] - (np.linalg.pinv(near) @ near @ change[:3] if len(near) else 0.0)
+    assert np.linalg.norm(rest) < 2e-2
+
+
+@settings(deadline=None, max_examples=10)
+@given(shifts)
+def test_a_tool_that_is_outside_comes_back_in(shift):
+    follower = limits()
+    T = ARM.forward(HOME).copy()
+    T[:3, 3] += shift
+    q = ARM.inverse(T, near=HOME).q
+    if q is None:
+        return
+    follower.reset(q)
+    goals = run(follower, [HOME] * 750)
+    np.testing.assert_allclose(goals[-1], HOME, atol=1e-6)
+    assert max(outside(goal) for goal in goals) <= outside(q) + ALLOWED_M
+
+
+@pytest.mark.parametrize("beyond", [0.0, 0.001])
+@pytest.mark.parametrize(("z_from", "z_to"), [(0.48, 0.28), (0.48, 0.22), (0.47, 0.28), (0.46, 0.3), (0.22, 0.47)])
+def test_along_a_curved_bound_the_tool_gets_to_where_it_is_wanted(z_from, z_to, beyond):
+    """The straight way of the joints leads out of the workspace; that must not stop the tool for good."""
+    joints = []
+    for z, outward in ((z_from, beyond), (z_to, 0.0)):
+        T = ARM.forward(HOME).copy()
+        r = WORKSPACE.radii(z)[1] + outward
+        T[:3, 3] = 0.5**0.5 * r, -(0.5**0.5) * r, z
+        joints.append(ARM.inverse(T, near=HOME).q)
+    follower = limits()
+    follower.reset(joints[0])
+    goals = run(follower, [joints[1]] * 500)
+    np.testing.assert_allclose(goals[-1], joints[1], atol=1e-4)
+    assert max(outside(goal) for goal in goals) < ALLOWED_M
+
+
+def simulated(**changes):
+    """A controller on a simulated arm, at home."""
+    return SimulatedRig("none", time_out=1.0, **changes).at_home()
+
+
+def home(rig):
+    return rig.rig.kinematics.forward(rig.rig.home.q)
+
+
+def farthest_outside(rig, rows):
+    tools = (rig.rig.kinematics.forward(q)[:3, 3] for q in rows)
+    return max(-min(rig.rig.workspace.rooms(tool)) for tool in tools)
+
+
+def wandering(T, shifts, speed):
+    """A hand that goes from shift to shift of the tool frame T, at a peak speed [m/s]."""
+    times, points = [0.0, 0.2], [np.zeros(3), np.zeros(3)]
+    for shift in shifts:
+        points.append(np.array(shift))
+        times.append(times[-1] + max(1.875 * np.linalg.norm(points[-1] - points[-2]) / speed, 0.1))
+
+    def tool(t):
+        i = min(int(np.searchsorted(times, t, side="right")) - 1, len(times) - 2)
+        s = min((t - times[i]) / (times[i + 1] - times[i]), 1.0)
+        s = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        result = T.copy()
+        result[:3, 3] += points[i] + s * (points[i + 1] - points[i])
+        return result
+
+    return tool
+
+
+def feasible(T, shift):
+    x, y, z = T[:3, 3] + shift
+    return x - y > 0.1 and z > 0.02
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.lists(shifts, min_size=2, max_size=6), st.floats(0.2, 1.5), st.sampled_from([74.0, 115.0]))
+def test_whatever_the_hand_does_the_goals_stay_in_the_workspace(moves, speed, rate):
+    rig = simulated()
+    T = home(rig)
+    rig.follow(3.0, wandering(T, [move for move in moves if feasible(T, move)] + [np.zeros(3)], speed), rate)
+    assert rig.joints.stops == 0
+    assert farthest_outside(rig, rig.goals) < ALLOWED_M
+    unbroken = np.diff(rig.times) < 1.5 * DT
+    assert np.all(np.abs(np.diff(rig.goals, axis=0)[unbroken]) <= 1.01 * DT * 0.9 * MODEL.max_speed)
+
+
+AHEAD, LEFT, UP = np.array([1.0, -1.0, 0.0]) / 2**0.5, np.array([1.0, 1.0, 0.0]) / 2**0.5, np.array([0.0, 0.0, 1.0])
+AT_BOUNDS = {
+    "outer sphere": (0.15 * AHEAD, 0.2 * LEFT),
+    "inner sphere": (-0.2 * AHEAD, 0.12 * UP),
+    "side plane": (0.4 * LEFT, 0.08 * AHEAD),
+    "lower limit": (-0.3 * UP, 0.15 * LEFT),
+    "edge of lower limit and outer sphere": (-0.3 * UP + 0.2 * AHEAD, 0.2 * LEFT),
+}
+
+
+@pytest.mark.parametrize("where", AT_BOUNDS)
+def test_along_a_bound_the_tool_slides_smoothly_and_back_it_goes_freely(where):
+    """The hand pushes against a bound, swings along it at 0.3 m/s, and comes back."""
+    push, swing = AT_BOUNDS[where]
+    rig = simulated()
+    T = home(rig)
+
+    def tool(t):
+        s = np.clip(t, 0.0, 1.0) - np.clip(t - 4.0, 0.0, 1.0)
+        result = T.copy()
+        s = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        result[:3, 3] += s * (push + swing * np.sin(0.3 / np.linalg.norm(swing) * np.clip(t - 1.2, 0.0, 2.8)))
+        return result
+
+    rig.follow(5.5, tool)
+    assert farthest_outside(rig, rig.goals) < ALLOWED_M
+    wanted = np.array([rig.rig.workspace.constrain(tool(t)[:3, 3]).position for t in rig.times])
+    goals = np.array([rig.rig.kinematics.forward(q)[:3, 3] for q in rig.goals])
+    sliding = (rig.times > 1.6) & (rig.times < 3.9)
+    assert np.median(np.linalg.norm(goals - wanted, axis=1)[sliding]) < 0.003
+    jolts = np.linalg.norm(np.diff(goals, n=2, axis=0), axis=1) / DT**2
+    assert np.percentile(jolts[sliding[2:]], 90) < 3.0, "no shaking [m/s^2]"
+    np.testing.assert_allclose(goals[-1], T[:3, 3], atol=1e-4)
