@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
+import json
 import sys
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
 from grasping import weights
 from grasping.networks import NETWORKS
-from grasping.programs import evaluate, make_dataset, train_ggcnn
+from grasping.programs import evaluate, find_grasps, make_dataset, train_ggcnn
 
 
 def call(monkeypatch, program, *arguments):
@@ -83,3 +86,37 @@ def test_evaluation_goes_on(tmp_path, monkeypatch):
     assert {(r["scene"], r["method"]) for r in rows} == {(s, m) for s in "01" for m in methods}
     assert len(rows) == 10
     assert "| untrained |" in (tmp_path / "results" / "table.md").read_text()
+
+
+@pytest.mark.parametrize("kind", ["npy", "png"])
+def test_grasps_of_one_picture(tmp_path, monkeypatch, capsys, kind):
+    depth = np.full((480, 640), 0.7, np.float32)
+    depth[225:255, 255:385] = 0.65
+    path = tmp_path / f"depth.{kind}"
+    if kind == "npy":
+        np.save(path, depth)
+    else:
+        cv2.imwrite(str(path), np.round(1000.0 * depth).astype(np.uint16))
+    shipped = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
+    call(monkeypatch, find_grasps, path, shipped, "--picture", tmp_path / "seen.png")
+    found = json.loads(capsys.readouterr().out)
+    assert 255 <= found["pixel"][0] < 385
+    assert 225 <= found["pixel"][1] < 255
+    assert found["position"][2] == pytest.approx(0.65, abs=1e-3)
+    assert abs(abs(found["angle"]) - 0.5 * np.pi) < 0.3
+    assert 0.03 < found["width"] < 0.08
+    assert cv2.imread(str(tmp_path / "seen.png")).shape == (900, 900, 3)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"), [(None, "No such file"), (b"?", "not a 16-bit picture"), ("hole", "holds no reading")]
+)
+def test_bad_pictures_are_refused(tmp_path, monkeypatch, capsys, content, sentence):
+    path = tmp_path / "depth.png"
+    if content == "hole":
+        cv2.imwrite(str(path), np.zeros((480, 640), np.uint16))
+    elif content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, find_grasps, path, Path(__file__).parents[1] / "weights" / "ggcnn2.pt")
+    assert sentence in capsys.readouterr().err

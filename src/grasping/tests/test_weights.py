@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections import OrderedDict
+from pathlib import Path
 
 import published_networks
 import pytest
@@ -108,3 +109,14 @@ def test_hash_is_checked():
     assert weights.load(data, found).name == "ggcnn"
     with pytest.raises(weights.WeightsError, match="was expected"):
         weights.load(data, "0" * 64)
+
+
+def test_the_packages_own_weights_are_as_listed():
+    folder = Path(__file__).parents[1] / "weights"
+    sums = (folder / "SHA256SUMS").read_text()
+    for path in folder.glob("*.pt"):
+        content = path.read_bytes()
+        assert len(content) < 300_000
+        assert weights.load(content, weights.listed_sha256(sums, path.name)).name == path.stem
+    with pytest.raises(weights.WeightsError, match="does not name other.pt"):
+        weights.listed_sha256(sums, "other.pt")
