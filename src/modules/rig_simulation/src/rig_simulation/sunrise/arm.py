@@ -241,11 +241,9 @@ class Arm:
         self._backing_off = False
 
     def back_off(self) -> None:
-        """Moves an arm that stands in a safety stop slowly back on the way it came, until it is free.
+        """Moves an arm that stands in a safety stop slowly back on the way it came, as a person does with the jog keys.
 
-        Free is an arm no joint of which bears more than FREE_SHARE of the limit from outside.
-
-        So does a person with the jog keys of the pendant.
+        It ends where no joint bears more than FREE_SHARE of the limit from outside.
 
         Raises:
             ValueError: no stop is active.

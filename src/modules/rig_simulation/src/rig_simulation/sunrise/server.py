@@ -23,7 +23,7 @@ from rig_simulation.sunrise.arm import Arm
 from rig_simulation.sunrise.lines import LineSplitter
 
 BACKLOG = 50
-MOVING_TICK_S = 0.004
+MOVING_TICK_S = 0.002
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
 AT_ONCE_S = 0.02

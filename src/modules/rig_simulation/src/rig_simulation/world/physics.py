@@ -26,7 +26,7 @@ DEEPEST_TOUCH_M = 0.001
 PLACEMENTS = 200
 ROBOT = ("kuka/", "reflex/", "panel")
 FREE_QPOS, FREE_QVEL = 7, 6
-ASTRAY = tuple(mujoco.mjtWarning.__members__[f"mjWARN_BAD{what}"] for what in ("QPOS", "QVEL", "QACC"))
+ASTRAY = [int(mujoco.mjtWarning.__members__[f"mjWARN_BAD{what}"]) for what in ("QPOS", "QVEL", "QACC")]
 
 
 class Part:
@@ -132,7 +132,7 @@ class World:
         for part in self._parts:
             part.before_step()
         mujoco.mj_step2(self.model, self.data)
-        if any(self.data.warning[kind].number for kind in ASTRAY):
+        if self.data.warning.number[ASTRAY].any():
             raise DeviceError(f"The physics went astray after {self.time:.3f} s: its numbers are not finite.")
         self.steps += 1
         for part in self._parts:
@@ -167,27 +167,23 @@ class World:
 
     def objects(self) -> dict[str, ObjectState]:
         """Returns the state of each object by name."""
-        touches: dict[str, set[str]] = {name: set() for name in self._scene.objects}
-        for contact in self.data.contact[: self.data.ncon]:
-            for one, other in (contact.geom, contact.geom[::-1]):
-                name = self._body_name(one)
-                if name.startswith("object/"):
-                    touches[name[7:]].add(self._body_name(other))
+        pairs = _pairs(self.data, self._geom_bodies)
+        touches = {name: set() for name in self._scene.objects}
+        for one, other in pairs + [pair[::-1] for pair in pairs]:
+            if one.startswith("object/"):
+                touches[one[7:]].add(other)
         return {name: self._object(name, touches[name]) for name in self._scene.objects}
 
     def contacts(self) -> list[Contact]:
         """Returns all contacts that bear a force."""
         found = []
         force = np.zeros(6)
-        for i in range(self.data.ncon):
-            contact = self.data.contact[i]
+        for i, bodies in enumerate(_pairs(self.data, self._geom_bodies)):
             mujoco.mj_contactForce(self.model, self.data, i, force)
             if force[0] > 0.0:
-                bodies = self._body_name(contact.geom[0]), self._body_name(contact.geom[1])
-                normal = tuple(contact.frame[:3].tolist())
-                found.append(
-                    Contact(bodies, tuple(contact.pos.tolist()), normal, float(force[0]), float(-contact.dist))
-                )
+                contact = self.data.contact[i]
+                position, normal = tuple(contact.pos.tolist()), tuple(contact.frame[:3].tolist())
+                found.append(Contact(bodies, position, normal, float(force[0]), float(-contact.dist)))
         return found
 
     def _load(self, description: WorldDescription) -> None:
@@ -195,6 +191,7 @@ class World:
         scene = scene_from(description.scene)
         self.data = self._placed(model, scene, self.data if self.loads else None)
         self.model, self.description, self._scene = model, description, scene
+        self._geom_bodies = _geom_bodies(model)
         self.loads += 1
 
     def _placed(self, model: mujoco.MjModel, scene: Scene, before: mujoco.MjData | None) -> mujoco.MjData:
@@ -233,35 +230,31 @@ class World:
         speed = float(np.linalg.norm(joint.qvel[:3]))
         return ObjectState(tuple(joint.qpos[:3].tolist()), (x, y, z, w), speed, clearance, tuple(sorted(touches)))
 
-    def _body_name(self, geom: int) -> str:
-        return _body_name(self.model, geom)
-
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float:
-    """Returns the height of the lowest point of an object's shapes in the world [m]."""
-    heights = []
-    first = model.body_geomadr[body]
-    for geom in range(first, first + model.body_geomnum[body]):
-        down = np.abs(data.geom_xmat[geom].reshape(3, 3)[2])
-        size = model.geom_size[geom]
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
-            reach = down @ size
-        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER:
-            reach = down[2] * size[1] + np.hypot(down[0], down[1]) * size[0]
-        else:
-            reach = size[0]
-        heights.append(data.geom_xpos[geom, 2] - reach)
-    return float(min(heights))
+    """Returns the height of the lowest point of an object's shapes, boxes, cylinders and balls, in the world [m]."""
+    geoms = slice(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])
+    down, size, kind = np.abs(data.geom_xmat[geoms, 6:]), model.geom_size[geoms], model.geom_type[geoms]
+    of_box = np.sum(down * size, axis=1)
+    of_cylinder = down[:, 2] * size[:, 1] + np.hypot(down[:, 0], down[:, 1]) * size[:, 0]
+    is_box, is_cylinder = kind == mujoco.mjtGeom.mjGEOM_BOX, kind == mujoco.mjtGeom.mjGEOM_CYLINDER
+    reach = np.where(is_box, of_box, np.where(is_cylinder, of_cylinder, size[:, 0]))
+    return float(np.min(data.geom_xpos[geoms, 2] - reach))
+
+
+def _geom_bodies(model: mujoco.MjModel) -> list[str]:
+    """Returns the name of the body of each geom."""
+    return [model.body(body).name for body in model.geom_bodyid]
+
+
+def _pairs(data: mujoco.MjData, geom_bodies: list[str]) -> list[tuple[str, str]]:
+    """Returns the names of both bodies of each contact."""
+    return [(geom_bodies[one], geom_bodies[other]) for one, other in data.contact.geom.tolist()]
 
 
 def _overlap(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[str, str] | None:
     """Returns the names of two bodies that are in each other, or None; the robot's own parts may be."""
-    for contact in data.contact[: data.ncon]:
-        one, other = (_body_name(model, geom) for geom in contact.geom)
-        if contact.dist < -DEEPEST_TOUCH_M and not (one.startswith(ROBOT) and other.startswith(ROBOT)):
+    for (one, other), distance in zip(_pairs(data, _geom_bodies(model)), data.contact.dist):
+        if distance < -DEEPEST_TOUCH_M and not (one.startswith(ROBOT) and other.startswith(ROBOT)):
             return (one, other) if not one.startswith(ROBOT) else (other, one)
     return None
-
-
-def _body_name(model: mujoco.MjModel, geom: int) -> str:
-    return model.body(model.geom_bodyid[geom]).name
