@@ -1,0 +1,56 @@
+"""camera_apriltag.launch: what it starts and with which panel, and that the panels are those of the simulated world."""
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from apriltag_ros.settings import targets
+
+CONFIG = Path(__file__).parents[1] / "config"
+
+
+@pytest.mark.parametrize(("panel", "tags"), [("bundle", "tags.yaml"), ("single", "tags_single.yaml")])
+def test_the_simulated_panel_has_the_same_tags(panel, tags):
+    from rig_simulation.world.files import read_panel
+
+    (target,) = targets(yaml.safe_load((CONFIG / tags).read_text()))
+    simulated = {tag["id"]: (tag["size"], *tag["position"]) for tag in read_panel(panel)["tags"]}
+    assert target.name == yaml.safe_load((CONFIG / "panel.yaml").read_text())["frame"]
+    assert {tag.id: (tag.size, *tag.T_target_tag[:2, 3]) for tag in target.tags} == simulated
+
+
+def test_the_simulated_panel_sits_where_the_drawing_says():
+    from common.config import parse
+    from rig_simulation.world.model import T_FLANGE_TAG
+    from vision.panel import PanelConfig
+
+    panel = parse(PanelConfig, yaml.safe_load((CONFIG / "panel.yaml").read_text()))
+    np.testing.assert_allclose(panel.T_flange_tag, T_FLANGE_TAG, atol=1e-12)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(("panel", "plate", "bundles"), [("bundle", 0.3, 1), ("single", 0.125, 0)])
+def test_parameters(panel, plate, bundles):
+    out = subprocess.run(
+        ["roslaunch", "--dump-params", "vision", "camera_apriltag.launch", f"panel:={panel}", "serial:=0712"],
+        capture_output=True, text=True, timeout=60.0, check=True,
+    ).stdout  # fmt: skip
+    values = yaml.safe_load(out)
+    assert values["/camera_calibration/panel/plate"] == plate
+    assert values["/camera_calibration/store/camera"] == "0712"
+    assert len(values["/apriltag_ros_continuous_node/tag_bundles"]) == bundles
+    assert values["/apriltag_ros_continuous_node/rectified"] is False
+
+
+@pytest.mark.ros
+def test_nodes():
+    def nodes(*args):
+        command = ["roslaunch", "--nodes", "vision", "camera_apriltag.launch", *args]
+        return set(subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=True).stdout.split())
+
+    assert nodes("camera:=false") == {"/apriltag_ros_continuous_node", "/camera_place"}
+    assert {"/camera/driver", "/camera/frames"} <= nodes()
+    assert {"/rviz", "/robot_state_publisher"} <= nodes("rviz:=true")
