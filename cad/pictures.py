@@ -41,13 +41,13 @@ APART = (
 )
 """Part, height over the flange [m], colour."""
 
-POSE_DEG = (0, 20, 10, -110, 0, 90, -45)
-"""Joints of the arm at a calibration of the camera."""
+POSE_DEG = (0, 20, 10, -110, 0, 90, 30)
+"""Joints of the arm at a calibration of the camera, the tag turned to who looks at the picture."""
 
 QUAT_TAG = "0 0 0.70710678 0.70710678"
 """Attitude of the tag in the flange: its z axis is the flange's y axis, its y axis the flange's z axis."""
 
-SEEN = {"contype": "0", "conaffinity": "0", "mass": "0"}
+SEEN = {"contype": "0", "conaffinity": "0"}
 
 
 def main() -> None:
@@ -89,7 +89,7 @@ def _on_the_arm(file: Path, holder: str, beyond: float, tags: str) -> None:
     ET.SubElement(face, "geom", type="box", **box, **SEEN)
     _add_tags(root, face, panel["tags"])
     joints = {f"kuka/joint_{i + 1}": angle for i, angle in enumerate(np.radians(POSE_DEG))}
-    render(root, file, 215, -20, target=(0.42, 0.05, 0.42), distance=1.25, joints=joints)
+    render(root, file, -75, -8, target=(0.26, 0.08, 0.33), distance=1.35, joints=joints)
     manifest.record([file], [manifest.stl(part) for part in ("marker_connector", holder)])
 
 

@@ -14,7 +14,7 @@ import numpy as np
 WIDTH, HEIGHT = 480, 360
 WHITE = (255, 255, 255)
 FOVY_DEG = 30.0
-COLOURS = {"blue": "0.25 0.47 0.72 1", "amber": "0.93 0.66 0.22 1", "green": "0.35 0.62 0.40 1", "grey": "0.6 0.6 0.62 1"}
+COLOURS = {"blue": "0.36 0.60 0.86 1", "amber": "0.93 0.66 0.22 1", "green": "0.35 0.62 0.40 1", "grey": "0.6 0.6 0.62 1"}
 
 
 def add_part(root: ET.Element, parent: ET.Element, stl: Path, colour: str, pos="0 0 0", quat="1 0 0 0") -> None:
@@ -22,7 +22,7 @@ def add_part(root: ET.Element, parent: ET.Element, stl: Path, colour: str, pos="
     asset = root.find("asset")
     if asset.find(f"mesh[@name='{stl.stem}']") is None:
         ET.SubElement(asset, "mesh", name=stl.stem, file=str(stl.resolve()), scale="0.001 0.001 0.001")
-    look = {"rgba": COLOURS[colour], "contype": "0", "conaffinity": "0", "mass": "0", "group": "0"}
+    look = {"rgba": COLOURS[colour], "contype": "0", "conaffinity": "0", "group": "0"}
     ET.SubElement(parent, "geom", type="mesh", mesh=stl.stem, pos=pos, quat=quat, **look)
 
 
@@ -30,9 +30,11 @@ def empty_scene() -> tuple[ET.Element, ET.Element]:
     """Returns a model without anything and its world."""
     root = ET.Element("mujoco")
     visual = ET.SubElement(root, "visual")
-    ET.SubElement(visual, "headlight", ambient="0.45 0.45 0.45", diffuse="0.5 0.5 0.5", specular="0.1 0.1 0.1")
+    ET.SubElement(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.3 0.3 0.3", specular="0 0 0")
     ET.SubElement(root, "asset")
-    return root, ET.SubElement(root, "worldbody")
+    world = ET.SubElement(root, "worldbody")
+    ET.SubElement(world, "light", dir="-0.5 0.4 -0.8", pos="0 0 2", directional="true", diffuse="0.5 0.5 0.5")
+    return root, world
 
 
 def render(
@@ -65,8 +67,10 @@ def render(
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
     camera.azimuth, camera.elevation = azimuth, elevation
-    camera.lookat[:] = model.stat.center if target is None else target
-    camera.distance = 1.2 * model.stat.extent / np.tan(np.radians(FOVY_DEG)) if distance is None else distance
+    middle = (data.geom_xpos.min(0) + data.geom_xpos.max(0)) / 2
+    reach = (np.linalg.norm(data.geom_xpos - middle, axis=1) + model.geom_rbound).max()
+    camera.lookat[:] = middle if target is None else target
+    camera.distance = 2.9 * reach if distance is None else distance
     with contextlib.closing(mujoco.Renderer(model, HEIGHT, WIDTH)) as renderer:
         renderer.update_scene(data, camera)
         picture = renderer.render().copy()
