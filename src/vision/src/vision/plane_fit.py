@@ -1,0 +1,181 @@
+"""The plane of the marker panel in a raw depth picture.
+
+A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X; it is n / D for the unit normal n and the
+distance D. Along a pixel's ray (x, y, 1) the inverse depth is 1/z = a . ray: linear in a. A structured-light sensor's
+noise and its unit's smooth errors are nearly constant in inverse depth too, so the plane is fitted there. The raw
+picture is used, as the registered one has holes and pixels twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from common.camera_model import CameraModel
+from common.config import integer, number
+
+HYPOTHESES = 120
+"""Triples of pixels that are tried: one without an outlier is among them even where half the pixels are outliers."""
+MAX_PIXELS = 2500
+"""More pixels than these say nothing new, as neighbours share their noise: the picture is thinned out to these."""
+GATE_SD = 3.0
+RANGE_GATE = 0.15
+"""Depth farther than this share from the colour picture's range is no panel: background, or an arm in front."""
+TUKEY_SD = 4.685
+"""Beyond so many standard deviations an error has no weight (Tukey's biweight, 95 % efficient for normal errors)."""
+ROUNDS = 5
+MAD_TO_SD = 1.4826
+
+
+@dataclass(frozen=True)
+class PlanePoseConfig:
+    """The schema of plane_pose.yaml."""
+
+    outline_share: float = number(above=0.0, high=1.0, doc="of the plate's edges that counts as panel")
+    outline_px: float = number("px", low=0.0, high=50.0, doc="so far inside the outline in the depth picture")
+    noise: float = number("1/m", above=0.0, high=0.1, doc="most standard deviation of a pixel's inverse depth, and")
+    noise_floor: float = number("m", low=0.0, high=0.1, doc="of its depth, besides; counts when near")
+    noise_pixels: float = number("px", low=1.0, high=1000.0, doc="neighbouring pixels that share their noise")
+    min_pixels: int = integer("px", low=10, high=100000, doc="fewer pixels with a depth make no plane")
+    min_cover: float = number(above=0.0, high=1.0, doc="likewise, as share of the outline")
+    min_inliers: float = number(above=0.5, high=1.0, doc="share of them that must lie in one plane")
+    corner_sd: float = number("px", above=0.0, high=10.0, doc="standard deviation of a tag's corner")
+    focal_sd: float = number(low=0.0, high=0.1, doc="of the colour camera's focal length, as a share of it")
+    scale_sd: float = number(low=0.0, high=0.1, doc="of the depth camera's scale")
+    warp_sd: float = number("1/m", low=0.0, high=0.1, doc="of the smooth error of inverse depth")
+    warp_slope_sd: float = number("1/m", low=0.0, high=1.0, doc="of its slope, over the tangent of the angle of sight")
+    max_disagreement: float = number(above=0.0, high=100.0, doc="standard deviations between range by colour and depth")
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneFit:
+    """A plane, or why there is none.
+
+    Attributes:
+        a: the plane, shape (3,) [1/m], or None.
+        covariance: of a, from the noise and the unit's errors, shape (3, 3) [1/m^2], or None.
+        pixels: of the outline that have a depth near the panel's.
+        cover: their share of the outline.
+        inliers: share of them that lie in the plane.
+        rms: of the inliers' errors along the axis, in the middle of the panel [m].
+        reason: a sentence without its end, empty where there is a plane.
+    """
+
+    a: np.ndarray | None
+    covariance: np.ndarray | None
+    pixels: int
+    cover: float
+    inliers: float
+    rms: float
+    reason: str = ""
+
+
+def fit_panel(
+    depth: np.ndarray, camera: CameraModel, T_depth_panel: np.ndarray, plate: float, config: PlanePoseConfig
+) -> PlaneFit:
+    """Returns the panel's plane in the frame of the depth camera.
+
+    Args:
+        depth: raw picture, shape (height, width), float32 [m], NaN = none.
+        camera: that took it.
+        T_depth_panel: roughly where the panel is, by the colour picture, shape (4, 4) [m].
+        plate: edge of the square plate round the panel's origin [m].
+        config: what counts.
+
+    Raises:
+        ValueError: the picture is not of the camera's size.
+    """
+    if depth.shape != (camera.height, camera.width):
+        raise ValueError(f"the depth picture is {depth.shape[::-1]}, but its camera's {(camera.width, camera.height)}")
+    inside = _outline(camera, T_depth_panel, plate * config.outline_share, config.outline_px)
+    if inside is None or not inside.any():
+        return _none("the panel is not in the depth picture")
+    expected = T_depth_panel[2, 3]
+    half_tilted = plate * np.hypot(*T_depth_panel[2, :2]) / np.sqrt(2.0)
+    near = inside & (np.abs(depth - expected) < RANGE_GATE * expected + half_tilted)
+    count, cover = int(near.sum()), float(near.sum() / inside.sum())
+    if count < config.min_pixels or cover < config.min_cover:
+        return _none(f"only {count} pixels, {cover:.0%} of the panel, have a depth near it", count, cover)
+    stride = max(1, count // MAX_PIXELS)
+    v, u = (index[::stride] for index in np.nonzero(near))
+    rays = camera.rays(np.stack((u, v), axis=-1))
+    w = 1.0 / depth[v, u].astype(float)
+    a, weights, sd = fit_plane(rays, w, config.noise + config.noise_floor / expected**2)
+    inliers = float((weights > 0.0).mean())
+    if inliers < config.min_inliers:
+        return _none(f"only {inliers:.0%} of the panel's pixels lie in one plane", count, cover, inliers)
+    shared = max(1.0, config.noise_pixels / stride)
+    noise = shared * sd**2 * np.linalg.inv((rays * weights[:, None]).T @ rays)
+    middle = T_depth_panel[:3, 3] / expected
+    rms = sd / (a @ middle) ** 2
+    return PlaneFit(a, noise + unit_covariance(a, middle, config), count, cover, inliers, float(rms))
+
+
+def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Returns the plane, shape (3,) [1/m], that most pixels lie in, the weights of the pixels, shape (n,), and the
+    standard deviation of the inliers' errors [1/m].
+
+    The best of many planes through three pixels is the start (RANSAC, with errors that count up to the gate, MSAC);
+    weighted least squares are the end. The triples are the same in every call.
+
+    Args:
+        rays: of the pixels, shape (n, 3).
+        w: their inverse depths, shape (n,) [1/m].
+        noise: most standard deviation of an inverse depth [1/m].
+    """
+    triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
+    corners = rays[triples]
+    sound = np.abs(np.linalg.det(corners)) > 1e-12
+    planes = np.linalg.solve(corners[sound], w[triples[sound]][..., None])[..., 0]
+    squares = np.minimum(np.square(planes @ rays.T - w), (GATE_SD * noise) ** 2)
+    weights = (squares[np.argmin(squares.sum(axis=1))] < (GATE_SD * noise) ** 2).astype(float)
+    for _ in range(ROUNDS):
+        a = np.linalg.solve((rays * weights[:, None]).T @ rays, (rays * weights[:, None]).T @ w)
+        error = w - rays @ a
+        sd = np.clip(MAD_TO_SD * np.median(np.abs(error[weights > 0.0])), 1e-3 * noise, noise)
+        weights = np.clip(1.0 - (error / (TUKEY_SD * sd)) ** 2, 0.0, None) ** 2
+    inside = weights > 0.0
+    return a, weights, float(np.sqrt(np.mean(error[inside] ** 2)))
+
+
+def unit_covariance(a: np.ndarray, middle: np.ndarray, config: PlanePoseConfig) -> np.ndarray:
+    """Returns the covariance of the plane a, shape (3, 3) [1/m^2], that the unit's own errors make.
+
+    A wrong scale stretches a; the smooth error of inverse depth is, over the panel, an offset and two slopes.
+
+    Args:
+        middle: ray to the middle of the panel, x, y, 1.
+    """
+    J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-middle[0], -middle[1], 1.0]])
+    smooth = np.diag(np.square([config.warp_slope_sd, config.warp_slope_sd, config.warp_sd]))
+    return config.scale_sd**2 * np.outer(a, a) + J @ smooth @ J.T
+
+
+def plane_seen_from(T: np.ndarray, a: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns a plane and its covariance in another frame.
+
+    Args:
+        T: pose of the frame that the plane is given in, in the other, shape (4, 4) [m].
+    """
+    turned = T[:3, :3] @ a
+    D = 1.0 + turned @ T[:3, 3]
+    J = (np.eye(3) / D - np.outer(turned, T[:3, 3]) / D**2) @ T[:3, :3]
+    return turned / D, J @ covariance @ J.T
+
+
+def _outline(camera: CameraModel, T: np.ndarray, edge: float, inset: float) -> np.ndarray | None:
+    """Returns which pixels show the square, shape (height, width); None if a corner is behind the camera."""
+    corners = edge / 2.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) @ T[:3, :3].T + T[:3, 3]
+    if np.any(corners[:, 2] <= 0.0):
+        return None
+    polygon = np.rint(np.clip(camera.project(corners), -1e4, 1e4)).astype(np.int32)
+    mask = np.zeros((camera.height, camera.width), np.uint8)
+    cv2.fillConvexPoly(mask, polygon, 1)
+    size = 2 * int(np.ceil(inset)) + 1
+    return cv2.erode(mask, np.ones((size, size), np.uint8), borderValue=1).astype(bool)
+
+
+def _none(reason: str, pixels: int = 0, cover: float = 0.0, inliers: float = 0.0) -> PlaneFit:
+    return PlaneFit(None, None, pixels, cover, inliers, 0.0, reason)
