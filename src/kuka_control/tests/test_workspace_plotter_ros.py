@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -17,15 +18,33 @@ QUICK = ("--samples", "60", "--attitudes", "2", "--constrained", "40")
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def plotter(*arguments, **env):
-    """Runs the program without a display."""
+@pytest.fixture
+def plotter(monkeypatch, capsys):
+    """Runs the program within this process, which spares the time to start one."""
+    from kuka_control.ros import plotter_program
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["workspace_plotter.py", *map(str, arguments)])
+        try:
+            plotter_program.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code
+        said = capsys.readouterr()
+        return subprocess.CompletedProcess(arguments, code, said.out, said.err)
+
+    return run
+
+
+def rosrun(*arguments):
+    """Runs the program as a person does, without a display."""
     inherited = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     return subprocess.run(
         ["rosrun", "kuka_control", "workspace_plotter.py", *map(str, arguments)],
         capture_output=True,
         text=True,
         timeout=100,
-        env={**inherited, **env},
+        env=inherited,
     )
 
 
@@ -38,14 +57,14 @@ def params_file(tmp_path, **changes):
 
 def test_saves_a_picture_without_a_display_and_says_both_figures(tmp_path):
     picture = tmp_path / "workspace.png"
-    done = plotter("--save", picture, *QUICK)
+    done = rosrun("--save", picture, *QUICK)
     assert done.returncode == 0, done.stderr
     assert picture.read_bytes().startswith(PNG) and picture.stat().st_size > 50_000
     assert "Reached with the tool straight down:" in done.stdout and "25 deg:" in done.stdout
     assert done.stderr == ""
 
 
-def test_a_custom_home_and_other_tolerances(tmp_path):
+def test_a_custom_home_and_other_tolerances(plotter, tmp_path):
     path = params_file(tmp_path, use_home_pos=True, home_pos=[-45, 20, 0, -100, 0, 40, 0], center_line=[1, -0.9, 0])
     done = plotter("--params", path, "--tolerances", 10, 20, 30, "--save", tmp_path / "w.svg", *QUICK)
     assert done.returncode == 0, done.stderr
@@ -53,12 +72,12 @@ def test_a_custom_home_and_other_tolerances(tmp_path):
     assert "<svg" in (tmp_path / "w.svg").read_text()
 
 
-def test_equal_seeds_say_the_same(tmp_path):
+def test_equal_seeds_say_the_same(plotter, tmp_path):
     first, again, other = (plotter("--save", tmp_path / "w.png", *QUICK, "--seed", seed).stdout for seed in (1, 1, 2))
     assert first == again != other
 
 
-def test_all_faults_of_a_bad_workspace_are_said(tmp_path):
+def test_all_faults_of_a_bad_workspace_are_said(plotter, tmp_path):
     path = params_file(tmp_path, center_line=[0, 0, 1], z_lower_limit=0.9, time_out=-1.0)
     done = plotter("--params", path, "--save", tmp_path / "w.png", *QUICK)
     assert done.returncode == 1
@@ -73,30 +92,43 @@ def test_all_faults_of_a_bad_workspace_are_said(tmp_path):
         (["--params", "/no/such.yaml", "--save", "w.png"], "/no/such.yaml cannot be read"),
         (["--save", "w.xyz"], "w.xyz is no name of a picture"),
         (["--save", "/no/folder/w.png"], "There is no folder /no/folder"),
-        ([], "There is no display"),
     ],
 )
-def test_what_does_not_work_is_said_in_one_sentence(arguments, sentence):
+def test_what_does_not_work_is_said_in_one_sentence(plotter, arguments, sentence):
     done = plotter(*arguments, *QUICK)
     assert done.returncode == 1
     assert sentence in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
 
 
+def test_without_a_display_a_window_is_refused_in_one_sentence():
+    done = rosrun(*QUICK)
+    assert done.returncode == 1
+    assert "There is no display" in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+
+
 @pytest.mark.parametrize(
     "arguments", [["--samples", "0"], ["--tolerances", "1", "2", "100"], ["--params", "a", "--from-server"]]
 )
-def test_bad_options_are_refused(arguments):
+def test_bad_options_are_refused(plotter, arguments):
     done = plotter(*arguments)
     assert done.returncode == 2 and "error:" in done.stderr
 
 
-def test_text_that_is_no_yaml_is_refused(tmp_path):
+def test_a_calibrated_arm_is_studied_by_its_own_parameters(plotter, tmp_path):
+    example = CONFIG / "dh_parameters_example.yaml"
+    done = plotter("--params", params_file(tmp_path, dh_parameters=str(example)), "--save", tmp_path / "w.png", *QUICK)
+    assert done.returncode == 0 and "-45.0, 29.5, 0.0, -63.5, 0.0, 87.1, 0.0 deg" in done.stdout, done.stdout
+    bad = plotter("--params", params_file(tmp_path, dh_parameters="/no/arm.yaml"), "--save", tmp_path / "w.png", *QUICK)
+    assert bad.returncode == 1 and "/no/arm.yaml cannot be read" in bad.stderr
+
+
+def test_text_that_is_no_yaml_is_refused(plotter, tmp_path):
     (tmp_path / "params.yaml").write_text("a: [1\nb: }")
     done = plotter("--params", tmp_path / "params.yaml", "--save", tmp_path / "w.png")
     assert done.returncode == 1 and "is not yaml" in done.stderr and len(done.stderr.splitlines()) == 1
 
 
-def test_takes_the_parameters_from_the_server(ros, tmp_path):
+def test_takes_the_parameters_from_the_server(ros, plotter, tmp_path):
     import rospy
 
     empty = plotter("--from-server", "--save", tmp_path / "w.png", *QUICK)
@@ -111,8 +143,9 @@ def test_takes_the_parameters_from_the_server(ros, tmp_path):
     assert bad.returncode == 1 and "kuka/inner_sphere_limit" in bad.stderr
 
 
-def test_says_that_there_is_no_master(tmp_path, free_port):
+def test_says_that_there_is_no_master(plotter, tmp_path, free_port, monkeypatch):
     uri = f"http://localhost:{free_port()}"
-    done = plotter("--from-server", "--save", tmp_path / "w.png", ROS_MASTER_URI=uri)
+    monkeypatch.setenv("ROS_MASTER_URI", uri)
+    done = plotter("--from-server", "--save", tmp_path / "w.png")
     assert done.returncode == 1
     assert f"There is no ROS master at {uri}" in done.stderr and len(done.stderr.splitlines()) == 1
