@@ -18,7 +18,7 @@ SCENARIO ?=
 REPORT ?=
 ARGS ?=
 
-.PHONY: help setup demo test test-fast bench lint clean distclean
+.PHONY: help setup demo test test-fast bench lint cad clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
@@ -48,8 +48,15 @@ bench: $(READY) ## measures speed on this machine and prints a table
 lint: $(READY) ## style of the code
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check .
 
+cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures, tag sheets
+	@test -x cad/.venv/bin/python || /usr/bin/python3 -m venv cad/.venv
+	@cad/.venv/bin/pip install -q -r cad/requirements.txt
+	@cad/.venv/bin/python -m cad.build
+	@MUJOCO_GL=egl .venv/bin/python -m cad.pictures
+	@.venv/bin/python -m cad.tag_sheets.sheets
+
 clean: ## removes the build
 	rm -rf build devel install logs src/CMakeLists.txt .catkin_workspace .pytest_cache .hypothesis .ruff_cache
 
 distclean: clean ## removes the build and the Python environment
-	rm -rf .venv
+	rm -rf .venv cad/.venv

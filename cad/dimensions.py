@@ -106,6 +106,10 @@ PANEL_TAGS = ((0, 100.0, 0.0, 0.0), (1, 60.0, -105.0, 105.0), (2, 60.0, 105.0, 1
 """Id, edge of the black square, x and y of its centre on the panel, of tag36h11."""
 PANEL_SCREWS = ((-90.0, 0.0), (90.0, 0.0), (0.0, -90.0), (0.0, 90.0))
 """Between the tags and their white margins."""
+PANEL_SHEET = 285.0
+"""The corner tags with their white margins of one cell: what A3 paper can hold of the panel."""
+A4, A3 = (210.0, 297.0), (420.0, 297.0)
+RULER = 100.0
 BRACKET_THICKNESS = TAG_DISTANCE - SHEET - PANEL_THICKNESS - PAD_FACE
 BRACKET_BEAM = 40.0
 BRACKET_END = 102.0

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822)
-"""The first ids of the family tag36h11: 36 bits row by row from the top left, most significant first, 1 = white."""
-CELLS = 8
-"""Cells along the edge of the black square, its border of one cell on each side included."""
+from common.tag36h11 import CELLS, black_cells
+
 THICKNESS = 0.0002
 
 _CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
@@ -32,19 +30,11 @@ _FACES = np.array(
 )
 
 
-def black_cells(tag: int) -> np.ndarray:
-    """Returns which cells of a tag are black, shape (8, 8), first row on top."""
-    bits = [CODES[tag] >> (35 - i) & 1 for i in range(36)]
-    cells = np.ones((CELLS, CELLS), dtype=bool)
-    cells[1:7, 1:7] = ~np.array(bits, dtype=bool).reshape(6, 6)
-    return cells
-
-
 def tag_mesh(tag: int, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Returns vertices, shape (n, 3) [m], and triangles, shape (m, 3), of the black cells as thin plates on z = 0.
 
     Args:
-        tag: id, an index of CODES.
+        tag: id, an index of common.tag36h11.CODES.
         size: edge of the black square [m].
     """
     cell = size / CELLS
