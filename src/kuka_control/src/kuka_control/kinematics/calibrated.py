@@ -64,10 +64,9 @@ class CalibratedKinematics(Kinematics):
         elbow_preference: float = 0.0,
     ) -> None:
         super().__init__(model, T_flange_tool, elbow_preference)
-        self._chain, self._last_joint, self._flange = _chain(table)
-        self._tool = self._chain.addFrame(
-            pin.Frame("tool", self._last_joint, 0, self._flange * pin.SE3(self.T_flange_tool), pin.FrameType.OP_FRAME)
-        )
+        self._chain, last_joint, flange = _chain(table)
+        placement = flange * pin.SE3(self.T_flange_tool)
+        self._tool = self._chain.addFrame(pin.Frame("tool", last_joint, 0, placement, pin.FrameType.OP_FRAME))
 
     def forward(self, q: np.ndarray) -> np.ndarray:
         return self._placement(self._chain.createData(), q).homogeneous
