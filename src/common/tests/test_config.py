@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import choice, describe, flag, integer, number, parse, required, text, vector
+from common.config import choice, describe, flag, integer, number, parse, path, required, text, vector
 from common.errors import ConfigError
 
 
@@ -21,6 +21,7 @@ class Example:
     centre: np.ndarray = vector(3, "m")
     home: bool = flag()
     host: str = text()
+    file: str = path(absent="")
 
     def faults(self):
         return [] if self.centre[2] == 0.0 else ["centre must lie in the plane z = 0."]
@@ -49,11 +50,18 @@ def test_good_values_are_read_with_their_types():
         ("robot", "LBR8"), ("angle", 0.0), ("angle", 180), ("angle", "50"), ("angle", float("nan")), ("angle", True),
         ("size", 0), ("size", 1.5), ("size", False), ("centre", [1, 2]), ("centre", "abc"),
         ("centre", [1, 2, float("inf")]), ("centre", 3.0), ("home", 1), ("host", " "), ("host", 5),
+        ("file", "arm.yaml"), ("file", 5), ("file", None),
     ],
 )  # fmt: skip
 def test_a_bad_value_is_refused_with_its_key_and_value(key, value):
     (fault,) = faults(**{key: value})
     assert fault.startswith(f"kuka/{key} is {value!r}, but must be ")
+
+
+def test_a_path_is_absolute_or_empty_or_left_out():
+    assert parse(Example, GOOD).file == parse(Example, {**GOOD, "file": ""}).file == ""
+    assert parse(Example, {**GOOD, "file": "/arm.yaml"}).file == "/arm.yaml"
+    assert faults(file="arm.yaml") == ("kuka/file is 'arm.yaml', but must be an absolute path, or empty.",)
 
 
 def test_the_range_and_unit_are_named():
@@ -83,7 +91,7 @@ def test_not_a_mapping():
 
 def test_description_has_a_row_per_field():
     assert describe(Example)[0] == ("robot", "one of LBR7R800, LBR14R820", "the arm")
-    assert [row[0] for row in describe(Example)] == list(GOOD)
+    assert [row[0] for row in describe(Example)] == [*GOOD, "file"]
 
 
 @given(st.floats())
