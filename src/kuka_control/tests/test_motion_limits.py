@@ -80,6 +80,7 @@ def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):
     assert step.limited_by is None
 
 
+@settings(deadline=None)
 @given(cycles)
 def test_uneven_cycles_do_not_count_for_longer_than_they_may(dts):
     follower = limits()
@@ -90,6 +91,7 @@ def test_uneven_cycles_do_not_count_for_longer_than_they_may(dts):
         before = q
 
 
+@settings(deadline=None)
 @given(st.floats(-0.6, 0.6), st.floats(0.002, 0.006))
 def test_a_steady_target_within_the_limits_is_met_without_lag(share, dt):
     v = share * SPEEDS * WRIST

@@ -122,7 +122,8 @@ class MotionLimits:
             target: joints to be met then, shape (7,) [rad].
             measured: joints of the arm, shape (7,) [rad].
             dt: time since the last call [s].
-            share: of the speed limits that counts now, (0, 1].
+            share: of the speed limits that counts now, (0, 1]; a target that is faster itself is approached with
+                half of that share besides.
             speed: of the target, shape (7,) [rad/s]; at rest where left out.
         """
         dt = min(max(dt, 0.0), MAX_CYCLE_S)
@@ -134,6 +135,8 @@ class MotionLimits:
             self.reset(target)
             return Limited(self._now.q, read_only(self._now.v), None)
         wish, held_by = self._wish(error, speed)
+        if share < 1.0:
+            share = min(1.0, max(share, max(self._used(speed)) + 0.5 * share))
         allowed, limited_by = self._allowed(wish, measured, share)
         within = np.clip(allowed, -self._speed_within(q - self._lower), self._speed_within(self._upper - q))
         if np.max(np.abs(within - allowed)) > AT_REST_RAD_S:
@@ -161,10 +164,7 @@ class MotionLimits:
 
     def _allowed(self, wish: np.ndarray, measured: np.ndarray, share: float) -> tuple[np.ndarray, str | None]:
         """Returns the wish slowed down to the limits, and the limit that slows it down most."""
-        q = self._now.q
-        way = self._tool_position(q + LOOK_AHEAD_S * wish) - self._tool_position(q)
-        fastest = float(np.max(np.abs(wish) / self._speeds.joints)) / share
-        tool = float(np.linalg.norm(way)) / (LOOK_AHEAD_S * self._speeds.tool * share)
+        fastest, tool = (used / share for used in self._used(wish))
         factor, limited_by = min(
             (1.0, None),
             (1.0 / max(fastest, 1.0), "joint speed"),
@@ -172,11 +172,17 @@ class MotionLimits:
             key=lambda candidate: candidate[0],
         )
         begin, end = LEAD_RAD
-        behind = np.sign(wish) * (q - measured) - ARM_S * factor * np.abs(wish)
+        behind = np.sign(wish) * (self._now.q - measured) - ARM_S * factor * np.abs(wish)
         room = (end - float(np.max(behind[wish != 0.0], initial=0.0))) / (end - begin)
         if room >= 1.0:
             return factor * wish, limited_by
         return max(room, 0.0) * factor * wish, "lag of the arm"
+
+    def _used(self, speed: np.ndarray) -> tuple[float, float]:
+        """Returns the share of the joint speeds, and that of the speed of the tool, that joint speeds amount to."""
+        way = self._tool_position(self._now.q + LOOK_AHEAD_S * speed) - self._tool_position(self._now.q)
+        joints = float(np.max(np.abs(speed) / self._speeds.joints))
+        return joints, float(np.linalg.norm(way)) / (LOOK_AHEAD_S * self._speeds.tool)
 
     def _approach(self, wish: np.ndarray, dt: float) -> bool:
         """Moves on for dt [s] towards a speed; returns whether the end of the workspace holds that back."""

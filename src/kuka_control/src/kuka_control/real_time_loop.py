@@ -24,9 +24,6 @@ from kuka_control.tracking import TrackingMonitor
 CATCH_UP_SHARE = 1.0 / 3.0
 """Share of the speed limits until the arm has caught up with a hand that moved on while the pick-up motion ran."""
 
-CATCH_UP_S = 1.0
-"""From then on the full limits count, also for a hand that does not let itself be caught up with [s]."""
-
 
 @dataclass(frozen=True)
 class RealTimeSettings(LoopSettings):
@@ -61,7 +58,7 @@ class RealTimeLoop(ControlLoop):
         self._monitor = TrackingMonitor()
         self._target_stamp: float | None = None
         self._catching_up = True
-        self._servo_time = self._joined = 0.0
+        self._servo_time = 0.0
         self._fault = ""
         self._refusal: str | None = None
 
@@ -140,7 +137,7 @@ class RealTimeLoop(ControlLoop):
         self._for_lts.reset()
         self._target_stamp = None
         self._catching_up = True
-        self._servo_time = self._joined = now
+        self._servo_time = now
         self._state = self._servoing
         return self._servoing(seen, fresh, now)
 
@@ -159,7 +156,7 @@ class RealTimeLoop(ControlLoop):
                 return self._leave_servo()
             if target is None:
                 self._motion_of_target.hold()
-            elif self._jumped(target.q, fresh.stamp):
+            elif self._jumped(target.q, fresh.stamp, seen.joints):
                 self.counts["jumps"] += 1
                 self._because = "The desired tool frame jumped."
                 return self._leave_servo()
@@ -178,7 +175,7 @@ class RealTimeLoop(ControlLoop):
             self.counts["limited_goals"] += 1
             self._limited_by = (limited.limited_by,)
         caught_up = limited.limited_by is None and self._target_stamp is not None
-        self._catching_up &= not caught_up and now - self._joined < CATCH_UP_S
+        self._catching_up &= not caught_up
         return limited
 
     def _leave_servo(self) -> Command:
@@ -191,10 +188,11 @@ class RealTimeLoop(ControlLoop):
         self._latch(self._fault)
         return StopServo()
 
-    def _jumped(self, q: np.ndarray, stamp: float) -> bool:
-        if self._target_stamp is None:
-            return False
+    def _jumped(self, q: np.ndarray, stamp: float, joints: np.ndarray) -> bool:
         speeds = self._settings.servo_joint_speeds
+        if self._target_stamp is None:
+            # Only a shaped stream catches up with a hand that moved on while the pick-up motion ran.
+            return not self._settings.shaped and is_jump(joints, q, 0.0, speeds)
         return is_jump(self._motion_of_target.q, q, stamp - self._target_stamp, speeds)
 
     def _goal(self, limited: Limited, seen: Observation, dt: float, stamp: float | None) -> Command:
