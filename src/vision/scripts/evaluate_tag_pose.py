@@ -1,0 +1,8 @@
+#!/usr/bin/env python3
+"""Compares the poses of the marker panel by colour, depth and both with the truth. See --help."""
+
+import sys
+
+from vision.ros.evaluate_program import main
+
+sys.exit(main())

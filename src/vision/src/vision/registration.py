@@ -1,0 +1,102 @@
+"""Depth in the colour camera's pixels, the rectified colour picture, and both together as a coloured cloud.
+
+Each depth pixel becomes a point, the point a pixel of the rectified colour camera; where several meet, the nearest
+stays. What takes long depends on the cameras alone and is done once.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from common.camera_model import CameraModel
+
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
+"""A point of a cloud: metres, and 0x00RRGGBB."""
+
+
+class Registration:
+    """Brings the pictures of one pair of cameras together.
+
+    Args:
+        rgb, depth: the cameras, of raw pictures.
+        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
+
+    Attributes:
+        camera: the rectified colour camera that all results belong to.
+
+    Raises:
+        ValueError: the distortion of the depth camera cannot be undone.
+    """
+
+    def __init__(self, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
+        self.camera = rgb.rectified()
+        K = self.camera.K
+        pixels = np.stack(np.meshgrid(np.arange(depth.width), np.arange(depth.height)), axis=-1)
+        # In the rectified camera's axes and already times K: one product and one division a picture.
+        KR = K @ rgb.R
+        self._rays = (depth.rays(pixels) @ (KR @ T_rgb_depth[:3, :3]).T).reshape(-1, 3).T.astype(np.float32)
+        self._shift = (KR @ T_rgb_depth[:3, 3]).astype(np.float32)
+        self._shape = (depth.height, depth.width)
+        self._maps = cv2.initUndistortRectifyMap(rgb.K, rgb.D, rgb.R, K, (rgb.width, rgb.height), cv2.CV_16SC2)
+        u, v = np.meshgrid(np.arange(rgb.width), np.arange(rgb.height))
+        self._x = ((u - K[0, 2]) / K[0, 0]).astype(np.float32)
+        self._y = ((v - K[1, 2]) / K[1, 1]).astype(np.float32)
+
+    def rectify(self, colour: np.ndarray) -> np.ndarray:
+        """Returns the colour picture, shape (height, width, 3), without distortion.
+
+        Raises:
+            ValueError: it is not of the camera's size.
+        """
+        self._check(colour.shape[:2], self._x.shape, "colour")
+        return cv2.remap(colour, *self._maps, cv2.INTER_LINEAR)
+
+    def register(self, depth: np.ndarray) -> np.ndarray:
+        """Returns depth in the rectified colour camera's pixels, shape (height, width), float32 [m], NaN = none.
+
+        Args:
+            depth: raw picture, shape (height, width), float32 [m], NaN = none.
+
+        Raises:
+            ValueError: it is not of the camera's size.
+        """
+        self._check(depth.shape, self._shape, "depth")
+        z = depth.ravel()
+        seen = np.flatnonzero(np.isfinite(z) & (z > 0.0))
+        u, v, z = self._rays[:, seen] * z[seen] + self._shift[:, None]
+        height, width = self._x.shape
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            u, v = u / z, v / z
+        inside = (z > 0.0) & (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
+        u, v, z = np.rint(u[inside]).astype(np.int32), np.rint(v[inside]).astype(np.int32), z[inside]
+        registered = np.full(height * width, np.inf, np.float32)
+        np.minimum.at(registered, np.clip(v, 0, height - 1) * width + np.clip(u, 0, width - 1), z)
+        registered[np.isinf(registered)] = np.nan
+        return registered.reshape(height, width)
+
+    def cloud(self, registered: np.ndarray, rectified: np.ndarray) -> np.ndarray:
+        """Returns the points, shape (height, width), type POINT, in the rectified colour camera's frame.
+
+        Args:
+            registered: as `register` returns it.
+            rectified: colour picture, red first, as `rectify` returns it.
+        """
+        points = np.empty(registered.shape, POINT)
+        points["x"], points["y"], points["z"] = self._x * registered, self._y * registered, registered
+        red, green, blue = (rectified[..., i].astype(np.uint32) for i in range(3))
+        points["rgb"] = red << 16 | green << 8 | blue
+        return points
+
+    @staticmethod
+    def _check(shape: tuple[int, ...], wanted: tuple[int, ...], name: str) -> None:
+        if shape != wanted:
+            raise ValueError(f"the {name} picture is {shape[::-1]}, but its camera's {wanted[::-1]}")
+
+
+def millimetres_from_metres(depth: np.ndarray) -> np.ndarray:
+    """Returns a depth picture in metres, NaN = none, as uint16 in whole millimetres, 0 = none; what is too far for
+    uint16 is none."""
+    millimetres = np.nan_to_num(depth * np.float32(1000.0), nan=0.0, posinf=0.0, neginf=0.0)
+    millimetres[(millimetres < 0.0) | (millimetres > 65535.0)] = 0.0
+    return np.rint(millimetres).astype(np.uint16)

@@ -1,0 +1,147 @@
+"""Colour and depth pictures of one moment, with their cameras and the place of one camera in the other."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import message_filters
+import numpy as np
+import rospy
+import tf2_ros
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+
+from common.camera_model import CameraModel
+from common.ros.conversions import pose_from_transform
+from common.ros.images import camera_model_from_info, metres_from_millimetres, picture_from_image
+from common.ros.node import while_running
+
+BUFFER_BYTES = 2**24
+"""Room for many pictures: rospy drops all but the newest only among those that it has read."""
+QUEUE = 5
+THROTTLE_S = 10.0
+RGB = ("rgb8", "bgr8")
+
+
+@dataclass(frozen=True, eq=False)
+class RgbdPair:
+    """A pair of pictures.
+
+    Attributes:
+        header: of the colour picture.
+        colour: shape (height, width, 3), uint8, red first.
+        depth: raw, shape (height, width), float32 [m], NaN = none.
+        rgb_info, depth_info: descriptions of the cameras.
+        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
+    """
+
+    header: Header
+    colour: np.ndarray
+    depth: np.ndarray
+    rgb_info: CameraInfo
+    depth_info: CameraInfo
+    T_rgb_depth: np.ndarray
+
+    @property
+    def rgb(self) -> CameraModel:
+        """The colour camera; ValueError if it is not calibrated."""
+        return camera_model_from_info(self.rgb_info)
+
+    @property
+    def depth_camera(self) -> CameraModel:
+        """The depth camera; ValueError if it is not calibrated."""
+        return camera_model_from_info(self.depth_info)
+
+
+class RgbdPairs:
+    """Listens to rgb/image_raw and depth/image_raw, and to camera_info beside each.
+
+    Args:
+        on_pair: takes each pair; a ValueError from it drops the pair with a sentence in the log.
+        slop: farthest apart in time that the pictures of a pair may be [s].
+
+    Attributes:
+        pairs: that were taken.
+        waits_for: what is missing for a pair, as a noun; empty when pairs come.
+    """
+
+    def __init__(self, on_pair: Callable[[RgbdPair], None], slop: float) -> None:
+        self._on_pair, self._slop = on_pair, slop
+        self._infos: dict[str, CameraInfo] = {}
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer)
+        self._lock = threading.Lock()
+        self._subscribers: list[message_filters.Subscriber] = []
+        self.pairs = 0
+        self.waits_for = "pictures"
+        for name in ("rgb", "depth"):
+            rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._on_info, callback_args=name, queue_size=1)
+
+    def listen_if(self, wanted: bool) -> None:
+        """Subscribes to the pictures or lets them go: a camera takes none that nobody wants."""
+        if wanted and not self._subscribers:
+            self._subscribers = [
+                message_filters.Subscriber(f"{name}/image_raw", Image, queue_size=1, buff_size=BUFFER_BYTES)
+                for name in ("rgb", "depth")
+            ]
+            pairs = message_filters.ApproximateTimeSynchronizer(self._subscribers, QUEUE, self._slop)
+            pairs.registerCallback(self._on_pictures)
+        elif not wanted and self._subscribers:
+            for subscriber in self._subscribers:
+                subscriber.unregister()
+            self._subscribers = []
+
+    def _on_info(self, message: CameraInfo, name: str) -> None:
+        self._infos[name] = message
+
+    def _on_pictures(self, rgb: Image, depth: Image) -> None:
+        if not self._lock.acquire(blocking=False):
+            return  # the one before still takes its time
+        try:
+            with while_running():
+                self._take(rgb, depth)
+        except ValueError as error:
+            rospy.logwarn_throttle(THROTTLE_S, f"A pair of pictures was dropped: {error}.")
+        finally:
+            self._lock.release()
+
+    def _take(self, rgb: Image, depth: Image) -> None:
+        missing = [rospy.resolve_name(f"{name}/camera_info") for name in ("rgb", "depth") if name not in self._infos]
+        if missing:
+            self._wait(" and ".join(missing))
+            return
+        try:
+            found = self._buffer.lookup_transform(rgb.header.frame_id, depth.header.frame_id, rospy.Time(0))
+        except tf2_ros.TransformException:
+            self._wait(f"the frame {depth.header.frame_id} in {rgb.header.frame_id}")
+            return
+        if rgb.encoding not in RGB:
+            raise ValueError(f"the colour picture has the encoding {rgb.encoding}, not {' or '.join(RGB)}")
+        colour = picture_from_image(rgb)
+        pair = RgbdPair(
+            rgb.header,
+            colour if rgb.encoding == "rgb8" else colour[..., ::-1],
+            _metres(depth),
+            self._infos["rgb"],
+            self._infos["depth"],
+            pose_from_transform(found.transform),
+        )
+        self._on_pair(pair)
+        self.pairs += 1
+        self.waits_for = ""
+
+    def _wait(self, what: str) -> None:
+        self.waits_for = what
+        rospy.loginfo_throttle(THROTTLE_S, f"Waiting for {what}.")
+
+
+def _metres(message: Image) -> np.ndarray:
+    """Raises ValueError for a picture that is no depth."""
+    picture = picture_from_image(message)
+    if picture.dtype == np.uint16:
+        return metres_from_millimetres(picture)
+    if picture.dtype == np.float32:
+        return picture
+    raise ValueError(f"the depth picture has the encoding {message.encoding}, not 16UC1 or 32FC1")

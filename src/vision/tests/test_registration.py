@@ -1,0 +1,99 @@
+"""Laws of registration: where points of the depth picture land, which of two stays, what the cloud holds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.camera_model import from_calibration
+from common.poses import pose, read_only
+from common.rotations import rotation_from_zyx
+from vision.registration import POINT, Registration, millimetres_from_metres
+
+CONFIG = Path(__file__).parents[1] / "config"
+RGB, DEPTH = (from_calibration(yaml.safe_load((CONFIG / f"xtion_{n}.yaml").read_text())) for n in ("rgb", "depth"))
+RGB = replace(RGB, R=read_only(rotation_from_zyx(0.01, -0.02, 0.005)))
+T_RGB_DEPTH = pose(rotation_from_zyx(0.004, -0.003, 0.005), (-0.027, 0.001, -0.002))
+REGISTRATION = Registration(RGB, DEPTH, T_RGB_DEPTH)
+NONE = np.full((480, 640), np.nan, np.float32)
+
+
+def one_point(u, v, z):
+    picture = NONE.copy()
+    picture[v, u] = z
+    return REGISTRATION.register(picture)
+
+
+@settings(deadline=None, max_examples=40)
+@given(u=st.integers(60, 580), v=st.integers(60, 420), z=st.floats(0.5, 3.5))
+def test_a_point_lands_where_the_rectified_camera_sees_it(u, v, z):
+    X = RGB.R @ (T_RGB_DEPTH[:3, :3] @ (DEPTH.rays((u, v)) * z) + T_RGB_DEPTH[:3, 3])
+    registered = one_point(u, v, z)
+    rows, columns = np.nonzero(np.isfinite(registered))
+    assert len(rows) == 1
+    assert np.abs(RGB.rectified().project(X) - (columns[0], rows[0])).max() <= 0.501
+    assert registered[rows[0], columns[0]] == pytest.approx(X[2], rel=1e-5)
+
+
+def landing(u, v, z):
+    return tuple(int(i[0]) for i in np.nonzero(np.isfinite(one_point(u, v, z))))
+
+
+def test_the_nearest_of_those_that_meet_stays():
+    near, far = 0.8, 1.6
+    place = landing(300, 240, near)
+    u, v = next((u, v) for v in range(235, 246) for u in range(280, 320) if landing(u, v, far) == place)
+    picture = NONE.copy()
+    picture[240, 300], picture[v, u] = near, far
+    assert (v, u) != (240, 300)
+    registered = REGISTRATION.register(picture)
+    assert np.isfinite(registered).sum() == 1
+    assert registered[place] == pytest.approx(near, abs=0.02)
+
+
+def test_a_wall_fills_the_picture_and_the_cloud_lies_in_it():
+    wall = np.full((480, 640), 1.2, np.float32)
+    registered = REGISTRATION.register(wall)
+    assert np.isfinite(registered[60:420, 80:560]).mean() > 0.98
+    colour = np.zeros((480, 640, 3), np.uint8)
+    colour[:] = (10, 20, 250)
+    cloud = REGISTRATION.cloud(registered, REGISTRATION.rectify(colour))
+    assert cloud.dtype == POINT and cloud.shape == (480, 640)
+    seen = np.isfinite(cloud["z"])
+    np.testing.assert_array_equal(seen, np.isfinite(registered))
+    points = np.stack([cloud[name][seen] for name in "xyz"], axis=-1).astype(float)
+    v, u = np.nonzero(seen)
+    np.testing.assert_allclose(REGISTRATION.camera.project(points), np.stack((u, v), axis=-1), atol=1e-3)
+    assert cloud["rgb"][240, 320] == 0x0A14FA
+
+
+def test_the_rectified_picture_shows_things_where_the_rectified_camera_sees_them():
+    X = np.array([0.25, -0.15, 1.0])
+    u, v = RGB.project(X)
+    colour = np.zeros((480, 640, 3), np.uint8)
+    colour[round(v) - 2 : round(v) + 3, round(u) - 2 : round(u) + 3] = 255
+    rows, columns = np.nonzero(REGISTRATION.rectify(colour)[..., 0] > 127)
+    np.testing.assert_allclose((columns.mean(), rows.mean()), REGISTRATION.camera.project(RGB.R @ X), atol=0.8)
+
+
+def test_nothing_and_nonsense_register_to_nothing():
+    for value in (np.nan, np.inf, -np.inf, 0.0, -1.0):
+        assert np.isnan(REGISTRATION.register(np.full((480, 640), value, np.float32))).all()
+    behind = Registration(RGB, DEPTH, pose(p=(0.0, 0.0, -5.0)))
+    assert np.isnan(behind.register(np.full((480, 640), 1.0, np.float32))).all()
+
+
+def test_pictures_of_another_size_are_named():
+    with pytest.raises(ValueError, match="depth picture is"):
+        REGISTRATION.register(np.ones((240, 320), np.float32))
+    with pytest.raises(ValueError, match="colour picture is"):
+        REGISTRATION.rectify(np.ones((240, 320, 3), np.uint8))
+
+
+def test_millimetres():
+    metres = np.array([[np.nan, np.inf, -1.0, 0.0, 1.2344, 65.534, 65.6, 100.0]], np.float32)
+    np.testing.assert_array_equal(millimetres_from_metres(metres), [[0, 0, 0, 0, 1234, 65534, 0, 0]])
