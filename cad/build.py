@@ -1,4 +1,4 @@
-"""Exports STEP, STL and drawing of all parts: `python -m cad.build [part ...]` in the project's folder, by `make cad`."""
+"""Exports STEP, STL and drawing of all parts: `python -m cad.build [part ...]` in the project's folder, `make cad`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cad import manifest
 from cad.dimensions import PARTS
 from cad.drawing import Sheet
 
-STL_SAGITTA, STL_ANGLE = 0.05, 0.35
+STL_SAGITTA, STL_ANGLE = 0.01, 0.4
 SCALES = {"panel_bracket": 0.5}
 
 
@@ -30,8 +30,10 @@ def build(part: str) -> None:
     body = cq.Workplane(solid.solids().val())
     cq.exporters.export(body, str(step), "STEP")
     # The time of the export would make every build another file.
-    step.write_text(re.sub(r"FILE_NAME\('[^']*','[^']*'", f"FILE_NAME('{part}','2000-01-01T00:00:00'", step.read_text()))
-    body.val().exportStl(str(stl), STL_SAGITTA, STL_ANGLE)
+    step.write_text(
+        re.sub(r"FILE_NAME\('[^']*','[^']*'", f"FILE_NAME('{part}','2000-01-01T00:00:00'", step.read_text())
+    )
+    body.val().exportStl(str(stl), STL_SAGITTA, STL_ANGLE, relative=False)
     sheet = Sheet(part, PARTS[part].title, SCALES.get(part, 1.0), "PETG · MIT licence")
     module.draw(body, sheet)
     svg.write_text(sheet.svg())

@@ -64,6 +64,10 @@ JOINT_SCREWS = (60.0, 180.0, 300.0)
 JOINT_STEP = 30.0
 """The hand turns against the flange in steps of this: the first connector has a place for a nut at each."""
 JOINT_NUT_POCKET = 5.0
+FLANGE_SCREW, FLANGE_SCREW_WITH_RING, JOINT_SCREW = 16.0, 25.0, 25.0
+"""Lengths: ISO 4762 M6 into the flange without and with the ring, ISO 10642 M5 between the connectors."""
+FLANGE_THREAD = (6.0, 9.0)
+"""Least and greatest reach of a screw into the flange: an assumption, to be compared with the arm's own manual."""
 HAND_NUT_POCKET = 5.5
 HAND_BORE = 42.0
 CABLE_WIDTH, CABLE_DEPTH = 14.0, 9.0
@@ -93,8 +97,8 @@ SINGLE_PLATE = 125.0
 SINGLE_SKIN = 4.0
 SINGLE_RIB = 6.0
 PANEL_BEYOND = 103.5
-"""Centre of the large panel beyond the flange's face, 60 mm farther than the single tag: at 43.5 mm its plate would stand
-in the forearm. So its lower edge keeps 46.5 mm before the flange, clear of the wrist for every turn of joint 7."""
+"""Centre of the large panel beyond the flange's face, 60 mm farther than the single tag's: at 43.5 mm its plate would
+stand in the forearm. Its lower edge reaches 46.5 mm behind the face, clear of the wrist at every turn of joint 7."""
 PANEL_MAX_JOINT_6 = 100.0
 """With the large panel joint 6 must not bend farther, in either direction: the forearm comes to its corner."""
 PANEL_MAX_SPREAD = 10.0

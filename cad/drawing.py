@@ -115,8 +115,8 @@ class Sheet:
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH:g}mm" height="{HEIGHT:g}mm" '
             f'viewBox="0 0 {WIDTH:g} {HEIGHT:g}"><style>{STYLE}</style><defs><pattern id="hatch" width="2" height="2" '
-            f'patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><path d="M0,0V2" stroke-width="0.25"/></pattern>'
-            f'</defs><rect width="100%" height="100%" fill="#fff"/>\n' + "\n".join(self._items) + "\n</svg>\n"
+            f'patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><path d="M0,0V2" stroke-width="0.25"/>'
+            f'</pattern></defs><rect width="100%" height="100%" fill="#fff"/>\n' + "\n".join(self._items) + "\n</svg>\n"
         )
 
 

@@ -107,8 +107,8 @@ def _arm_and_hand() -> tuple[ET.Element, ET.Element]:
         world.remove(world.find(f"body[@name='{name}']"))
     flange = root.find(".//body[@name='kuka/flange']")
     hand = flange.find("body[@name='reflex/base_link']")
-    position = np.array(hand.get("pos").split(), dtype=float) + (0.0, 0.0, d.RING / 1000)
-    hand.set("pos", "{} {} {}".format(*position))
+    x, y, z = (float(value) for value in hand.get("pos").split())
+    hand.set("pos", f"{x} {y} {z + d.RING / 1000}")
     return root, flange
 
 

@@ -14,7 +14,12 @@ import numpy as np
 WIDTH, HEIGHT = 480, 360
 WHITE = (255, 255, 255)
 FOVY_DEG = 30.0
-COLOURS = {"blue": "0.36 0.60 0.86 1", "amber": "0.93 0.66 0.22 1", "green": "0.35 0.62 0.40 1", "grey": "0.6 0.6 0.62 1"}
+COLOURS = {
+    "blue": "0.36 0.60 0.86 1",
+    "amber": "0.93 0.66 0.22 1",
+    "green": "0.35 0.62 0.40 1",
+    "grey": "0.6 0.6 0.62 1",
+}
 
 
 def add_part(root: ET.Element, parent: ET.Element, stl: Path, colour: str, pos="0 0 0", quat="1 0 0 0") -> None:

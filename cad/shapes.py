@@ -42,6 +42,6 @@ def nuts(width: float, bottom: float, top: float, places) -> cq.Workplane:
 
 
 def cone(diameter: float, top: float, place) -> cq.Workplane:
-    """Returns the countersink of a 90 deg head whose edge of this diameter lies at the height `top`, opening upwards."""
+    """Returns the countersink of a 90 deg head: its edge of this diameter lies at the height `top`."""
     solid = cq.Solid.makeCone(0.0, diameter / 2, diameter / 2, pnt=cq.Vector(*place, top - diameter / 2))
     return cq.Workplane(solid)

@@ -1,4 +1,4 @@
-"""The table holder of the Leap Motion controller, on the table's plane: the person sits at -y, the cable leaves at -x."""
+"""The table holder of the Leap Motion controller: the table is z = 0, the person sits at -y, the cable leaves at -x."""
 
 from __future__ import annotations
 

@@ -106,7 +106,11 @@ def panel() -> bytes:
     _cut(page, centre, d.PANEL_SHEET)
     _rulers(page, (305.0, 250.0), (310.0, 20.0))
     sizes = [f"Tag {tag} of tag36h11: {size:g} mm." for tag, size, _, _ in d.PANEL_TAGS]
-    glue = ("Cut along the square, stick it in the middle", "of the plate of 300 x 300 mm, then drill", "4.5 mm through the four crosses.")
+    glue = (
+        "Cut along the square, stick it in the middle",
+        "of the plate of 300 x 300 mm, then drill",
+        "4.5 mm through the four crosses.",
+    )
     _explain(page, (322.0, 225.0), (*sizes, *glue))
     return page.pdf()
 
