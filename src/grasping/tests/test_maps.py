@@ -72,6 +72,7 @@ def test_peaks_come_best_first_and_apart():
     assert found[0].quality == pytest.approx(0.95)
     assert peaks(maps, 1, distance=10)[0].row == 70
     assert peaks(spots(), 3) == []
+    assert len(peaks(spots((50, 50, 0.9), (50, 51, 0.9)), 3, distance=10)) == 1
     assert (highest(maps).row, highest(maps).column) == (2, 50)
 
 

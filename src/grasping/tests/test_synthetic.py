@@ -53,7 +53,7 @@ def test_every_family_compiles_and_fits_the_gripper(family):
 
 def test_depth_is_what_single_rays_meet():
     """The many-ray routine loses objects near the poles of its sphere; the turned world must not."""
-    seen = samples.view("train", 3, 4)
+    seen = samples.view("train", 32, 1)
     model = mujoco.MjModel.from_xml_string(seen.scene.xml)
     data = mujoco.MjData(model)
     data.qpos[:] = seen.scene.state

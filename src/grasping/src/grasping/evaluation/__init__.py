@@ -1,0 +1,1 @@
+"""How good grasps are: labels, physics, heuristics to compare with."""
