@@ -16,7 +16,7 @@ from grasping.evaluation.rectangles import angle_between, is_right, overlap
 from grasping.evaluation.statistics import share
 from grasping.evaluation.trials import judge, oracle, situation
 from grasping.maps import Peak
-from grasping.programs.evaluate import table
+from grasping.programs.evaluate import calibration, table
 from grasping.synthetic.labels import Gripper
 from grasping.synthetic.scene import Scene, world_xml
 from grasping.synthetic.shapes import Geom
@@ -137,3 +137,11 @@ def test_table_of_results():
     ]
     assert "| oracle | 80 (38 to 96), n = 5 | 100 (57 to 100), n = 5 | 100" in table(rows, ["oracle", "none"])
     assert "| none | - | - | - | - |" in table(rows, ["oracle", "none"])
+
+
+def test_calibration_counts_each_grasp_once():
+    rows = [{"method": "net", "quality": q, "lifted": q > 0.35} for q in (-0.1, 0.3, 0.39, 0.55, 0.6, 0.9)]
+    text = calibration(rows, ["net"])
+    cells = [c.strip() for c in text.splitlines()[-1].split("|")[2:-1]]
+    assert [c.rsplit(" ", 1)[-1] for c in cells] == ["1", "2", "-", "1", "2"]
+    assert cells[1].startswith("50 (")

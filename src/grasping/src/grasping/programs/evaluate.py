@@ -25,6 +25,7 @@ from grasping.predictor import frozen, run
 from grasping.programs.make_dataset import ignore_warning
 
 COLUMNS = ("scene", "objects", "method", *trials.Outcome._fields)
+QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
 """As the reference experiments smooth; the node's wider blur is for the moving camera."""
 
@@ -69,18 +70,31 @@ def table(rows: list[dict], methods) -> str:
         cells = []
         for field in ("lifted", "rectangle"):
             for single in (True, False):
-                outcomes = [
-                    str(r[field]) == "True"
-                    for r in rows
-                    if r["method"] == method and (int(r["objects"]) == 1) == single
-                ]
-                if not outcomes:
-                    cells.append("-")
-                    continue
-                s = share(outcomes)
-                cells.append(f"{100 * s.value:.0f} ({100 * s.low:.0f} to {100 * s.high:.0f}), n = {s.trials}")
+                chosen = [r for r in rows if r["method"] == method and (int(r["objects"]) == 1) == single]
+                cells.append(_cell([str(r[field]) == "True" for r in chosen]))
         lines.append(f"| {method} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def calibration(rows: list[dict], methods) -> str:
+    """Returns, as a Markdown table, how many grasps were lifted by the quality that the method gave them."""
+    ranges = list(zip((-np.inf, *QUALITY_LIMITS), (*QUALITY_LIMITS, np.inf)))
+    names = [f"< {QUALITY_LIMITS[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {QUALITY_LIMITS[-1]}"]
+    lines = [f"| lifted %, quality | {' | '.join(names)} |", "| --- |" + " --- |" * len(names)]
+    for method in methods:
+        cells = []
+        for low, high in ranges:
+            chosen = [r for r in rows if r["method"] == method and low <= float(r["quality"]) < high]
+            cells.append(_cell([str(r["lifted"]) == "True" for r in chosen]))
+        lines.append(f"| {method} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(outcomes: list[bool]) -> str:
+    if not outcomes:
+        return "-"
+    s = share(outcomes)
+    return f"{100 * s.value:.0f} ({100 * s.low:.0f} to {100 * s.high:.0f}), n = {s.trials}"
 
 
 def main() -> None:
@@ -117,4 +131,4 @@ def main() -> None:
             writer.writerows(new)
             file.flush()
             rows += new
-    (arguments.folder / "table.md").write_text(table(rows, methods))
+    (arguments.folder / "table.md").write_text(table(rows, methods) + "\n" + calibration(rows, files))
