@@ -17,17 +17,18 @@ def read_urdf(robot: str, flange: str) -> str:
         FileNotFoundError: no such description is installed.
     """
     name = f"{robot.lower()}_{flange}.urdf"
-    for folder in _folders():
+    for folder in package_folders(PACKAGE, SOURCE_TREE):
         path = folder / "urdf" / name
         if path.is_file():
             return path.read_text(encoding="utf-8")
     raise FileNotFoundError(f"the package {PACKAGE} with urdf/{name} is not to be found")
 
 
-def _folders() -> list[Path]:
+def package_folders(package: str, source_tree: Path) -> list[Path]:
+    """Returns where a package's files may be: in its source tree and, with ROS, where ROS knows it."""
     try:
         import rospkg
 
-        return [SOURCE_TREE, Path(rospkg.RosPack().get_path(PACKAGE))]
+        return [source_tree, Path(rospkg.RosPack().get_path(package))]
     except Exception:  # without ROS, or without that package in it, rospkg fails in several ways
-        return [SOURCE_TREE]
+        return [source_tree]

@@ -8,7 +8,9 @@ from typing import Any
 import yaml
 
 from common.errors import ConfigError
-from rig_simulation.sunrise.description import SOURCE_TREE as DESCRIPTION
+from rig_simulation.sunrise.description import PACKAGE as DESCRIPTION
+from rig_simulation.sunrise.description import SOURCE_TREE as DESCRIPTION_TREE
+from rig_simulation.sunrise.description import package_folders
 
 PACKAGE = "rig_simulation"
 SOURCE_TREE = Path(__file__).resolve().parents[3]
@@ -37,15 +39,15 @@ def read_mesh(uri: str) -> str:
     Raises:
         FileNotFoundError: there is no such file.
     """
-    path = uri.partition("package://rig_description/")[2]
-    for folder in _folders("rig_description", DESCRIPTION):
+    path = uri.partition(f"package://{DESCRIPTION}/")[2]
+    for folder in package_folders(DESCRIPTION, DESCRIPTION_TREE):
         if (folder / path).is_file():
             return (folder / path).read_text(encoding="utf-8")
     raise FileNotFoundError(f"the mesh {uri} is not to be found")
 
 
 def _read(kind: str, name: str) -> dict[str, Any]:
-    folders = [folder / "config" / kind for folder in _folders(PACKAGE, SOURCE_TREE)]
+    folders = [folder / "config" / kind for folder in package_folders(PACKAGE, SOURCE_TREE)]
     paths = [Path(name)] if name.endswith(".yaml") else [folder / f"{name}.yaml" for folder in folders]
     for path in paths:
         if path.is_file():
@@ -57,12 +59,3 @@ def _read(kind: str, name: str) -> dict[str, Any]:
     raise ConfigError(
         [f"There is no file {name!r} among the {kind}; known are {', '.join(known)}, or a path to a yaml."]
     )
-
-
-def _folders(package: str, source_tree: Path) -> list[Path]:
-    try:
-        import rospkg
-
-        return [source_tree, Path(rospkg.RosPack().get_path(package))]
-    except Exception:  # without ROS, or without that package in it, rospkg fails in several ways
-        return [source_tree]
