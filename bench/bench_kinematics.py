@@ -22,7 +22,7 @@ REFINED = 1e-9
 
 def rows(quick: bool) -> list[Row]:
     """Returns time and success of each solver for both arms, with a far and with a near seed."""
-    count = 20 if quick else 10_000
+    count = 20 if quick else 3_000
     table = []
     for robot in ROBOTS:
         table += _arm_rows(robot, count) + _calibrated_rows(robot, count)
