@@ -168,6 +168,7 @@ def test_a_controller_that_has_the_robot_is_named(processes, scene, calibrate, a
         (("--again", "/nowhere.yaml"), {}, "Cannot read /nowhere.yaml"),
         (("--yes",), {"tilt": [45, 20]}, "but the first must be the smaller one"),
         (("--yes", "--robot", "UR5"), {}, "kuka/robot is 'UR5'"),
+        (("--yes", "--robot", "LBR14R820"), {}, "camera_apriltag.launch was started for LBR7R800"),
     ],
 )
 def test_it_ends_with_a_sentence(processes, scene, arm, options, change, sentence):

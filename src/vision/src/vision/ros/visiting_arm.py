@@ -15,7 +15,7 @@ import tf2_ros
 from sensor_msgs.msg import JointState
 
 from common.config import choice, integer, parse, text
-from common.errors import DeviceError
+from common.errors import ConfigError, DeviceError
 from common.ros.conversions import stamped_transform
 from kst.client import KstClient
 from kst.errors import ReplyTimeout, ServerBusy
@@ -53,7 +53,15 @@ def robot_address(store: StoreConfig, given: dict) -> RobotAddress:
     values = {"robot": store.robot, "flange": store.flange, "port": DEFAULT_PORT, **rospy.get_param("kuka", {})}
     values.update({key: value for key, value in given.items() if value is not None})
     known = {key: values[key] for key in ("robot", "flange", "ip", "port") if key in values}
-    return parse(RobotAddress, known, prefix="kuka/")
+    address = parse(RobotAddress, known, prefix="kuka/")
+    if (address.robot, address.flange) != (store.robot, store.flange):
+        raise ConfigError(
+            [
+                f"The arm is {address.robot} with {address.flange}, but camera_apriltag.launch was started for "
+                f"{store.robot} with {store.flange}: give it the arguments robot and flange."
+            ]
+        )
+    return address
 
 
 class VisitingArm:
