@@ -80,9 +80,12 @@ def start(processes, wait_until):
         yield start
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_says_when_its_devices_are_ready_and_ends_without_a_traceback(start, number):
-    program = start()
+OTHER_RIG = ("--robot", "LBR14R820", "--flange", "MF_touch_pneumatisch", "--panel", "bundle", "--scene", "objects")
+
+
+@pytest.mark.parametrize(("arguments", "number"), [((), signal.SIGINT), (OTHER_RIG, signal.SIGTERM)])
+def test_it_says_when_its_devices_are_ready_and_ends_without_a_traceback(start, arguments, number):
+    program = start(*arguments)
     program.process.send_signal(number)
     assert program.process.wait(20.0) == 0
     assert "Traceback" not in program.process.log_path.read_text()
