@@ -12,7 +12,7 @@ from cad import manifest
 from cad.dimensions import PARTS
 from cad.drawing import Sheet
 
-STL_SAGITTA, STL_ANGLE = 0.01, 0.4
+STL_SAGITTA, STL_ANGLE = 0.015, 0.4
 SCALES = {"panel_bracket": 0.5}
 
 

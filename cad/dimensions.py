@@ -80,11 +80,15 @@ RING = 10.0
 SLEEVE_LENGTH = 2 * SPIGOT
 TOOL_LENGTH = CONNECTOR_LENGTH + HAND_LENGTH
 TOOL_LENGTH_WITH_RING = TOOL_LENGTH + RING
-PAD_WIDTH, PAD_HEIGHT, PAD_THICKNESS = 70.0, 60.0, 8.0
+ARM_WIDTH = 70.0
+PAD_WIDTH, PAD_HEIGHT, PAD_THICKNESS = 116.0, 60.0, 8.0
 PAD_FACE = 61.0
 """Distance of the pad's outer face from the flange's axis."""
-PAD_SCREWS = ((-22.0, 16.0), (22.0, 16.0), (-22.0, 47.0), (22.0, 47.0))
-"""Places in the flange's x and z."""
+PAD_SCREWS = ((-50.0, 17.0), (50.0, 17.0), (-50.0, 46.0), (50.0, 46.0))
+"""Places in the flange's x and z: so far out that a straight key passes connectors and hand."""
+PAD_SCREW = 12.0  # ISO 4762 M4
+KEY = 8.0
+"""Room for head and key, in diameter."""
 GUSSET_WIDTH, GUSSET_TOP, GUSSET_ROOT = 6.0, 50.0, 35.0
 
 # --- Tags: the printed sheet's face is what the camera sees ---
@@ -163,15 +167,14 @@ def _round(diameter: float, bottom: float, top: float) -> tuple[tuple[float, flo
 
 
 _CRADLE_DEPTH = XTION[1] / 2.0 + CRADLE_PLAY
-_PANEL_PAD = PAD_HEIGHT - PANEL_BEYOND
 PARTS = {
     "kuka_connector": Part("Connector on the arm's flange", *_round(CONNECTOR_OUTER, -SPIGOT, KUKA_CONNECTOR)),
     "hand_connector": Part("Connector on the hand's back shell", *_round(CONNECTOR_OUTER, 0.0, HAND_CONNECTOR)),
     "centring_sleeve": Part("Sleeve between flange and ring", *_round(FLANGE_CENTRING - FIT, 0.0, SLEEVE_LENGTH)),
     "marker_connector": Part(
         "Ring of the tag",
-        (-CONNECTOR_OUTER / 2.0, -CONNECTOR_OUTER / 2.0, 0.0),
-        (CONNECTOR_OUTER / 2.0, PAD_FACE, PAD_HEIGHT),
+        (-PAD_WIDTH / 2.0, -CONNECTOR_OUTER / 2.0, 0.0),
+        (PAD_WIDTH / 2.0, PAD_FACE, PAD_HEIGHT),
     ),
     "marker_plate": Part(
         "Plate of the single tag",

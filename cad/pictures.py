@@ -24,7 +24,7 @@ VIEWS = {
     "kuka_connector": (60, -42),
     "hand_connector": (60, -42),
     "centring_sleeve": (60, -42),
-    "marker_connector": (-60, -28),
+    "marker_connector": (25, -28),
     "marker_plate": (60, 40),
     "panel_bracket": (60, 40),
     "camera_holder": (55, -28),

@@ -260,11 +260,11 @@ class TestNumbersOfTheRig:
             assert values["translation"] == pytest.approx(expected), file.name
 
 
-def world(model, panel=None):
+def world(model, panel=None, arm="LBR7R800"):
     config = ROOT / "src/modules/rig_simulation/config"
     scene = {**yaml.safe_load((config / "scenes/cup.yaml").read_text()), "objects": {}}
     values = panel and yaml.safe_load((config / f"panels/{panel}.yaml").read_text())
-    return model.build_model(model.WorldDescription("LBR7R800", "MF_elektrisch", (0.0, 0.0, 0.0), scene, values))
+    return model.build_model(model.WorldDescription(arm, "MF_elektrisch", (0.0, 0.0, 0.0), scene, values))
 
 
 def simulated_panel(model, name):
@@ -276,9 +276,9 @@ def simulated_panel(model, name):
 class Robot:
     """The simulated arm and hand as points on their surfaces, in mm in the flange's frame."""
 
-    def __init__(self, model):
+    def __init__(self, model, arm):
         self._mujoco = pytest.importorskip("mujoco")
-        self._model = world(model)
+        self._model = world(model, arm=arm)
         self._data = self._mujoco.MjData(self._model)
 
     def points(self, bodies, **degrees):
@@ -309,9 +309,9 @@ class Robot:
         return self.points(hand, swivel_1=spread, swivel_2=-spread, **angles) + np.array([0.0, 0.0, d.RING])
 
 
-@pytest.fixture(scope="module")
-def robot():
-    return Robot(pytest.importorskip("rig_simulation.world.model"))
+@pytest.fixture(scope="module", params=["LBR7R800", "LBR14R820"])
+def robot(request):
+    return Robot(pytest.importorskip("rig_simulation.world.model"), request.param)
 
 
 def box_of(edge, beyond, behind):
@@ -361,8 +361,17 @@ class TestRoom:
         assert np.hypot(over[:, 0], over[:, 1]).min() > d.CONNECTOR_OUTER / 2 + 2.0
         back = d.PAD_FACE - d.PAD_THICKNESS
         pad = np.array([-d.PAD_WIDTH / 2, back, d.RING]), np.array([d.PAD_WIDTH / 2, d.PAD_FACE, d.PAD_HEIGHT])
+        assert gap(robot.hand(0.0, 0.0), pad) > 5.0
+
+    def test_the_screws_of_the_plate_are_reached_while_the_hand_is_on(self, robot):
         hand = robot.hand(0.0, 0.0)
-        assert gap(hand[hand[:, 2] > d.RING + d.CONNECTOR_LENGTH], pad) > 5.0
+        behind = hand[np.abs(hand[:, 1]) < d.PAD_FACE]
+        for x, z in d.PAD_SCREWS:
+            assert np.hypot(behind[:, 0] - x, behind[:, 2] - z).min() > d.KEY / 2
+            assert abs(x) - d.KEY / 2 > d.CONNECTOR_OUTER / 2
+
+    def test_screws_of_the_plate_end_in_its_inserts(self):
+        assert 3.0 <= d.PAD_SCREW - d.PAD_THICKNESS <= d.M4_INSERT_DEPTH
 
 
 class TestTagSheets:

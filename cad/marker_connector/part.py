@@ -11,11 +11,11 @@ from cad.shapes import block, on_circle, rod
 
 def solid() -> cq.Workplane:
     """Returns the part."""
-    rim, half = d.CONNECTOR_OUTER / 2, d.PAD_WIDTH / 2
+    rim, half, pad = d.CONNECTOR_OUTER / 2, d.ARM_WIDTH / 2, d.PAD_WIDTH / 2
+    back = d.PAD_FACE - d.PAD_THICKNESS
     body = rod(d.CONNECTOR_OUTER, 0.0, d.RING)
     body = body.union(block((-half, 0.0, 0.0), (half, d.PAD_FACE, d.RING)))
-    body = body.union(block((-half, d.PAD_FACE - d.PAD_THICKNESS, 0.0), (half, d.PAD_FACE, d.PAD_HEIGHT)))
-    back = d.PAD_FACE - d.PAD_THICKNESS
+    body = body.union(block((-pad, back, 0.0), (pad, d.PAD_FACE, d.PAD_HEIGHT)).edges("|Y and >Z").fillet(6.0))
     profile = [(d.GUSSET_ROOT, d.RING), (back, d.RING), (back, d.GUSSET_TOP)]
     gusset = cq.Workplane("YZ").polyline(profile).close().extrude(d.GUSSET_WIDTH)
     body = body.union(gusset.translate((half - d.GUSSET_WIDTH, 0, 0))).union(gusset.translate((-half, 0, 0)))
@@ -30,23 +30,24 @@ def solid() -> cq.Workplane:
 
 def draw(part: cq.Workplane, sheet: Sheet) -> None:
     """Draws the part."""
-    front = sheet.view(part, "z", (80, 100), "from the hand", 6)
+    front = sheet.view(part, "z", (82, 100), "from the hand", 6)
     front.circle((0, 0), d.FLANGE_CIRCLE)
     front.diameter((0, 0), d.CONNECTOR_OUTER, -50, f"Ø{d.CONNECTOR_OUTER:g}")
     front.leader(on_circle(d.FLANGE_CIRCLE, [225])[0], (-8, -40), ["4 × Ø6.6 on Ø50,", "4 × Ø5.8 on Ø50, to 6 H7"])
     front.leader((0, -d.FLANGE_CENTRING / 2), (26, -44), [f"Ø{d.FLANGE_CENTRING + d.FIT:g}"])
-    front.vertical(-d.PAD_WIDTH / 2, 0.0, d.PAD_FACE, -14, from_u=0.0)
+    front.vertical(-d.PAD_WIDTH / 2, 0.0, d.PAD_FACE, -6, from_u=-d.CONNECTOR_OUTER / 2)
     front.leader((d.CONNECTOR_OUTER / 2 - 1, 0), (14, -14), ["mark: flange's x"])
 
-    pad = sheet.view(part, "y", (210, 82), "from the camera")
+    pad = sheet.view(part, "y", (205, 80), "from the camera", 15)
     xs = sorted({x for x, _ in d.PAD_SCREWS})
-    pad.horizontal(xs[0], xs[1], d.PAD_HEIGHT, 8, f"{xs[1] - xs[0]:g}", from_v=d.PAD_SCREWS[2][1])
+    pad.horizontal(xs[0], xs[1], d.PAD_HEIGHT, 7, f"{xs[1] - xs[0]:g}", from_v=d.PAD_SCREWS[2][1])
     pad.vertical(d.PAD_WIDTH / 2, 0.0, d.PAD_SCREWS[0][1], 8, from_u=xs[1])
     pad.vertical(d.PAD_WIDTH / 2, 0.0, d.PAD_SCREWS[2][1], 15, from_u=xs[1])
     pad.vertical(d.PAD_WIDTH / 2, 0.0, d.PAD_HEIGHT, 22)
-    pad.leader((xs[0], d.PAD_SCREWS[0][1]), (-30, 6), ["4 × Ø4.5"])
+    pad.leader((xs[0], d.PAD_SCREWS[0][1]), (16, 8), ["4 × Ø4.5"])
+    pad.horizontal(-d.PAD_WIDTH / 2, d.PAD_WIDTH / 2, 0.0, -9)
 
-    side = sheet.section(part, "x", (210, 160), "section", 15)
+    side = sheet.section(part, "x", (210, 172), "section", 14)
     side.vertical(-d.CONNECTOR_OUTER / 2, 0.0, d.RING, -8)
     side.horizontal(0.0, d.PAD_FACE, 0.0, -9)
     side.horizontal(d.PAD_FACE - d.PAD_THICKNESS, d.PAD_FACE, d.PAD_HEIGHT, 6)

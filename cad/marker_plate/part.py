@@ -18,10 +18,13 @@ def solid() -> cq.Workplane:
     low, high = -d.SINGLE_BEYOND, d.PAD_HEIGHT - d.SINGLE_BEYOND
     body = block((-half, -half, -d.SINGLE_SKIN), (half, half, 0.0)).edges("|Z").fillet(4.0)
     body = body.union(block((-pad, low, -DEPTH), (pad, high, 0.0)))
-    for v in (low + 2 * rib, high - 2 * rib):
-        body = body.union(block((-half + 4, v - rib, -DEPTH), (half - 4, v + rib, 0.0)))
     for u in (-pad + rib, 0.0, pad - rib):
         body = body.union(block((u - rib, -half + 4, -DEPTH), (u + rib, half - 4, 0.0)))
+    # Hollow between the screws, but for the rib in the middle.
+    inner = min(u for u, _ in HOLES if u > 0.0) - 2 * d.SINGLE_RIB
+    for left in (-inner, rib):
+        hollow = (left, low + 2 * rib, -DEPTH), (left + inner - rib, high - 2 * rib, -d.SINGLE_SKIN)
+        body = body.cut(block(*hollow))
     return body.cut(rod(d.M4_INSERT_HOLE, -DEPTH, -DEPTH + d.M4_INSERT_DEPTH, HOLES))
 
 
@@ -36,7 +39,7 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     back.vertical(half, -half, half, 16)
     back.vertical(half, 0.0, vs[1], 8, from_u=us[1])
     back.vertical(-half, vs[0], 0.0, -8, from_u=us[0])
-    back.leader((us[0], vs[0]), (-14, -42), ["4 × Ø5.6, 6 deep, inserts M4"])
+    back.leader((us[0], vs[0]), (10, -46), ["4 × Ø5.6, 6 deep, inserts M4"])
     back.cross((0, 0))
     side = sheet.view(part, "edge", (210, 98), "side", 16)
     side.horizontal(-DEPTH, 0.0, half, 8)
