@@ -26,6 +26,7 @@ from rig_simulation.leap.sources import Person
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "leapd.py"
 SOON_S = 10.0
+SOON_FRAMES = 1000
 
 
 class Client:
@@ -107,7 +108,7 @@ def test_cut(client, new_client, service, fault, wait_until):
     client.frame()
     fault("cut")
     with pytest.raises(ConnectionClosed) as closed:
-        while True:
+        for _ in range(SOON_FRAMES):
             client.frame()
     assert closed.value.rcvd is None, "no close frame came"
     with socket.create_connection((service.host, service.port), SOON_S) as plain:
@@ -150,7 +151,7 @@ def test_restarted(client, service, new_client, fault, wait_until):
         pass
     fault("restarted")
     with pytest.raises(ConnectionClosed) as closed:
-        while True:
+        for _ in range(SOON_FRAMES):
             client.frame()
     assert closed.value.rcvd.code == 1001
     with pytest.raises(ConnectionRefusedError):
@@ -172,8 +173,8 @@ def test_ids_and_clock_begin_anew_after_a_restart():
 def test_unplugged(client, fault):
     client.frame()
     fault("unplugged")
-    while "event" not in (event := json.loads(client.message())):
-        pass
+    messages = (json.loads(client.message()) for _ in range(SOON_FRAMES))
+    event = next(message for message in messages if "event" in message)
     assert event["event"]["state"]["attached"] is False
     assert client.silent()
     fault("unplugged", on=False)
@@ -190,11 +191,10 @@ def test_frozen(client, fault, wait_until):
     wait_until(lambda: client.message() != client.message(), SOON_S, "other frames")
 
 
-def test_bursts(client, fault):
+def test_bursts(client, fault, wait_until):
     client.frame()
     fault("bursts", value=0.5)
-    while not client.silent(0.25):
-        pass
+    wait_until(lambda: client.silent(0.25), SOON_S, "the silence between two bursts")
     burst = [client.frame() for _ in range(10)]
     span = burst[-1]["timestamp"] - burst[0]["timestamp"]
     assert 75_000 < span < 600_000, "after the silence frames of different moments, one behind the other"
