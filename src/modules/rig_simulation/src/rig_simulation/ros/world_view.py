@@ -34,7 +34,7 @@ LIFETIME_S = 1.0
 """Markers of a world that is gone vanish after this time."""
 
 KINDS = {BOX: Marker.CUBE, BALL: Marker.SPHERE, CYLINDER: Marker.CYLINDER}
-SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.005, 0.011, 0.015, 0.022, 0.09
+SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.005, 0.011, 0.015, 0.03, 0.11
 OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)
 
 
