@@ -356,9 +356,9 @@ class TestRoom:
                 assert gap(robot.hand(angle, proximal), box) > 5.0
 
     def test_of_the_ring_before_hand_and_connectors(self, robot, meshes):
-        mesh = meshes["marker_connector"]
-        over = mesh.vertices[mesh.vertices[:, 2] > d.RING + 0.01]
-        assert np.hypot(over[:, 0], over[:, 1]).min() > d.CONNECTOR_OUTER / 2 + 2.0
+        for height in (d.RING + 0.1, d.RING + d.CONNECTOR_LENGTH):
+            free = clearance(section(meshes["marker_connector"], height), np.zeros(2))
+            assert free > d.CONNECTOR_OUTER / 2 + 2.0
         back = d.PAD_FACE - d.PAD_THICKNESS
         pad = np.array([-d.PAD_WIDTH / 2, back, d.RING]), np.array([d.PAD_WIDTH / 2, d.PAD_FACE, d.PAD_HEIGHT])
         assert gap(robot.hand(0.0, 0.0), pad) > 5.0
