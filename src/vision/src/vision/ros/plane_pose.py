@@ -22,10 +22,10 @@ from apriltag_ros.settings import TAG_KEYS, detector_settings, targets
 from apriltag_ros.target import Target
 from common.config import number, parse
 from common.errors import ConfigError
-from common.rotations import rotation_angle
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run
+from common.rotations import rotation_angle
 from vision.depth_detection import DepthDetection, DepthTagDetector
 from vision.panel import PanelConfig
 from vision.plane_fit import PlanePoseConfig

@@ -1,0 +1,121 @@
+"""The evaluation of the panel's poses: errors, tables, and the program on pictures with known truth."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from tag_renderer import render
+from test_plane_pose import DEPTH, RGB, T_RGB_DEPTH, depth_picture, panel_pose
+
+from common.poses import pose
+from vision import pose_evaluation
+from vision.plane_fit import PlaneFit
+from vision.plane_pose import DepthPose, Estimate
+
+CONFIG = Path(__file__).parents[1] / "config"
+FIT = PlaneFit(None, None, 0, 0.0, 0.0, 0.0, "none")
+
+
+def poses(T, shift=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
+    moved = pose(pin.exp3(np.array(turn)) @ T[:3, :3], T[:3, 3] + shift)
+    return DepthPose(Estimate(moved, np.diag([1e-6] * 3 + [1e-4] * 3)), None, None, FIT, np.nan, "none")
+
+
+def test_errors_are_in_millimetres_degrees_and_standard_deviations():
+    T = panel_pose(1.0, 20.0)
+    found = pose_evaluation.trial(1.0, 20.0, T, poses(T, (0.003, 0.0, 0.004), (0.0, 0.02, 0.0))).errors["colour"]
+    assert (found.position, found.rotation) == (pytest.approx(5.0), pytest.approx(np.degrees(0.02)))
+    assert found.reach == pytest.approx(np.sqrt(25.0 + 2.0 / 3.0 * 10.0**2))
+    assert found.square == pytest.approx((9.0 + 16.0 + 4.0) / 6.0)
+
+
+def test_the_reach_is_the_mean_square_over_all_directions():
+    shift, turn = np.array([0.002, -0.001, 0.004]), np.array([0.01, 0.02, -0.005])
+    T = panel_pose(1.0, 20.0)
+    reach = pose_evaluation.trial(1.0, 20.0, T, poses(T, shift, turn)).errors["colour"].reach
+    directions = np.random.default_rng(0).normal(size=(20000, 3))
+    directions *= pose_evaluation.REACH_M / np.linalg.norm(directions, axis=1)[:, None]
+    moved = shift + directions @ (pin.exp3(turn) - np.eye(3)).T
+    assert reach == pytest.approx(1e3 * np.sqrt(np.mean(np.sum(moved**2, axis=1))), rel=0.02)
+
+
+def test_tables_name_what_was_not_found():
+    T = panel_pose(1.0, 20.0)
+    trials = [pose_evaluation.trial(1.0, 20.0, T, poses(T)), pose_evaluation.trial(1.0, 20.0, T, None)]
+    lines = pose_evaluation.csv("v", trials)
+    columns = pose_evaluation.CSV_HEAD.split(",")
+    rows = [dict(zip(columns, line.split(","))) for line in lines]
+    assert all(line.count(",") == len(columns) - 1 for line in lines)
+    assert [(r["method"], r["pictures"], r["found"]) for r in rows] == [
+        ("colour", "2", "1"),
+        ("plane", "2", "0"),
+        ("fused", "2", "0"),
+    ]
+    table = pose_evaluation.markdown(trials)
+    assert len({line.count("|") for line in table}) == 1
+    assert table[2].startswith("| 1 m, 20 deg | 0.0 / 0.0 |") and table[2].endswith("- | - | - |")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two pairs of pictures, as the simulation writes them."""
+    entries = []
+    for i, T in enumerate((panel_pose(0.7, 0.0, 0.0, 25.0), panel_pose(0.9, 30.0, 40.0, 10.0))):
+        cv2.imwrite(str(tmp_path / f"{i}_c.png"), render(RGB, T, [(0, 0.097, 0.0, 0.0)], 0.125))
+        cv2.imwrite(str(tmp_path / f"{i}_d.png"), np.rint(1000.0 * depth_picture(T, 0.125)).astype(np.uint16))
+        shown = {"distance": T[2, 3], "tilt": 30.0 * i, "unit": 0, "T_rgb_panel": T.tolist()}
+        entries.append({"colour": f"{i}_c.png", "depth": f"{i}_d.png", **shown})
+    calibrations = {n: yaml.safe_load((CONFIG / f"xtion_{n}.yaml").read_text()) for n in ("rgb", "depth")}
+    index = {"panel": {"size": [0.125, 0.125]}, **calibrations, "T_rgb_depth": T_RGB_DEPTH.tolist()}
+    (tmp_path / "pictures.json").write_text(json.dumps({**index, "pictures": entries}))
+    assert (DEPTH.width, DEPTH.height) == (640, 480)
+    return tmp_path
+
+
+@pytest.mark.ros
+def test_the_program_writes_tables_and_plots(folder, tmp_path, capsys):
+    program = pytest.importorskip("vision.ros.evaluate_program")
+    out = tmp_path / "out"
+    assert program.main(["--pictures", str(folder), "--panel", "single", "--output", str(out)]) == 0
+    assert "as calibrated, fused" in capsys.readouterr().out
+    rows = [line.split(",") for line in (out / "tag_pose.csv").read_text().splitlines()]
+    fused = [row for row in rows if row[0] == "as calibrated" and row[3] == "fused"]
+    assert len(fused) == 2 and all(float(row[6]) < 3.0 for row in fused)
+    wrong = [row for row in rows if row[0] == "focal length +1.0%" and row[3] == "colour"]
+    assert all(float(row[6]) > 5.0 for row in wrong)
+    assert "## depth +10 mm" in (out / "tag_pose.md").read_text()
+    for number in range(1, 5):
+        assert cv2.imread(str(out / f"tag_pose_{number}.png")).std() > 10.0
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("break_it", "sentence"),
+    [
+        (lambda f: (f / "pictures.json").unlink(), "does not say what pictures show"),
+        (lambda f: (f / "pictures.json").write_text("{}"), "does not say what pictures show"),
+        (lambda f: (f / "1_d.png").unlink(), "are no pair of pictures"),
+        (lambda f: (f / "1_d.png").write_bytes((f / "1_c.png").read_bytes()), "are no pair of pictures"),
+    ],
+)
+def test_the_program_refuses_with_a_sentence(folder, tmp_path, capsys, break_it, sentence):
+    program = pytest.importorskip("vision.ros.evaluate_program")
+    break_it(folder)
+    assert program.main(["--pictures", str(folder), "--panel", "single", "--output", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err
+    assert sentence in error and error.count("\n") == 1
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    "options", [["--units", "0"], ["--focal-error", "nan"], ["--depth-bias", "2"], ["--panel", "x"]]
+)
+def test_bad_options_of_the_program_are_named(capsys, options):
+    program = pytest.importorskip("vision.ros.evaluate_program")
+    with pytest.raises(SystemExit) as ended:
+        program.main(options)
+    assert ended.value.code == 2

@@ -1,0 +1,293 @@
+"""The nodes plane_pose and register_rgbd: what they publish, that they ask for nothing unasked, and how they end."""
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from tag_renderer import render
+
+from common.camera_model import DEPTH_FRAME, RGB_FRAME, from_calibration
+from common.poses import inverse, pose
+from common.rotations import rotation_about
+
+pytest.importorskip("rospy")
+pytestmark = pytest.mark.ros
+
+CONFIG = Path(__file__).parents[1] / "config"
+PLATE = 0.30
+TAGS = [(0, 0.1, 0, 0), *((i, 0.06, x, y) for i, x, y in ((1, -1, 1), (2, 1, 1), (3, -1, -1), (4, 1, -1)))]
+TAGS = [(i, size, 0.105 * x, 0.105 * y) for i, size, x, y in TAGS]
+TRUTH = pose(rotation_about(0, np.radians(160.0)), (0.03, -0.02, 0.9))
+T_RGB_DEPTH = pose(p=(-0.027, 0.0, 0.0))
+WALL = 2.0
+
+
+def load(name):
+    return yaml.safe_load((CONFIG / name).read_text())
+
+
+RGB, DEPTH = (from_calibration(load(f"xtion_{name}.yaml")) for name in ("rgb", "depth"))
+
+
+def depth_picture():
+    """The panel before a wall, as the infrared camera sees it, uint16 [mm]."""
+    T = inverse(T_RGB_DEPTH) @ TRUTH
+    rays = DEPTH.rays(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1))
+    z = (T[:3, 2] @ T[:3, 3]) / (rays @ T[:3, 2])
+    on_plate = np.abs((rays * z[..., None] - T[:3, 3]) @ T[:3, :2]).max(axis=-1) < PLATE / 2.0
+    return np.rint(1000.0 * np.where(on_plate, z, WALL)).astype(np.uint16)
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    grey = render(RGB, TRUTH, TAGS, PLATE)
+    return np.stack((grey, grey, grey), axis=-1), depth_picture()
+
+
+class Camera:
+    """Publishes a pair of pictures again and again, with a new stamp each time."""
+
+    def __init__(self, colour, depth):
+        import rospy
+        import tf2_ros
+        from sensor_msgs.msg import CameraInfo, Image
+
+        from common.ros.conversions import stamped_transform
+
+        self.colour, self.depth, self.late = colour, depth, 0.0
+        self.images = {name: rospy.Publisher(f"camera/{name}/image_raw", Image, queue_size=1) for name in MODELS}
+        self._infos = {name: rospy.Publisher(f"camera/{name}/camera_info", CameraInfo, queue_size=1) for name in MODELS}
+        self._static = tf2_ros.StaticTransformBroadcaster()
+        self._static.sendTransform(stamped_transform(T_RGB_DEPTH, RGB_FRAME, DEPTH_FRAME, rospy.Time.now()))
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def close(self):
+        self._ended.set()
+        self._thread.join(5.0)
+        for publisher in (*self.images.values(), *self._infos.values()):
+            publisher.unregister()
+
+    def _loop(self):
+        import rospy
+
+        from common.ros.images import camera_info_message, image_message
+
+        while not self._ended.wait(0.1):
+            stamp = rospy.Time.now()
+            for name, (model, frame) in MODELS.items():
+                at = stamp + rospy.Duration(self.late if name == "depth" else 0.0)
+                picture, encoding = (self.colour, "rgb8") if name == "rgb" else (self.depth, "16UC1")
+                self._infos[name].publish(camera_info_message(model, frame, at))
+                self.images[name].publish(image_message(picture, encoding, frame, at))
+
+
+MODELS = {"rgb": (RGB, RGB_FRAME), "depth": (DEPTH, DEPTH_FRAME)}
+
+
+@pytest.fixture
+def camera(ros, pictures):
+    made = Camera(*pictures)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def start(ros):
+    """Starts the node plane_pose with the package's parameters and changes to them."""
+    import rospy
+
+    def run(**changes):
+        values = {
+            "detector": {**load("settings.yaml"), **load("tags.yaml")},
+            "panel": load("panel.yaml"),
+            "plane_pose": load("plane_pose.yaml"),
+        }
+        for key, value in changes.items():
+            section, _, name = key.partition("/")
+            (values[section] if name else values).__setitem__(name or section, value)
+        rospy.set_param("plane_pose", values)
+        remaps = [f"{n}/{t}:=camera/{n}/{t}" for n in MODELS for t in ("image_raw", "camera_info")]
+        return ros.run("vision", "plane_pose_node.py", *remaps)
+
+    return run
+
+
+def diagnostics(ros, name):
+    """Returns a function that gives the message and the values of a node's last status."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+
+    def read() -> dict:
+        found = [s for array in arrays for s in array.status if s.name == name]
+        return {"message": found[-1].message, **{v.key: v.value for v in found[-1].values}} if found else {}
+
+    return read
+
+
+def test_the_panel_comes_fused_and_by_its_plane_in_topics_and_tf(ros, camera, start, wait_until):
+    import rospy
+    import tf2_ros
+
+    from apriltag_ros.msg import AprilTagDetectionArray
+    from common.ros.conversions import pose_from_message, pose_from_transform
+
+    arrays = {n: ros.record(f"tag_detections_{n}", AprilTagDetectionArray) for n in ("fused", "plane")}
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+    status = diagnostics(ros, "plane_pose")
+    start()
+    for name, messages in arrays.items():
+        message = messages.wait(2, 30.0)[-1]
+        (detection,) = message.detections
+        assert message.header.frame_id == detection.pose.header.frame_id == RGB_FRAME
+        assert list(detection.id) == [0, 1, 2, 3, 4]
+        np.testing.assert_allclose(pose_from_message(detection.pose.pose.pose), TRUTH, atol=3e-3)
+        assert np.linalg.eigvalsh(np.reshape(detection.pose.pose.covariance, (6, 6)))[0] > 0.0
+        frame = f"tag_frame/{name}"
+        wait_until(lambda frame=frame: buffer.can_transform(RGB_FRAME, frame, rospy.Time(0)), 15.0, frame)
+        found = buffer.lookup_transform(RGB_FRAME, frame, rospy.Time(0)).transform
+        np.testing.assert_allclose(pose_from_transform(found), TRUTH, atol=3e-3)
+    wait_until(lambda: status().get("message") == "the panel is seen with depth", 15.0, "the status")
+    assert float(status()["colour_to_fused_mm"]) < 5.0
+    listener.unregister()
+
+
+def test_without_depth_there_is_no_pose_but_a_reason_and_it_comes_back(ros, camera, start, pictures, wait_until):
+    from apriltag_ros.msg import AprilTagDetectionArray
+
+    fused = ros.record("tag_detections_fused", AprilTagDetectionArray)
+    status = diagnostics(ros, "plane_pose")
+    camera.depth = np.zeros_like(pictures[1])
+    process = start()
+    wait_until(lambda: "have a depth near it" in status().get("message", ""), 30.0, "the reason")
+    assert not any(message.detections for message in fused)
+    assert "No pose with depth" in process.log_path.read_text()
+    camera.colour = np.zeros_like(pictures[0])
+    wait_until(lambda: "no tag" in status()["message"], 15.0, "the reason")
+    camera.colour, camera.depth = pictures
+    wait_until(lambda: fused and fused[-1].detections, 15.0, "the pose")
+
+
+def test_what_does_not_belong_together_is_waited_for(ros, camera, start, wait_until):
+    status = diagnostics(ros, "plane_pose")
+    camera.late = 0.3
+    start()
+    wait_until(lambda: status().get("message") == "waits for pictures", 30.0, "the status")
+    camera.late = 0.0
+    wait_until(lambda: status().get("message") == "the panel is seen with depth", 30.0, "pairs")
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"panel/frame": "box"}, "not for the panel box"),
+        ({"plane_pose/noise": 0.0}, "~plane_pose/noise is 0"),
+        ({"plane_pose/nose": 1.0}, "~plane_pose/nose is not a known key"),
+        ({"detector/tag_family": "tag99"}, "~detector/tag_family is 'tag99'"),
+        ({"slop": -1.0}, "~slop is -1"),
+        ({"slip": 1.0}, "~slip is not a known key"),
+    ],
+)
+def test_plane_pose_ends_with_a_sentence(ros, start, change, sentence):
+    process = start(**change)
+    assert process.wait(60.0) == 1
+    log = process.log_path.read_text()
+    assert sentence in log
+    assert "Traceback" not in log
+
+
+def test_tags_out_of_the_plates_plane_are_refused(ros, start):
+    tags = load("tags.yaml")["tag_bundles"]
+    tags[0]["layout"][1]["z"] = 0.02
+    process = start(**{"detector/tag_bundles": tags})
+    assert process.wait(60.0) == 1
+    assert "do not lie in one plane" in process.log_path.read_text()
+
+
+def test_a_camera_that_is_absent_is_waited_for_and_an_interrupt_ends_it(ros, start, processes, wait_until):
+    status = diagnostics(ros, "plane_pose")
+    process = start()
+    wait_until(lambda: status().get("message") == "waits for pictures", 30.0, "the status")
+    assert processes.end(process) == 0
+    assert "Traceback" not in process.log_path.read_text()
+
+
+def test_registered_depth_and_cloud_come_only_while_somebody_listens(ros, camera, processes, wait_until):
+    import rospy
+    from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+    from common.ros.images import picture_from_image
+
+    process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
+    status = diagnostics(ros, "register_rgbd")
+    wait_until(lambda: status().get("message") == "Nobody listens.", 30.0, "the status")
+    assert camera.images["rgb"].get_num_connections() == 0
+    base = "depth_registered/sw_registered"
+    kinds = {
+        "depth_registered/points": PointCloud2,
+        "rgb/image_rect_color": Image,
+        f"{base}/image_rect_raw": Image,
+        f"{base}/image_rect": Image,
+        f"{base}/camera_info": CameraInfo,
+    }
+    newest = {}
+    subscribers = [
+        rospy.Subscriber(f"camera/{topic}", kind, lambda m, topic=topic: newest.update({topic: m}), queue_size=1)
+        for topic, kind in kinds.items()
+    ]
+    wait_until(lambda: len(newest) == len(kinds), 30.0, "all topics")
+    cloud, colour, raw, metric, info = (newest[topic] for topic in kinds)
+    assert (colour.encoding, raw.encoding, metric.encoding) == ("rgb8", "16UC1", "32FC1")
+    depth = picture_from_image(metric)
+    u, v = np.rint(RGB.rectified().project(TRUTH[:3, 3])).astype(int)
+    assert depth[v, u] == pytest.approx(TRUTH[2, 3], abs=0.005)
+    assert info.D == (0.0,) * 5
+    assert [(f.name, f.offset) for f in cloud.fields] == [("x", 0), ("y", 4), ("z", 8), ("rgb", 12)]
+    point = np.frombuffer(cloud.data, "<f4").reshape(480, 640, 4)[v, u]
+    np.testing.assert_allclose(point[:3], TRUTH[:3, 3], atol=0.006)
+    assert cloud.header.frame_id == metric.header.frame_id == RGB_FRAME
+    for subscriber in subscribers:
+        subscriber.unregister()
+    wait_until(lambda: camera.images["rgb"].get_num_connections() == 0, 15.0, "that the camera is left alone")
+    assert processes.end(process) == 0
+    assert "Traceback" not in process.log_path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("parameter", "sentence"), [("_slop:=2.0", "~slop is 2.0"), ("_slip:=0.1", "~slip is not a known key")]
+)
+def test_register_rgbd_ends_with_a_sentence(ros, parameter, sentence):
+    process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera", parameter)
+    assert process.wait(60.0) == 1
+    log = process.log_path.read_text()
+    assert sentence in log
+    assert "Traceback" not in log
+
+
+def test_a_picture_of_another_size_is_dropped_with_a_sentence(ros, camera, pictures, wait_until):
+    from sensor_msgs.msg import PointCloud2
+
+    camera.depth = pictures[1][:240, :320].copy()
+    clouds = ros.record("camera/depth_registered/points", PointCloud2)
+    process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
+    wait_until(lambda: "A pair of pictures was dropped" in process.log_path.read_text(), 30.0, "the sentence")
+    camera.depth = pictures[1]
+    clouds.wait(1, 30.0)
+
+
+def test_the_launch_files_start_what_they_name(ros, camera, wait_until):
+    from sensor_msgs.msg import PointCloud2
+
+    from apriltag_ros.msg import AprilTagDetectionArray
+
+    fused = ros.record("tag_detections_fused", AprilTagDetectionArray)
+    clouds = ros.record("camera/depth_registered/points", PointCloud2)
+    ros.launch("vision", "plane_pose.launch", camera="false")
+    ros.launch("vision", "register_rgbd.launch", camera="false", rviz="false")
+    wait_until(lambda: fused and fused[-1].detections, 40.0, "the panel")
+    clouds.wait(1, 40.0)
