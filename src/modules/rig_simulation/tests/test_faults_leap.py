@@ -323,9 +323,10 @@ def test_bursts_lose_nothing(frames):
     assert max(map(len, out)) == 10
 
 
-def test_low_rate_leaves_frames_out(frames):
-    frames.faults.switch("low_rate", value=10.0)
-    assert 9 <= sum(map(len, frames.next(128))) <= 11
+@pytest.mark.parametrize("rate", [10.0, 50.0])
+def test_low_rate_leaves_frames_out(frames, rate):
+    frames.faults.switch("low_rate", value=rate)
+    assert sum(map(len, frames.next(1280))) == pytest.approx(10.0 * rate, abs=2)
 
 
 def test_silent_for_a_share(frames):

@@ -57,7 +57,7 @@ class Stream:
         self._random = random.Random(0)
         self._waiting: DelayLine[str] = DelayLine()
         self._frozen: str | None = None
-        self._last = self._burst = float("-inf")
+        self._next = self._burst = float("-inf")
         self._hands = Hands()
 
     def pass_on(self, frame: str, now: float) -> list[str]:
@@ -65,9 +65,10 @@ class Stream:
         faults = self._faults.active()
         if "silent" in faults and self._random.random() < faults["silent"]:
             return []
-        if "low_rate" in faults and now < self._last + 1.0 / faults["low_rate"]:
-            return []
-        self._last = now
+        if "low_rate" in faults:
+            if now < self._next:
+                return []
+            self._next = max(self._next + 1.0 / faults["low_rate"], now)
         frame = self._hands.change(frame, faults)
         self._frozen = (self._frozen or frame) if "frozen" in faults else None
         frame = self._frozen or frame
