@@ -77,6 +77,7 @@ def test_a_good_calibration_is_accepted(config):
     X, Z, views = scene(3, 14, SD / 4)
     verdict = judge(views, X, config)
     assert verdict.accepted and not verdict.reasons
+    assert (verdict.size, verdict.ahead) == pytest.approx((1.0, 1.0), abs=0.005)
     assert verdict.sentence.startswith("The calibration is good: rms")
     np.testing.assert_allclose(verdict.result.T_base_camera[:3, 3], Z[:3, 3], atol=2e-3)
     assert len(table(verdict)) == 15
@@ -109,11 +110,22 @@ def test_wrong_views_are_counted(config):
         judge(views[:7], X, config)
 
 
-def test_a_panel_of_the_wrong_size_is_found(config):
-    """Tags that are printed 3 % too small look 3 % farther away."""
-    X, _, views = scene(3, 14, SD / 4)
-    scaled = [replace(v, T_camera_panel=pose(v.T_camera_panel[:3, :3], 1.03 * v.T_camera_panel[:3, 3])) for v in views]
-    assert not judge(scaled, X, config).accepted
+@pytest.mark.parametrize(
+    ("factors", "sentence"),
+    [
+        ((1.01, 1.01, 1.01), "All looks +1.0% too large, allowed are 0.4%: measure the tags."),
+        ((1.0, 1.0, 0.985), "The panel looks -1.5% too far ahead"),
+    ],
+)
+def test_a_wrong_size_or_focal_length_is_found(config, factors, sentence):
+    """Tags that are smaller than stated make all look larger; too great a focal length makes the panel look farther."""
+    X, _, views = scene(3, 30, SD / 8)
+    wrong = [
+        replace(v, T_camera_panel=pose(v.T_camera_panel[:3, :3], factors * v.T_camera_panel[:3, 3])) for v in views
+    ]
+    verdict = judge(wrong, X, config)
+    assert not verdict.accepted
+    assert sentence in verdict.sentence
 
 
 def test_a_record_survives_its_file(config):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from common.poses import inverse, pose
 from common.rotations import rotation_about
-from vision.hand_eye import Degenerate, View, camera_pose, information, leave_one_out, point_sd, solve
+from vision.hand_eye import Degenerate, View, camera_pose, information, leave_one_out, point_sd, scales, solve
 
 
 @settings(max_examples=25, deadline=None)
@@ -94,6 +94,22 @@ def test_the_inverse_covariance_is_the_sum_of_the_information():
     result = solve(views)
     total = sum(information(v.T_base_flange, X, Z, v.covariance) for v in views)
     np.testing.assert_allclose(np.linalg.inv(result.covariance), total, rtol=1e-3, atol=1e-3 * np.abs(total).max())
+
+
+@pytest.mark.parametrize(("size", "ahead"), [(1.0, 1.0), (0.98, 1.0), (1.0, 1.01), (1.01, 0.99)])
+def test_wrong_scales_are_seen_by_the_motion_of_the_arm(size, ahead):
+    _, _, views = scene(2, 20, SD / 4)
+    wrong = [
+        View(
+            v.T_base_flange,
+            pose(v.T_camera_panel[:3, :3], size * v.T_camera_panel[:3, 3] * (1.0, 1.0, ahead)),
+            v.covariance,
+        )
+        for v in views
+    ]
+    found, sds = scales(wrong, solve(wrong))
+    np.testing.assert_allclose(found, (size, ahead), atol=max(3.0 * sds.max(), 5e-4))
+    assert sds.max() < 0.02
 
 
 def test_one_view_and_a_known_panel():

@@ -14,7 +14,7 @@ import pinocchio as pin
 from common.config import integer, number
 from common.poses import inverse, pose
 from common.rotations import rotation_angle
-from vision.hand_eye import Degenerate, HandEye, View, leave_one_out, point_sd, solve
+from vision.hand_eye import Degenerate, HandEye, View, leave_one_out, point_sd, scales, solve
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class CalibrationConfig:
         "mm", above=0.0, high=50.0, doc="greatest standard deviation of a point at the panel"
     )
     max_turn_sd_deg: float = number("deg", above=0.0, high=10.0, doc="greatest standard deviation of the camera's turn")
+    max_scale: float = number(above=0.0, high=0.2, doc="greatest share by which size or distance may look wrong")
     max_panel_mm: float = number("mm", above=0.0, high=100.0, doc="farthest the panel may be from its drawing")
     max_panel_deg: float = number("deg", above=0.0, high=90.0, doc="likewise, turned")
 
@@ -65,6 +66,8 @@ class Verdict:
         predicted: each view's distance from what the others predict [mm, deg], shape (n, 2); nan where unknown.
         point_sd_mm: standard deviation of a point where the panel was in the middle of the views [mm].
         turn_sd_deg: standard deviation of the camera's turn [deg].
+        size: factor by which all looks too large, as with tags of another size than is stated.
+        ahead: factor by which the panel looks too far ahead, as with a wrong focal length.
         panel: how far the panel is from its drawing [mm, deg], shape (2,).
     """
 
@@ -75,6 +78,8 @@ class Verdict:
     predicted: np.ndarray
     point_sd_mm: float
     turn_sd_deg: float
+    size: float
+    ahead: float
     panel: np.ndarray
 
     @property
@@ -145,6 +150,7 @@ def judge(views: list[View], T_flange_panel: np.ndarray, config: CalibrationConf
     point = 1e3 * point_sd(result, middle)
     turn = float(np.degrees(np.sqrt(np.trace(result.covariance[9:, 9:]))))
     panel = np.array(_apart(T_flange_panel, result.T_flange_panel))
+    (size, ahead), sds = scales(views, result)
     count, share = int(result.fits.sum()), float(result.fits.mean())
     limits = (
         (count >= config.min_views, f"Only {count} views fit together, {config.min_views} are needed."),
@@ -164,13 +170,22 @@ def judge(views: list[View], T_flange_panel: np.ndarray, config: CalibrationConf
             "All hangs on one view: without it the flange turns about one axis only.",
         ),
         (
+            abs(size - 1.0) <= config.max_scale + 2.0 * sds[0],
+            f"All looks {size - 1.0:+.1%} too large, allowed are {config.max_scale:.1%}: measure the tags.",
+        ),
+        (
+            abs(ahead - 1.0) <= config.max_scale + 2.0 * sds[1],
+            f"The panel looks {ahead - 1.0:+.1%} too far ahead, allowed are {config.max_scale:.1%}: calibrate the "
+            "camera's focal length.",
+        ),
+        (
             panel[0] <= config.max_panel_mm and panel[1] <= config.max_panel_deg,
             f"The panel would sit {panel[0]:.1f} mm and {panel[1]:.1f} deg from its drawing, allowed are "
             f"{config.max_panel_mm:g} mm and {config.max_panel_deg:g} deg: check the sizes of the tags and the panel.",
         ),
     )
     reasons = tuple(sentence for holds, sentence in limits if not holds)
-    return Verdict(result, not reasons, reasons, rms, predicted, point, turn, panel)
+    return Verdict(result, not reasons, reasons, rms, predicted, point, turn, float(size), float(ahead), panel)
 
 
 def table(verdict: Verdict) -> list[str]:

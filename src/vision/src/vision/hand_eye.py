@@ -126,6 +126,27 @@ def leave_one_out(views: list[View], result: HandEye) -> np.ndarray:
     return predicted
 
 
+def scales(views: list[View], result: HandEye) -> tuple[np.ndarray, np.ndarray]:
+    """Returns what the arm's motion tells of the camera: two factors, shape (2,), and their standard deviations.
+
+    The first is by how much everything looks too large: 1 but for tags of another size than is stated. The second is by
+    how much the panel looks too far ahead: 1 but for a wrong focal length, which leaves its shift sideways as it is.
+    """
+    X, Z = result.T_flange_panel, result.T_base_camera
+    rows, errors = [], []
+    for view, fits in zip(views, result.fits):
+        if fits:
+            W, p = _whitening(view), view.T_camera_panel[:3, 3]
+            change = np.zeros((6, 2))
+            change[:3, 0], change[2, 1] = p, p[2]
+            rows.append(W @ np.hstack((_error_jacobian(view, X, Z), change)))
+            errors.append(W @ _error(view, X, Z))
+    J = np.concatenate(rows)
+    too_much = -np.linalg.lstsq(J, np.concatenate(errors), rcond=None)[0][-2:]
+    variances = np.diag(np.linalg.inv(J.T @ J))[-2:] * max(1.0, result.chi2_ratio)
+    return 1.0 + too_much, np.sqrt(variances)
+
+
 def point_sd(result: HandEye, point) -> float:
     """Returns the standard deviation of a point that the camera measured exactly, in the base [m].
 
@@ -197,7 +218,7 @@ def _nearest_rotation(M: np.ndarray) -> np.ndarray:
 
 def _least_squares(views: list[View], X: np.ndarray, Z: np.ndarray):
     """Returns T_flange_panel, T_base_camera, their covariance, and the mean weighed square of the errors."""
-    whitenings = [np.linalg.inv(np.linalg.cholesky(_floored(view.covariance))) for view in views]
+    whitenings = [_whitening(view) for view in views]
     for _ in range(MAX_STEPS):
         J = np.concatenate([W @ _error_jacobian(view, X, Z) for W, view in zip(whitenings, views)])
         e = np.concatenate([W @ _error(view, X, Z) for W, view in zip(whitenings, views)])
@@ -207,6 +228,11 @@ def _least_squares(views: list[View], X: np.ndarray, Z: np.ndarray):
             break
     freedom = max(6 * len(views) - 12, 1)
     return X, Z, np.linalg.inv(J.T @ J), float(e @ e / freedom)
+
+
+def _whitening(view: View) -> np.ndarray:
+    """Returns the matrix that makes the view's errors independent, with standard deviation 1, shape (6, 6)."""
+    return np.linalg.inv(np.linalg.cholesky(_floored(view.covariance)))
 
 
 def _error(view: View, X: np.ndarray, Z: np.ndarray) -> np.ndarray:

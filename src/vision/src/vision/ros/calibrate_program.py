@@ -217,6 +217,9 @@ def _conclude(options: argparse.Namespace, setup: CalibrationSetup, views: list[
         raise Refused(f"There is no calibration: {error}. The one before stays.") from None
     print("\n".join(table(verdict)))
     print(f"The panel sits {verdict.panel[0]:.2f} mm and {verdict.panel[1]:.2f} deg from its drawing.")
+    print(
+        f"By the arm's motion sizes look {verdict.size - 1.0:+.2%} and distances {verdict.ahead - 1.0:+.2%} too large."
+    )
     found = setup.store.newest()
     new = verdict.result.T_base_camera
     comparison = Comparison()
