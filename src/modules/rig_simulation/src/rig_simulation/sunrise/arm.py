@@ -25,6 +25,8 @@ PAUSE_TIME_S = 0.25
 """A planned motion is brought to a stop, and to its speed again, in this time."""
 SAFETY_PERIOD_STEPS = 4
 MAX_CATCH_UP_S = 1.0
+MAX_CATCH_UP_AMONG_THINGS_S = 0.05
+"""Steps among things take longer, and whoever asks waits until they are made up for: rather lose time than lag."""
 BACK_OFF_SPEED_RAD_S = 0.05
 BACK_OFF_SHARE = 0.1
 """A planned motion is backed off at this share of its speed."""
@@ -124,10 +126,12 @@ class Arm:
     def advance(self, now: float) -> None:
         """Moves the arm up to the time `now` [s].
 
-        A program that was held up for longer than `MAX_CATCH_UP_S` catches up no more than that.
+        A program that was held up for longer than `MAX_CATCH_UP_S` (among things: `MAX_CATCH_UP_AMONG_THINGS_S`) catches
+        up no more than that.
         """
-        if self.time is None or now - self.time > MAX_CATCH_UP_S + CYCLE_S:
-            self.time = now if self.time is None else now - MAX_CATCH_UP_S
+        longest = MAX_CATCH_UP_S if self._surroundings is None else MAX_CATCH_UP_AMONG_THINGS_S
+        if self.time is None or now - self.time > longest + CYCLE_S:
+            self.time = now if self.time is None else now - longest
         if self.asleep:
             self.time = max(self.time, now)
             return

@@ -69,7 +69,7 @@ class Robot:
         pin.forwardKinematics(self._model, self._data, q, v)
         motion = self._data.v[self._last_joint]
         point = self._flange_in_joint.act(T_flange_tool[:3, 3])
-        return float(np.linalg.norm(motion.linear + np.cross(motion.angular, point)))
+        return float(np.linalg.norm(pin.SE3(np.eye(3), point).actInv(motion).linear))
 
     def jacobian(self, q: np.ndarray, T_flange_tool: np.ndarray) -> np.ndarray:
         """Returns the geometric Jacobian at the tool point, in the tool's axes, shape (6, 7); rows 0-2 linear."""

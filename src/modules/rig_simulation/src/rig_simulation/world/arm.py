@@ -27,10 +27,11 @@ class ArmJoints(Part):
 
     def __init__(self, world: World) -> None:
         self._world = world
+        self._timestep = world.timestep
         self._stiffness, self._damping = np.array(ARM_STIFFNESS), np.array(ARM_DAMPING)
         self._q = self._v = self._v_next = np.zeros(7)
         self._torque = np.zeros(7)
-        self._observer_share = world.timestep / (OBSERVER_TIME_S + world.timestep)
+        self._observer_share = self._timestep / (OBSERVER_TIME_S + self._timestep)
         world.add(self)
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
@@ -42,31 +43,38 @@ class ArmJoints(Part):
         Raises:
             ValueError: dt is not the world's time step [s].
         """
-        if abs(dt - self._world.timestep) > 1e-9:
-            raise ValueError(f"the arm moves in steps of {dt} s, the world in steps of {self._world.timestep} s")
+        if abs(dt - self._timestep) > 1e-9:
+            raise ValueError(f"the arm moves in steps of {dt} s, the world in steps of {self._timestep} s")
         self._v_next = v
         self._world.step()
         self._q, self._v = q, v
-        torque = -self._spring(q) - self._damping * (v - self._world.data.qvel[self._dofs])
+        torque = -self._spring() - self._damping * (v - self._joint_v)
         self._torque = self._torque + self._observer_share * (torque - self._torque)
         return self._torque
 
     def bind(self, world: World) -> None:
         """Takes the world's model and state."""
-        joints = [world.model.joint(name) for name in JOINTS]
-        self._qpos = np.array([joint.qposadr[0] for joint in joints])
-        self._dofs = np.array([joint.dofadr[0] for joint in joints])
-        self._strongest = world.model.jnt_actfrcrange[[joint.id for joint in joints], 1]
-        self._accelerations, self._efforts = np.zeros(world.model.nv), np.zeros(world.model.nv)
+        model, data = world.model, world.data
+        joints = [model.joint(name) for name in JOINTS]
+        qpos, dofs = (_run([j.qposadr[0] for j in joints]), _run([j.dofadr[0] for j in joints]))
+        self._strongest = model.jnt_actfrcrange[[joint.id for joint in joints], 1]
+        # Views of the state: they show and set what is there now.
+        self._joint_q, self._joint_v = data.qpos[qpos], data.qvel[dofs]
+        self._bias, self._applied = data.qfrc_bias[dofs], data.qfrc_applied[dofs]
+        self._all_a, self._all_efforts = np.zeros(model.nv), np.zeros(model.nv)
+        self._a, self._efforts = self._all_a[dofs], self._all_efforts[dofs]
 
     def before_step(self) -> None:
         """Writes the efforts of the drives; the damping acts in the physics, at the speed after the step."""
-        model, data = self._world.model, self._world.data
-        self._accelerations[self._dofs] = (self._v_next - self._v) / self._world.timestep
-        mujoco.mj_mulM(model, data, self._efforts, self._accelerations)
-        held = self._efforts[self._dofs] + data.qfrc_bias[self._dofs]
-        data.qfrc_applied[self._dofs] = held + self._spring(self._q) + self._damping * self._v_next
+        self._a[:] = (self._v_next - self._v) / self._timestep
+        mujoco.mj_mulM(self._world.model, self._world.data, self._all_efforts, self._all_a)
+        self._applied[:] = self._efforts + self._bias + self._spring() + self._damping * self._v_next
 
-    def _spring(self, q: np.ndarray) -> np.ndarray:
-        torque = self._stiffness * (q - self._world.data.qpos[self._qpos])
+    def _spring(self) -> np.ndarray:
+        torque = self._stiffness * (self._q - self._joint_q)
         return np.minimum(np.maximum(torque, -self._strongest), self._strongest)
+
+
+def _run(addresses: list[int]) -> slice:
+    """Returns addresses that follow each other as a slice."""
+    return slice(int(addresses[0]), int(addresses[-1]) + 1)
