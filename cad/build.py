@@ -13,7 +13,7 @@ from cad.dimensions import PARTS
 from cad.drawing import Sheet
 
 STL_SAGITTA, STL_ANGLE = 0.015, 0.4
-SCALES = {"panel_bracket": 0.5}
+SCALES = {"panel_bracket": 0.5, "centring_sleeve": 2.0}
 
 
 def build(part: str) -> None:

@@ -38,6 +38,7 @@ FLANGE_OUTER = 63.0
 FLANGE_BODY = 100.0  # rig_description: MEDIA_FLANGE_RADIUS
 DOWEL_PILOT = 5.8
 """To be reamed to 6 H7."""
+DOWEL_DEPTH = 9.0
 DOWELS = (0.0, 90.0, 180.0, 270.0)
 """The dowel stands in one of these directions, whichever the arm's flange has: the parts take it in each."""
 

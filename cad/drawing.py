@@ -47,7 +47,7 @@ class Sheet:
 
     Args:
         name, title: of the part.
-        scale: 1.0 or smaller.
+        scale: 0.5 draws half as large.
         note: what stands in the title block besides.
     """
 
@@ -110,7 +110,7 @@ class Sheet:
         self.path("thin", [(left, top + 8), (right, top + 8)])
         self.text(left + 3, top + 5.8, self._title, "start", "title")
         self.text(right - 3, top + 5.8, self._name, "end")
-        scale = "1:1" if self.scale == 1.0 else f"1:{1 / self.scale:g}"
+        scale = f"1:{1 / self.scale:g}" if self.scale < 1.0 else f"{self.scale:g}:1"
         self.text(left + 3, top + 12.8, f"scale {scale} · mm · {self._note}", "start")
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH:g}mm" height="{HEIGHT:g}mm" '

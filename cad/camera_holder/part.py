@@ -38,9 +38,13 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     front.horizontal(-d.FOOT_GAP / 2, d.FOOT_GAP / 2, -d.CRADLE_FLOOR, -17, from_v=-d.FOOT_DEPTH)
     side = sheet.section(part, "x", (210, 55), "section")
     side.horizontal(-BACK, BACK, d.CRADLE_LIP_HEIGHT, 8)
-    side.leader((0, -d.CRADLE_FLOOR + 3), (14, -14), ["Ø8, 13.5 deep, insert 1/4″-20"])
+    side.leader(
+        (0, -d.CRADLE_FLOOR + 3),
+        (14, -14),
+        [f"Ø{d.QUARTER_INSERT_HOLE:g}, {d.QUARTER_INSERT_DEPTH:g} deep, insert 1/4″-20"],
+    )
     top = sheet.view(part, "z", (80, 145), "from above")
     top.vertical(half, -BACK - d.CRADLE_LIP, BACK + d.CRADLE_BACK, 10)
     back = sheet.view(part, "y", (215, 140), "from behind")
-    back.leader((d.JAW_SCREWS, SLOT[1]), (-8, 24), ["2 slots Ø4.5, 8 long"])
+    back.leader((d.JAW_SCREWS, SLOT[1]), (-8, 24), [f"2 slots Ø{d.M4_HOLE:g}, {SLOT[1] - SLOT[0]:g} long"])
     back.vertical(-half, 0.0, SLOT[0], -8, from_u=-d.JAW_SCREWS)

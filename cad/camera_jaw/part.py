@@ -27,7 +27,7 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     back.horizontal(-half, half, d.JAW_THICKNESS, 8)
     back.horizontal(-d.JAW_SCREWS, d.JAW_SCREWS, -d.JAW_FLANGE, -8, from_v=-d.JAW_SCREW_BELOW)
     back.vertical(half, -d.JAW_SCREW_BELOW, 0.0, 8, from_u=d.JAW_SCREWS)
-    back.leader((-d.JAW_SCREWS, -d.JAW_SCREW_BELOW), (-16, -18), ["2 × Ø4.5"])
+    back.leader((-d.JAW_SCREWS, -d.JAW_SCREW_BELOW), (-16, -18), [f"2 × Ø{d.M4_HOLE:g}"])
     side = sheet.section(part, "x", (200, 70), "section", 15)
     side.horizontal(-d.JAW_REACH, 0.0, d.JAW_THICKNESS, 8)
     side.vertical(d.CRADLE_BACK + d.JAW_THICKNESS, -d.JAW_FLANGE, d.JAW_THICKNESS, 8)

@@ -17,9 +17,9 @@ def solid() -> cq.Workplane:
 
 def draw(part: cq.Workplane, sheet: Sheet) -> None:
     """Draws the part."""
-    front = sheet.view(part, "z", (85, 95), "along the axis")
-    front.horizontal(-d.BORE / 2, d.BORE / 2, 0, -24, f"Ø{d.BORE:g}")
-    section = sheet.section(part, "y", (195, 95), "section")
+    front = sheet.view(part, "z", (80, 90), "along the axis", 17)
+    front.horizontal(-d.BORE / 2, d.BORE / 2, 0, -42, f"Ø{d.BORE:g}")
+    section = sheet.section(part, "y", (205, 95), "section", 18)
     section.vertical((d.FLANGE_CENTRING - d.FIT) / 2, 0.0, d.SLEEVE_LENGTH, 8)
     half = (d.FLANGE_CENTRING - d.FIT) / 2
-    section.horizontal(-half, half, 0.0, -10, f"Ø{2 * half:g} into 31.5 H7")
+    section.horizontal(-half, half, 0.0, -10, f"Ø{2 * half:g} into {d.FLANGE_CENTRING:g} H7")

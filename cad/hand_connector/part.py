@@ -36,12 +36,22 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     front.diameter((0, 0), d.CONNECTOR_OUTER, -35, f"Ø{d.CONNECTOR_OUTER:g}")
     front.circle((0, 0), d.HAND_CIRCLE)
     front.circle((0, 0), d.JOINT_CIRCLE)
-    front.leader(on_circle(d.HAND_CIRCLE, [120])[0], (-14, 26), ["3 × Ø6.6 on Ø65"])
-    front.leader(on_circle(d.JOINT_CIRCLE, [60])[0], (20, 24), ["3 × Ø5.5 on Ø70,", "countersunk 90° Ø11.2"])
-    front.leader((0, -d.CONNECTOR_OUTER / 2 + 4), (-16, -12), ["way of the cables, 14 × 9"])
+    front.leader(on_circle(d.HAND_CIRCLE, [120])[0], (-14, 26), [f"3 × Ø{d.M6_HOLE:g} on Ø{d.HAND_CIRCLE:g}"])
+    front.leader(
+        on_circle(d.JOINT_CIRCLE, [60])[0],
+        (20, 24),
+        [f"3 × Ø{d.M5_HOLE:g} on Ø{d.JOINT_CIRCLE:g},", f"countersunk 90° Ø{d.M5_COUNTERSINK:g}"],
+    )
+    front.leader(
+        (0, -d.CONNECTOR_OUTER / 2 + 4), (-16, -12), [f"way of the cables, {d.CABLE_WIDTH:g} × {d.CABLE_DEPTH:g}"]
+    )
 
     back = sheet.view(part, "-z", (215, 78), "from the arm", 14)
-    back.leader(back.seen(on_circle(d.HAND_CIRCLE, [120])[0]), (2, 26), ["3 nuts M6, 10.25 wide, 5.5 deep"])
+    back.leader(
+        back.seen(on_circle(d.HAND_CIRCLE, [120])[0]),
+        (2, 26),
+        [f"3 nuts M6, {d.M6_NUT_WIDTH + d.NUT_PLAY:g} wide, {d.HAND_NUT_POCKET:g} deep"],
+    )
     back.horizontal(-d.HAND_BORE / 2, d.HAND_BORE / 2, 0, -52, f"Ø{d.HAND_BORE:g}")
 
     rim = d.CONNECTOR_OUTER / 2

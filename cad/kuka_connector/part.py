@@ -19,7 +19,7 @@ def solid() -> cq.Workplane:
     screws = on_circle(d.FLANGE_CIRCLE, d.FLANGE_SCREWS)
     body = body.cut(rod(d.M6_HOLE, 0.0, d.SCREW_FLOOR - d.MEMBRANE, screws))
     body = body.cut(rod(d.SCREW_POCKET, d.SCREW_FLOOR, top, screws))
-    body = body.cut(rod(d.DOWEL_PILOT, 0.0, 9.0, on_circle(d.FLANGE_CIRCLE, d.DOWELS)))
+    body = body.cut(rod(d.DOWEL_PILOT, 0.0, d.DOWEL_DEPTH, on_circle(d.FLANGE_CIRCLE, d.DOWELS)))
 
     steps = [d.JOINT_STEP * i for i in range(round(360.0 / d.JOINT_STEP))]
     joints = on_circle(d.JOINT_CIRCLE, steps)
@@ -32,17 +32,34 @@ def solid() -> cq.Workplane:
 
 def draw(part: cq.Workplane, sheet: Sheet) -> None:
     """Draws the part."""
+    count = round(360.0 / d.JOINT_STEP)
     front = sheet.view(part, "z", (80, 78), "from the hand")
     front.diameter((0, 0), d.CONNECTOR_OUTER, -35, f"Ø{d.CONNECTOR_OUTER:g}")
     front.circle((0, 0), d.FLANGE_CIRCLE)
     front.circle((0, 0), d.JOINT_CIRCLE)
-    front.leader(on_circle(d.FLANGE_CIRCLE, [135])[0], (-12, 36), ["4 × Ø6.6, pocket Ø13", "on Ø50, at 45°"])
-    front.leader(on_circle(d.JOINT_CIRCLE, [60])[0], (12, 26), ["12 × Ø5.5 on Ø70, every 30°"])
+    front.leader(
+        on_circle(d.FLANGE_CIRCLE, [135])[0],
+        (-12, 36),
+        [f"4 × Ø{d.M6_HOLE:g}, pocket Ø{d.SCREW_POCKET:g}", f"on Ø{d.FLANGE_CIRCLE:g}, at 45°"],
+    )
+    front.leader(
+        on_circle(d.JOINT_CIRCLE, [60])[0],
+        (12, 26),
+        [f"{count} × Ø{d.M5_HOLE:g} on Ø{d.JOINT_CIRCLE:g}, every {d.JOINT_STEP:g}°"],
+    )
     front.leader((d.CONNECTOR_OUTER / 2 - 1, 0), (12, 8), ["mark: flange's x"])
 
     back = sheet.view(part, "-z", (215, 78), "from the flange")
-    back.leader(back.seen(on_circle(d.JOINT_CIRCLE, [60])[0]), (-2, 19), ["12 nuts M5, 8.25 wide, 5 deep"])
-    back.leader(back.seen(on_circle(d.FLANGE_CIRCLE, [270])[0]), (42, -24), ["4 × Ø5.8, 9 deep,", "reamed to 6 H7"])
+    back.leader(
+        back.seen(on_circle(d.JOINT_CIRCLE, [60])[0]),
+        (-2, 19),
+        [f"{count} nuts M5, {d.M5_NUT_WIDTH + d.NUT_PLAY:g} wide, {d.JOINT_NUT_POCKET:g} deep"],
+    )
+    back.leader(
+        back.seen(on_circle(d.FLANGE_CIRCLE, [270])[0]),
+        (42, -24),
+        [f"4 × Ø{d.DOWEL_PILOT:g}, {d.DOWEL_DEPTH:g} deep,", "reamed to 6 H7"],
+    )
     back.leader((0, d.FLANGE_CENTRING / 2), (26, 34), [f"spigot Ø{d.FLANGE_CENTRING - d.FIT:g} into 31.5 H7"])
 
     section = sheet.section(part, "y", (80, 160), "section through the axis")
@@ -53,5 +70,9 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     cut = sheet.section(part, "diagonal", (215, 160), "section at 45°")
     cut.vertical(-rim, 0.0, d.SCREW_FLOOR, -10)
     cut.horizontal(
-        d.FLANGE_CIRCLE / 2 - d.SCREW_POCKET / 2, d.FLANGE_CIRCLE / 2 + d.SCREW_POCKET / 2, d.KUKA_CONNECTOR, 9, "Ø13"
+        d.FLANGE_CIRCLE / 2 - d.SCREW_POCKET / 2,
+        d.FLANGE_CIRCLE / 2 + d.SCREW_POCKET / 2,
+        d.KUKA_CONNECTOR,
+        9,
+        f"Ø{d.SCREW_POCKET:g}",
     )

@@ -40,9 +40,13 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     top.vertical(length / 2, -width / 2, width / 2, 16)
     top.vertical(length / 2, -POCKET[1] / 2, POCKET[1] / 2, 8, f"{POCKET[1]:g}", from_u=POCKET[0] / 2)
     top.vertical(-length / 2, d.LEAP_FEET[0][1], d.LEAP_FEET[1][1], -8, from_u=d.LEAP_FEET[0][0])
-    top.leader((d.LEVEL_PLACE[0] - 5, d.LEVEL_PLACE[1] - 4), (-26, -18), ["Ø15.4, 5 deep, bubble level"])
+    top.leader(
+        (d.LEVEL_PLACE[0] - 5, d.LEVEL_PLACE[1] - 4),
+        (-26, -18),
+        [f"Ø{d.LEVEL_DIAMETER:g}, {d.LEVEL_DEPTH:g} deep, bubble level"],
+    )
     top.leader((28, -37), (18, -17), ["to the person"])
-    top.leader(d.LEAP_FEET[2], (26, -26), ["3 × Ø5.5,", "nuts M5 below"])
+    top.leader(d.LEAP_FEET[2], (26, -26), [f"3 × Ø{d.M5_HOLE:g},", "nuts M5 below"])
     section = sheet.section(part, "y", (105, 168), "section")
     section.vertical(length / 2, 0.0, thick, 8)
     section.vertical(length / 2, thick, thick + d.LEAP_POCKET, 8, from_u=POCKET[0] / 2 + d.LEAP_WALL)

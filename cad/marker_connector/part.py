@@ -33,7 +33,11 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     front = sheet.view(part, "z", (82, 100), "from the hand", 6)
     front.circle((0, 0), d.FLANGE_CIRCLE)
     front.diameter((0, 0), d.CONNECTOR_OUTER, -50, f"Ø{d.CONNECTOR_OUTER:g}")
-    front.leader(on_circle(d.FLANGE_CIRCLE, [225])[0], (-8, -40), ["4 × Ø6.6 on Ø50,", "4 × Ø5.8 on Ø50, to 6 H7"])
+    front.leader(
+        on_circle(d.FLANGE_CIRCLE, [225])[0],
+        (-8, -40),
+        [f"4 × Ø{d.M6_HOLE:g} and 4 × Ø{d.DOWEL_PILOT:g}", f"(to 6 H7) on Ø{d.FLANGE_CIRCLE:g}"],
+    )
     front.leader((0, -d.FLANGE_CENTRING / 2), (26, -44), [f"Ø{d.FLANGE_CENTRING + d.FIT:g}"])
     front.vertical(-d.PAD_WIDTH / 2, 0.0, d.PAD_FACE, -6, from_u=-d.CONNECTOR_OUTER / 2)
     front.leader((d.CONNECTOR_OUTER / 2 - 1, 0), (14, -14), ["mark: flange's x"])
@@ -44,7 +48,7 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     pad.vertical(d.PAD_WIDTH / 2, 0.0, d.PAD_SCREWS[0][1], 8, from_u=xs[1])
     pad.vertical(d.PAD_WIDTH / 2, 0.0, d.PAD_SCREWS[2][1], 15, from_u=xs[1])
     pad.vertical(d.PAD_WIDTH / 2, 0.0, d.PAD_HEIGHT, 22)
-    pad.leader((xs[0], d.PAD_SCREWS[0][1]), (16, 8), ["4 × Ø4.5"])
+    pad.leader((xs[0], d.PAD_SCREWS[0][1]), (16, 8), [f"4 × Ø{d.M4_HOLE:g}"])
     pad.horizontal(-d.PAD_WIDTH / 2, d.PAD_WIDTH / 2, 0.0, -9)
 
     side = sheet.section(part, "x", (210, 172), "section", 14)

@@ -39,7 +39,7 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     back.vertical(half, -half, half, 16)
     back.vertical(half, 0.0, vs[1], 8, from_u=us[1])
     back.vertical(-half, vs[0], 0.0, -8, from_u=us[0])
-    back.leader((us[0], vs[0]), (10, -46), ["4 × Ø5.6, 6 deep, inserts M4"])
+    back.leader((us[0], vs[0]), (10, -46), [f"4 × Ø{d.M4_INSERT_HOLE:g}, {d.M4_INSERT_DEPTH:g} deep, inserts M4"])
     back.cross((0, 0))
     side = sheet.view(part, "edge", (210, 98), "side", 16)
     side.horizontal(-DEPTH, 0.0, half, 8)

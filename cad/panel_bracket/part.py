@@ -31,7 +31,7 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     front.horizontal(-end, end, end, 16)
     front.vertical(end, -screw, screw, 10, from_u=0.0)
     front.vertical(-end, -d.PANEL_BEYOND, end, -8)
-    front.leader((-screw, 0), (6, 26), ["4 × Ø5.6, 6 deep", "inserts M4, plate"])
+    front.leader((-screw, 0), (6, 26), [f"4 × Ø{d.M4_INSERT_HOLE:g}, {d.M4_INSERT_DEPTH:g} deep", "inserts M4, plate"])
     front.cross((0, 0))
     back = sheet.view(part, "-z", (215, 90), "from the arm", 14)
     us = sorted({u for u, _ in HOLES})
@@ -39,6 +39,8 @@ def draw(part: cq.Workplane, sheet: Sheet) -> None:
     back.horizontal(us[0], us[1], -d.PANEL_BEYOND, -8, f"{us[1] - us[0]:g}", from_v=vs[0])
     back.vertical(end, vs[0], 0.0, 6, from_u=us[1])
     back.vertical(-end, vs[1], 0.0, -8, from_u=us[0])
-    back.leader((us[1], vs[0]), (16, -16), ["4 × Ø5.6, 6 deep", "inserts M4, pad"])
+    back.leader(
+        (us[1], vs[0]), (16, -16), [f"4 × Ø{d.M4_INSERT_HOLE:g}, {d.M4_INSERT_DEPTH:g} deep", "inserts M4, pad"]
+    )
     edge = sheet.view(part, "y", (80, 168), "edge")
     edge.vertical(end, -d.BRACKET_THICKNESS, 0.0, 8)
