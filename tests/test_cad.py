@@ -223,6 +223,12 @@ class TestNumbersOfTheRig:
         assert values["tool_length"] == pytest.approx(d.TOOL_LENGTH / 1000)
         assert d.TOOL_LENGTH_WITH_RING - d.TOOL_LENGTH == d.RING
 
+    def test_readme_says_the_numbers_that_others_copy(self):
+        text = (manifest.FOLDER / "README.md").read_text()
+        assert f"**{d.TOOL_LENGTH_WITH_RING / 1000:g} m**" in text
+        for beyond in (d.SINGLE_BEYOND, d.PANEL_BEYOND):
+            assert f"`[0, {d.TAG_DISTANCE / 1000:g}, {beyond / 1000:g}]` m in the flange" in text
+
     def test_tags_are_those_of_the_simulation_and_of_the_detector(self):
         single, large = (
             yaml.safe_load((ROOT / f"src/modules/rig_simulation/config/panels/{name}.yaml").read_text())
