@@ -126,8 +126,8 @@ class Arm:
     def advance(self, now: float) -> None:
         """Moves the arm up to the time `now` [s].
 
-        A program that was held up for longer than `MAX_CATCH_UP_S` (among things: `MAX_CATCH_UP_AMONG_THINGS_S`) catches
-        up no more than that.
+        A program that was held up for longer than `MAX_CATCH_UP_S`, or among things `MAX_CATCH_UP_AMONG_THINGS_S`,
+        catches up no more than that.
         """
         longest = MAX_CATCH_UP_S if self._surroundings is None else MAX_CATCH_UP_AMONG_THINGS_S
         if self.time is None or now - self.time > longest + CYCLE_S:
