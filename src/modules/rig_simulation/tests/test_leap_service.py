@@ -277,3 +277,19 @@ def test_bad_arguments_are_refused(arguments, capsys):
 
 def test_negative_offsets_can_be_given():
     assert parse(["--offset", "-50", "190", "-0.5", "__name:=leapd"]).offset == [-50.0, 190.0, -0.5]
+
+
+def test_a_machine_that_cannot_keep_up_sends_fewer_frames_but_never_none(monkeypatch, start):
+    play = Playback.next
+
+    def slow(playback):
+        time.sleep(0.02)
+        return play(playback)
+
+    monkeypatch.setattr(Playback, "next", slow)
+    with client_of(start()) as connection:
+        receive(connection), receive(connection)
+        for _ in range(3):
+            begin = receive(connection)["timestamp"]
+            while receive(connection)["timestamp"] < begin + 100_000:
+                pass

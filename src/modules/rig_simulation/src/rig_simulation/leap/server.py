@@ -26,6 +26,8 @@ from rig_simulation.leap.playback import Playback
 
 LATE_S = 0.05
 """Frames that are later than this are not sent: the clock does not wait for a busy machine."""
+LONGEST_LAG_S = 0.5
+"""Time that a machine is behind by more than this is lost: frames come seldom, where none would be in time any more."""
 
 CLOSE_TIMEOUT_S = 0.5
 LONGEST_SLEEP_S = 0.2
@@ -140,7 +142,9 @@ class LeapService:
             self._follow_faults()
             played = self._playback.next()
             due = start + played.time
-            late = time.monotonic() - due > LATE_S
+            behind = time.monotonic() - due
+            late = LATE_S < behind < LONGEST_LAG_S
+            start += behind if behind >= LONGEST_LAG_S else 0.0
             await self._sleep_until(due)
             if self._attached and not late:
                 frames = self._stream.pass_on(played.text, due)
