@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from tag_renderer import CODES, cells, render
 
-from apriltag_ros.families import pattern
 from apriltag_ros.finder import TagFinder
-from apriltag_ros.settings import detector_settings
+from apriltag_ros.settings import FAMILIES, detector_settings
 from apriltag_ros.target import CORNERS
 from common.camera_model import pinhole
 from common.poses import pose
@@ -31,15 +30,19 @@ def straight():
     return pinhole("straight", 640, 480, [[525.0, 0, 319.5], [0, 525.0, 239.5], [0, 0, 1]])
 
 
-def test_patterns_are_the_published_ones():
-    detector = apriltag.Detector(apriltag.DetectorOptions())
-    golden = np.array([[c == "1" for c in row] for row in ZERO])
-    np.testing.assert_array_equal(pattern(detector, "tag36h11", 0)[1:-1, 1:-1], golden)
-    for tag in range(len(CODES)):
-        np.testing.assert_array_equal(pattern(detector, "tag36h11", tag)[1:-1, 1:-1], cells(tag))
-    assert pattern(detector, "tag36h11", 3)[0].all()
-    with pytest.raises(ValueError, match="0 to 586"):
-        pattern(detector, "tag36h11", 587)
+def test_the_rendered_patterns_are_the_published_ones():
+    np.testing.assert_array_equal(cells(0), [[c == "1" for c in row] for row in ZERO])
+
+
+def test_every_rendered_tag_is_read_without_a_wrong_bit(finder, straight):
+    row = [(tag, 0.06, 0.08 * (tag - 2), 0.0) for tag in range(len(CODES))]
+    found = finder.find(render(straight, pose(FACING @ rotation_about(2, 0.1), (0, 0, 0.7)), row, 0.5))
+    assert sorted((tag.id, tag.hamming) for tag in found) == [(tag, 0) for tag in range(len(CODES))]
+
+
+def test_the_library_knows_the_families():
+    known = {name.decode() for name in apriltag.Detector(apriltag.DetectorOptions()).families}
+    assert set(FAMILIES) == known
 
 
 @pytest.mark.parametrize("turn", [0, 90, 180, 270, 37])

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from apriltag_ros.families import CELLS
 from apriltag_ros.target import TagPlace, Target
 from common.config import choice, flag, integer, number, parse, text
 from common.errors import ConfigError
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
+
+FAMILIES = ("tag36h11", "tag36h10", "tag36artoolkit", "tag25h9", "tag25h7", "tag16h5")
+"""What the library can read."""
 
 DEFAULTS = {
     "tag_family": "tag36h11",
@@ -37,7 +39,7 @@ DEFAULTS = {
 class DetectorSettings:
     """How tags are looked for. Keys that the detection library cannot honour may only have the value it works with."""
 
-    tag_family: str = choice(*CELLS, doc="family of the tags")
+    tag_family: str = choice(*FAMILIES, doc="family of the tags")
     tag_threads: int = integer(low=0, high=64, doc="threads of the detector; 0: one less than there are processors")
     tag_decimate: float = number(low=1.0, high=8.0, doc="factor by which the picture is made smaller first")
     tag_blur: float = number("px", low=0.0, high=10.0, doc="sigma of the blur before tags are looked for")
