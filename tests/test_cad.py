@@ -251,13 +251,11 @@ class TestNumbersOfTheRig:
         expected = [0.0, d.TAG_DISTANCE / 1000, d.SINGLE_BEYOND / 1000]
         np.testing.assert_allclose(simulated_panel(model, "single"), expected, atol=1e-9)
 
-    @pytest.mark.xfail(reason="the simulation still holds the large panel at the single tag's place", strict=True)
     def test_place_of_the_large_panel(self):
         model = pytest.importorskip("rig_simulation.world.model")
         expected = [0.0, d.TAG_DISTANCE / 1000, d.PANEL_BEYOND / 1000]
         np.testing.assert_allclose(simulated_panel(model, "bundle"), expected, atol=1e-9)
 
-    @pytest.mark.xfail(reason="the detector's panel.yaml has the large plate at the single tag's place", strict=True)
     def test_places_of_the_detectors_panels(self):
         beyond = {d.SINGLE_PLATE: d.SINGLE_BEYOND, d.PANEL_PLATE: d.PANEL_BEYOND}
         for file in ROOT.glob("src/vision/config/panel*.yaml"):

@@ -31,11 +31,12 @@ def config():
     return parse(CalibrationConfig, yaml.safe_load((CONFIG / "camera_calibration.yaml").read_text()))
 
 
-def test_the_panel_sits_where_its_drawing_says():
-    """71.1 mm beside the flange's axis, facing away from it, 43.5 mm beyond the flange's face, upright along its z."""
-    panel = parse(PanelConfig, yaml.safe_load((CONFIG / "panel.yaml").read_text()))
+@pytest.mark.parametrize(("file", "beyond"), [("panel_single.yaml", 0.0435), ("panel.yaml", 0.1035)])
+def test_the_panel_sits_where_its_drawing_says(file, beyond):
+    """71.1 mm beside the flange's axis, facing away from it, so far beyond the flange's face, upright along its z."""
+    panel = parse(PanelConfig, yaml.safe_load((CONFIG / file).read_text()))
     T = panel.T_flange_tag
-    np.testing.assert_allclose(T[:3, 3], [0.0, 0.0711, 0.0435], atol=1e-12)
+    np.testing.assert_allclose(T[:3, 3], [0.0, 0.0711, beyond], atol=1e-12)
     np.testing.assert_allclose(T[:3, :3], [[-1, 0, 0], [0, 0, 1], [0, 1, 0]], atol=1e-12)
     np.testing.assert_allclose(panel.T_tag_flange @ T, np.eye(4), atol=1e-12)
 

@@ -22,13 +22,18 @@ def test_the_simulated_panel_has_the_same_tags(panel, tags):
     assert {tag.id: (tag.size, *tag.T_target_tag[:2, 3]) for tag in target.tags} == simulated
 
 
-def test_the_simulated_panel_sits_where_the_drawing_says():
+@pytest.mark.parametrize(("simulated", "file"), [("bundle", "panel.yaml"), ("single", "panel_single.yaml")])
+def test_the_simulated_panel_sits_where_the_drawing_says(simulated, file):
     from common.config import parse
-    from rig_simulation.world.model import T_FLANGE_TAG
+    from common.poses import pose
+    from rig_simulation.world.files import read_panel
+    from rig_simulation.world.model import R_FLANGE_PANEL
     from vision.panel import PanelConfig
 
-    panel = parse(PanelConfig, yaml.safe_load((CONFIG / "panel.yaml").read_text()))
-    np.testing.assert_allclose(panel.T_flange_tag, T_FLANGE_TAG, atol=1e-12)
+    panel = parse(PanelConfig, yaml.safe_load((CONFIG / file).read_text()))
+    plate = read_panel(simulated)
+    np.testing.assert_allclose(panel.T_flange_tag, pose(R_FLANGE_PANEL, plate["centre"]), atol=1e-12)
+    assert plate["size"] == [panel.plate, panel.plate]
 
 
 @pytest.mark.ros

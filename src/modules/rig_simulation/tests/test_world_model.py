@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.poses import inverse, pose
+from common.poses import pose
 from common.rotations import rotation_from_zyx
 from common.tag36h11 import CODES, black_cells
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.sunrise.robot import JOINTS, Robot
-from rig_simulation.world.files import read_scene
-from rig_simulation.world.model import T_FLANGE_TAG, WorldDescription, build_model, camera_link_pose
+from rig_simulation.world.files import read_panel, read_scene
+from rig_simulation.world.model import R_FLANGE_PANEL, WorldDescription, build_model, camera_link_pose
 from rig_simulation.world.scene import scene_from
 from rig_simulation.world.tags import tag_mesh
 
@@ -55,15 +55,16 @@ def test_flange_and_gravity_are_those_of_the_controllers_model(pair, q):
     np.testing.assert_allclose(pair.data.qfrc_bias[pair.dofs], gravity, atol=1e-3)
 
 
-def test_the_panel_stands_as_the_rigs_part_does():
+@pytest.mark.parametrize(("panel", "beyond"), [("single", 0.0435), ("bundle", 0.1035)])
+def test_the_panel_stands_as_the_rigs_part_does(panel, beyond):
     # Seen from the tag: the flange's attitude about Z, Y, X is 180, 0, 90 deg; the tag is 71.1 mm beside the flange's
-    # axis and 43.5 mm beyond its face.
-    T_tag_flange = inverse(T_FLANGE_TAG)
-    np.testing.assert_allclose(T_tag_flange[:3, :3], rotation_from_zyx(np.pi, 0.0, np.pi / 2.0), atol=1e-12)
-    np.testing.assert_allclose(T_FLANGE_TAG[2, 3], 0.0435, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(T_FLANGE_TAG[:2, 3]), 0.0711, atol=1e-12)
-    assert T_FLANGE_TAG[:3, 2] @ [0, 0, 1] == 0.0, "its face is parallel to the flange's axis"
-    assert T_FLANGE_TAG[:3, 2] @ T_FLANGE_TAG[:3, 3] > 0.0, "it looks away from the flange"
+    # axis; the single one is 43.5 mm beyond its face, the larger plate farther, to clear the forearm.
+    T_flange_tag = pose(R_FLANGE_PANEL, read_panel(panel)["centre"])
+    np.testing.assert_allclose(T_flange_tag[:3, :3].T, rotation_from_zyx(np.pi, 0.0, np.pi / 2.0), atol=1e-12)
+    np.testing.assert_allclose(T_flange_tag[2, 3], beyond, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(T_flange_tag[:2, 3]), 0.0711, atol=1e-12)
+    assert T_flange_tag[:3, 2] @ [0, 0, 1] == 0.0, "its face is parallel to the flange's axis"
+    assert T_flange_tag[:3, 2] @ T_flange_tag[:3, 3] > 0.0, "it looks away from the flange"
 
 
 def test_the_first_tag_is_the_familys_first():

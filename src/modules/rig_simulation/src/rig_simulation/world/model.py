@@ -35,8 +35,8 @@ TIMESTEP_S = 0.001
 FLOOR_BELOW_TABLE = 0.75
 WHITE, BLACK, FLOOR_COLOUR, BOARD_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4), (0.72, 0.6, 0.45)
 
-T_FLANGE_TAG = pose([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], (0.0, 0.0711, 0.0435))
-"""Pose of the panel in the flange: beside it, its face along the flange's axis, its y axis along the flange's z."""
+R_FLANGE_PANEL = ((-1, 0, 0), (0, 0, 1), (0, 1, 0))
+"""Attitude of the panel in the flange: its face parallel to the flange's axis, its y axis along the flange's z."""
 PLATE_THICKNESS = 0.004
 
 RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.018, 0.0)
@@ -162,7 +162,7 @@ def _add_camera(world: ET.Element, camera: CameraPlace) -> None:
 
 def _add_panel(root: ET.Element, world: ET.Element, panel: Panel, visuals: bool) -> None:
     flange = world.find(".//body[@name='kuka/flange']")
-    plate = body(flange, "panel", T_FLANGE_TAG)
+    plate = body(flange, "panel", pose(R_FLANGE_PANEL, panel.centre))
     half = (*(panel.size / 2.0), PLATE_THICKNESS / 2.0)
     geom(plate, "panel/plate", ROBOT, "box", half, p=(0, 0, -PLATE_THICKNESS / 2.0), colour=WHITE, mass=0.1).set(
         "group", "1"

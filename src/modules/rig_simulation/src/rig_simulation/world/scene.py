@@ -130,10 +130,12 @@ class Panel:
 
     Attributes:
         size: edges of the plate along the tags' x and y axes, shape (2,) [m].
+        centre: of the plate in the flange, shape (3,) [m].
         tags: what is printed on it.
     """
 
     size: np.ndarray
+    centre: np.ndarray
     tags: tuple[Tag, ...]
 
 
@@ -187,7 +189,7 @@ def panel_from(values: Any) -> Panel:
         ConfigError: with all faults.
     """
     faults: list[str] = []
-    size = _parsed(_PanelSize, values, "", faults, ("tags",))
+    plate = _parsed(_Plate, values, "", faults, ("tags",))
     listed = values.get("tags") if isinstance(values, Mapping) else None
     if not isinstance(listed, list) or not listed:
         faults.append(f"tags is {listed!r}, but must be a list of tags.")
@@ -195,12 +197,13 @@ def panel_from(values: Any) -> Panel:
     tags = [_parsed(Tag, entry, f"tags/{i}/", faults) for i, entry in enumerate(listed)]
     if faults:
         raise ConfigError(faults)
-    return Panel(size.size, tuple(tags))
+    return Panel(plate.size, plate.centre, tuple(tags))
 
 
 @dataclasses.dataclass(frozen=True)
-class _PanelSize:
+class _Plate:
     size: np.ndarray = vector(2, "m", above=0.0, high=1.0)
+    centre: np.ndarray = vector(3, "m", low=-1.0, high=1.0)
 
 
 def _section(values: Mapping[str, Any], key: str, faults: list[str]) -> Mapping[str, Any] | None:
