@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from common.rotations import rotation_from_zyx
 from rig_simulation.reflex.wire import POSITION, ModeCommand, TargetCommand
 from rig_simulation.sunrise.arm import Arm, ArmSettings
 from rig_simulation.sunrise.description import read_urdf
@@ -247,6 +248,35 @@ def test_a_cup_is_grasped_lifted_weighed_and_put_down_again():
     down = rig.world.objects()["cup"]
     assert down.touches == ("table",)
     assert abs(down.clearance) < 1e-3, "it stands"
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_an_arm_that_runs_riot_among_the_objects_always_gets_free_again(seed):
+    rng = np.random.default_rng(seed)
+    rig = Rig("objects")
+    rig.arm.start_servo()
+    upright = rig.arm.robot.flange(HOME)
+    for _ in range(15):
+        T = upright.copy()
+        T[:3, 3] = rng.uniform([0.19, -0.69, 0.14], [0.69, -0.19, 0.40])
+        T[:3, :3] = T[:3, :3] @ rotation_from_zyx(*rng.uniform(-0.5, 0.5, 3))
+        q = rig.arm.robot.solve(T, np.eye(4), rig.arm.q)
+        if q is None:
+            continue
+        close_hand(rig, rng.uniform(0.3, 3.2))
+        for goal in np.linspace(rig.arm.q, q, int(np.abs(q - rig.arm.q).max() / 0.002) + 2):
+            rig.arm.goal = goal
+            rig.wait(GOAL_EVERY * DT)
+            if rig.arm.safety_stop:
+                break
+        if rig.arm.safety_stop:
+            rig.wait(0.5)
+            rig.arm.back_off()
+            rig.run(lambda: rig.arm.resting, 20.0)
+            rig.arm.goal = rig.arm.q
+            rig.arm.release()
+    assert rig.arm.stops > 0, "it was rough enough"
+    assert np.all(np.isfinite(rig.world.data.qpos))
 
 
 @pytest.fixture(autouse=True)
