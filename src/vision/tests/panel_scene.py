@@ -12,11 +12,14 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+from common.config import parse
 from common.poses import inverse, pose
+from vision.panel import PanelConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 OPTICAL, DETECTOR = "camera_rgb_optical_frame", "apriltag_ros_continuous_node"
 T_LINK_OPTICAL = pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], (0.0, -0.045, 0.0))
+T_FLANGE_PANEL = parse(PanelConfig, yaml.safe_load((CONFIG / "panel.yaml").read_text())).T_flange_tag
 SD = np.array([3e-4, 3e-4, 6e-4, 1.5e-3, 1.5e-3, 5e-4])
 
 

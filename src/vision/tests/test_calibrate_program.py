@@ -4,14 +4,13 @@ import re
 
 import numpy as np
 import pytest
-from panel_scene import PanelScene, parameters
+from panel_scene import T_FLANGE_PANEL, PanelScene, parameters
 
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle, unit
 
 pytestmark = pytest.mark.ros
 
-T_FLANGE_PANEL = pose([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], (0.0, 0.0711, 0.0435))
 AHEAD = unit(np.array([0.42, -0.46, 0.10]) - np.array([1.02, -0.02, 0.70]))
 RIGHT = unit(np.cross(AHEAD, (0.0, 0.0, 1.0)))
 T_BASE_CAMERA = pose(np.column_stack((RIGHT, np.cross(AHEAD, RIGHT), AHEAD)), (1.02, -0.02, 0.70))

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from panel_scene import OPTICAL, T_LINK_OPTICAL, PanelScene, parameters
+from panel_scene import OPTICAL, T_FLANGE_PANEL, T_LINK_OPTICAL, PanelScene, parameters
 
 from common.poses import inverse, pose
 from common.rotations import rotation_about
 
 pytestmark = pytest.mark.ros
 
-T_FLANGE_PANEL = pose([[-1, 0, 0], [0, 0, 1], [0, 1, 0]], (0.0, 0.0711, 0.0435))
 T_BASE_FLANGE = pose(rotation_about(1, 2.5), (0.5, -0.3, 0.4))
 T_BASE_CAMERA = T_BASE_FLANGE @ T_FLANGE_PANEL @ inverse(pose(rotation_about(0, 2.7), (0.05, 0.02, 0.9)))
 
