@@ -1,40 +1,26 @@
 """Laws of the panel's plane and of its pose from colour and depth, on made pictures with known truth."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-import yaml
+from depth_scene import DEPTH, PLATE, RGB, T_RGB_DEPTH, depth_picture, load, panel_pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from apriltag_ros.settings import targets
 from apriltag_ros.tag_pose import tag_pose
-from common.camera_model import from_calibration
 from common.config import parse
 from common.errors import ConfigError
 from common.poses import inverse, pose
-from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
+from common.rotations import rotation_angle, rotation_from_zyx
 from vision.plane_fit import PlanePoseConfig, fit_panel, fit_plane, plane_seen_from
 from vision.plane_pose import _change, _plane_of, depth_pose
 
-CONFIG = Path(__file__).parents[1] / "config"
-
-
-def load(name):
-    return yaml.safe_load((CONFIG / name).read_text())
-
-
-RGB, DEPTH = (from_calibration(load(f"xtion_{name}.yaml")) for name in ("rgb", "depth"))
 SETTINGS = parse(PlanePoseConfig, load("plane_pose.yaml"))
 POINTS = np.concatenate([tag.corners for tag in targets(load("tags.yaml"))[0].tags])
 SINGLE = targets(load("tags_single.yaml"))[0].tags[0].corners
-PLATE = 0.30
-T_RGB_DEPTH = pose(rotation_from_zyx(0.004, -0.003, 0.005), (-0.027, 0.001, -0.002))
-BLANK = 3.0
-RAYS = DEPTH.rays(np.stack(np.meshgrid(np.arange(DEPTH.width), np.arange(DEPTH.height)), axis=-1))
 
 poses = st.builds(
     lambda distance, tilt, towards, roll, x, y: panel_pose(distance, tilt, towards, roll, x, y),
@@ -45,25 +31,6 @@ poses = st.builds(
     st.floats(-0.1, 0.1),
     st.floats(-0.1, 0.1),
 )
-
-
-def panel_pose(distance, tilt, towards=0.0, roll=0.0, x=0.0, y=0.0):
-    """The panel, tilted [deg] to one side from facing the camera, somewhere round the middle of the picture."""
-    towards, tilt, roll = np.radians([towards, tilt, roll])
-    lean = rotation_about(2, towards) @ rotation_about(0, tilt) @ rotation_about(2, -towards)
-    return pose(lean @ rotation_about(0, np.pi) @ rotation_about(2, roll), (x * distance, y * distance, distance))
-
-
-def depth_picture(T_rgb_panel, plate=PLATE, noise=None):
-    """The plate before a wall, as the infrared camera sees it [m]."""
-    T = inverse(T_RGB_DEPTH) @ T_rgb_panel
-    n = T[:3, 2]
-    z = (n @ T[:3, 3]) / (RAYS @ n)
-    on_plate = np.abs((RAYS * z[..., None] - T[:3, 3]) @ T[:3, :2]).max(axis=-1) < plate / 2.0
-    w = np.where(on_plate & (z > 0.0), 1.0 / np.where(z > 0.0, z, 1.0), 1.0 / BLANK)
-    if noise is not None:
-        w = w + noise(w.shape)
-    return (1.0 / w).astype(np.float32)
 
 
 def see(T, points=POINTS, picture=None, pixels=None, plate=PLATE, config=SETTINGS, camera=RGB):

@@ -1,22 +1,19 @@
 """The evaluation of the panel's poses: errors, tables, and the program on pictures with known truth."""
 
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pinocchio as pin
 import pytest
-import yaml
+from depth_scene import RGB, T_RGB_DEPTH, depth_picture, load, panel_pose
 from tag_renderer import render
-from test_plane_pose import DEPTH, RGB, T_RGB_DEPTH, depth_picture, panel_pose
 
 from common.poses import pose
 from vision import pose_evaluation
 from vision.plane_fit import PlaneFit
 from vision.plane_pose import DepthPose, Estimate
 
-CONFIG = Path(__file__).parents[1] / "config"
 FIT = PlaneFit(None, None, 0, 0.0, 0.0, 0.0, "none")
 
 
@@ -69,10 +66,9 @@ def folder(tmp_path):
         cv2.imwrite(str(tmp_path / f"{i}_d.png"), np.rint(1000.0 * depth_picture(T, 0.125)).astype(np.uint16))
         shown = {"distance": T[2, 3], "tilt": 30.0 * i, "unit": 0, "T_rgb_panel": T.tolist()}
         entries.append({"colour": f"{i}_c.png", "depth": f"{i}_d.png", **shown})
-    calibrations = {n: yaml.safe_load((CONFIG / f"xtion_{n}.yaml").read_text()) for n in ("rgb", "depth")}
+    calibrations = {n: load(f"xtion_{n}.yaml") for n in ("rgb", "depth")}
     index = {"panel": {"size": [0.125, 0.125]}, **calibrations, "T_rgb_depth": T_RGB_DEPTH.tolist()}
     (tmp_path / "pictures.json").write_text(json.dumps({**index, "pictures": entries}))
-    assert (DEPTH.width, DEPTH.height) == (640, 480)
     return tmp_path
 
 

@@ -1,23 +1,19 @@
 """Laws of registration: where points of the depth picture land, which of two stays, what the cloud holds."""
 
 from dataclasses import replace
-from pathlib import Path
 
+import depth_scene
 import numpy as np
 import pytest
-import yaml
+from depth_scene import DEPTH, T_RGB_DEPTH
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.camera_model import from_calibration
 from common.poses import pose, read_only
 from common.rotations import rotation_from_zyx
 from vision.registration import POINT, Registration, millimetres_from_metres
 
-CONFIG = Path(__file__).parents[1] / "config"
-RGB, DEPTH = (from_calibration(yaml.safe_load((CONFIG / f"xtion_{n}.yaml").read_text())) for n in ("rgb", "depth"))
-RGB = replace(RGB, R=read_only(rotation_from_zyx(0.01, -0.02, 0.005)))
-T_RGB_DEPTH = pose(rotation_from_zyx(0.004, -0.003, 0.005), (-0.027, 0.001, -0.002))
+RGB = replace(depth_scene.RGB, R=read_only(rotation_from_zyx(0.01, -0.02, 0.005)))
 REGISTRATION = Registration(RGB, DEPTH, T_RGB_DEPTH)
 NONE = np.full((480, 640), np.nan, np.float32)
 
