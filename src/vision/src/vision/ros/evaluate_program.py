@@ -18,6 +18,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import rospkg
 import yaml
 
 from apriltag_ros.settings import TAG_KEYS, detector_settings, targets
@@ -32,7 +33,6 @@ from vision.pose_evaluation import CSV_HEAD, METHODS, Trial, csv, markdown, tria
 from vision.ros.pose_figures import draw
 
 NAME = "evaluate_tag_pose"
-CONFIG = Path(__file__).resolve().parents[3] / "config"
 INDEX = "pictures.json"
 TAGS = {"bundle": "tags.yaml", "single": "tags_single.yaml"}
 TIMEOUT_S = 1800.0
@@ -170,7 +170,7 @@ def _read(folder: Path) -> Pictures:
 def _take_pictures(folder: Path, options: argparse.Namespace) -> None:
     """Raises DeviceError if the simulation takes none."""
     command = ["rosrun", "rig_simulation", "panel_pictures.py", str(folder), "--panel", options.panel]
-    command += ["--rgb", str(CONFIG / "xtion_rgb.yaml"), "--depth", str(CONFIG / "xtion_depth.yaml")]
+    command += ["--rgb", str(_config("xtion_rgb.yaml")), "--depth", str(_config("xtion_depth.yaml"))]
     command += ["--units", str(options.units), "--seed", str(options.seed)]
     try:
         code = subprocess.run(command, timeout=TIMEOUT_S, check=False).returncode
@@ -182,8 +182,16 @@ def _take_pictures(folder: Path, options: argparse.Namespace) -> None:
         raise DeviceError(f"The pictures were not taken: {' '.join(command[:3])} ended with exit code {code}.")
 
 
+def _config(name: str) -> Path:
+    """Raises DeviceError where ROS does not know this package."""
+    try:
+        return Path(rospkg.RosPack().get_path("vision")) / "config" / name
+    except rospkg.ResourceNotFound:
+        raise DeviceError("ROS does not know the package vision: source devel/setup.bash.") from None
+
+
 def _yaml(name: str) -> dict:
-    return yaml.safe_load((CONFIG / name).read_text(encoding="utf-8"))
+    return yaml.safe_load(_config(name).read_text(encoding="utf-8"))
 
 
 def _share(text: str) -> float:
