@@ -31,7 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--view",
         type=finite,
         nargs=3,
-        default=(150.0, -30.0, 1.7),
+        default=(150.0, -20.0, 1.6),
         metavar=("AZIMUTH", "ELEVATION", "DISTANCE"),
         help="from where it looks: degrees, degrees, m",
     )

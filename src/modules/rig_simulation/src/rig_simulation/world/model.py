@@ -33,6 +33,7 @@ from rig_simulation.world.tags import tag_mesh
 TIMESTEP_S = 0.001
 """The cycle of the simulated controller."""
 FLOOR_BELOW_TABLE = 0.75
+SKY, HAZE = (0.85, 0.89, 0.93), (0.62, 0.67, 0.72)
 WHITE, BLACK, FLOOR_COLOUR, BOARD_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4), (0.72, 0.6, 0.45)
 
 R_FLANGE_PANEL = ((-1, 0, 0), (0, 0, 1), (0, 1, 0))
@@ -102,7 +103,8 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     option.attrib.update(cone="elliptic", impratio="10")
     ET.SubElement(option, "flag", multiccd="enable")
     _add_visual_settings(root)
-    ET.SubElement(root, "asset")
+    sky = ET.SubElement(ET.SubElement(root, "asset"), "texture", type="skybox", builtin="gradient")
+    sky.attrib.update(rgb1=numbers(SKY), rgb2=numbers(HAZE), width="64", height="384")
     world = ET.SubElement(root, "worldbody")
     ET.SubElement(world, "light", pos="0.5 0 2.5", dir="0 0 -1", directional="true", diffuse="0.6 0.6 0.6")
     floor = body(world, "floor", pose(p=(0, 0, scene.table.top - FLOOR_BELOW_TABLE)))
