@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from rig_description.arm_links import body, published, tube
 from rig_description.arms import ARMS
 from rig_description.rigid_body import fault

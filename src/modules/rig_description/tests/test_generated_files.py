@@ -8,6 +8,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+
 from rig_description.files import all_files
 
 PACKAGE = Path(__file__).parents[1]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from rig_description.rigid_body import Body, box, cylinder, fault, joined, turned
 from rig_description.solids import blend, block, common_part, cut, drum, rod, surface
 
