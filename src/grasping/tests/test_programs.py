@@ -42,6 +42,13 @@ def test_shards_are_made_once(data, monkeypatch):
         assert set(shard) == {"depth", "quality", "angle", "width", "known"}
 
 
+def test_part_of_a_shard_is_refused(tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        call(monkeypatch, make_dataset, tmp_path / "data", "--scenes", "70")
+    assert "--scenes is 70, but must be a multiple of 50." in capsys.readouterr().err
+    assert not (tmp_path / "data").exists()
+
+
 def test_training_ends_and_goes_on(data, tmp_path, monkeypatch):
     run = tmp_path / "run"
     options = ["--count", "2", "--side", "60", "--every", "2", "--half", "false"]

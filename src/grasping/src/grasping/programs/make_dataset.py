@@ -16,13 +16,13 @@ from grasping.synthetic import samples
 SHARD = 50
 
 
-def make_shard(task: tuple[Path, str, int]) -> Path:
+def make_shard(task: tuple[Path, str, range]) -> Path:
     """Writes one shard unless it is there; an unfinished file never bears the shard's name."""
-    path, split, first = task
+    path, split, seeds = task
     if not path.exists():
         cv2.setNumThreads(1)
         mujoco.set_mju_user_warning(ignore_warning)
-        made = [samples.sample(samples.view(split, seed)) for seed in range(first, first + SHARD)]
+        made = [samples.sample(samples.view(split, seed)) for seed in seeds]
         part = path.with_suffix(".part.npz")
         np.savez_compressed(part, **{name: np.stack([getattr(s, name) for s in made]) for name in made[0]._fields})
         part.replace(path)
@@ -40,11 +40,14 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=3000, help=f"how many, a multiple of {SHARD}")
     parser.add_argument("--processes", type=int, default=1, help="how many at a time")
     arguments = parser.parse_args()
+    if arguments.scenes < 1 or arguments.scenes % SHARD:
+        parser.error(f"--scenes is {arguments.scenes}, but must be a multiple of {SHARD}.")
     arguments.folder.mkdir(parents=True, exist_ok=True)
     tasks = [
-        (arguments.folder / f"{arguments.split}_{first:06d}.npz", arguments.split, first)
+        (arguments.folder / f"{arguments.split}_{first:06d}.npz", arguments.split, range(first, first + SHARD))
         for first in range(0, arguments.scenes, SHARD)
     ]
-    with multiprocessing.Pool(arguments.processes) as pool:
+    # A fork would inherit the locks of the libraries' threads.
+    with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
         for _ in tqdm(pool.imap_unordered(make_shard, tasks), total=len(tasks), unit="shard"):
             pass
