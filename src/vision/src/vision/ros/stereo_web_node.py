@@ -1,0 +1,43 @@
+"""The node stereo_web: serves the view for headsets and phones as a page; asks the camera only while one looks."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import rospy
+
+from common.config import parse
+from common.ros.diagnostics import Diagnostics
+from common.ros.node import run
+from vision.ros.stereo_pictures import Seen, StereoPictures
+from vision.ros.stereo_web import Frame, StereoWeb, WebConfig
+from vision.stereo_view_config import StereoViewConfig
+
+REFRESH_S = 0.2
+
+
+def _run() -> None:
+    config = parse(StereoViewConfig, rospy.get_param("~view", {}), prefix="~view/")
+    web = StereoWeb(parse(WebConfig, rospy.get_param("~web", {}), prefix="~web/"))
+    rospy.loginfo("The view is at %s", web.address)
+    pictures = StereoPictures(config)
+    Diagnostics("stereo_web", pictures.diagnose)
+    try:
+        while not rospy.is_shutdown():
+            pictures.listen_if(web.watched)
+            seen = pictures.wait(REFRESH_S)
+            if seen is not None and seen.new and web.watched:
+                web.put(_frame(seen, config.jpeg_quality))
+    finally:
+        web.close()
+
+
+def _frame(seen: Seen, quality: int) -> Frame:
+    picture = np.hstack((seen.eyes.left, seen.eyes.right))
+    _, jpeg = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return Frame(jpeg.tobytes(), seen.view.tangents, seen.eyes.deep)
+
+
+def main() -> None:
+    """Runs the node until ROS shuts down."""
+    run("stereo_web", _run)

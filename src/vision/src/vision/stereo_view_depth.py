@@ -1,0 +1,93 @@
+"""The picture of one eye from a colour picture and its depth (depth-image-based rendering).
+
+The two eyes look along the camera's axis, half their distance to its left and right. What is at depth z then lies
+f b / z pixels farther to the right in the left eye's picture than in the right eye's, so that it is seen at its true
+distance. Both pictures must be rectified and in the same pixels.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+LEFT, RIGHT = 1, -1
+"""The eyes: the direction in which their pictures shift as something comes nearer."""
+NONE = np.float32(-1e6)
+"""In a map: no pixel of the picture has come here yet."""
+
+
+def inverse_depth(depth: np.ndarray, nearest: float, instead: float) -> np.ndarray:
+    """Returns 1/z for every pixel, float32 [1/m].
+
+    A pixel without depth (NaN, infinite, not positive) gets that of the farther one of its neighbours to the left and
+    right: a depth camera misses mostly what stands in the shadow of something near.
+
+    Args:
+        depth: shape (height, width) [m].
+        nearest: smaller depths count as this one [m].
+        instead: depth of a row in which no pixel has one [m].
+    """
+    known = np.isfinite(depth) & (depth > 0.0)
+    near = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float32), where=known, dtype=np.float32)
+    np.minimum(near, np.float32(1.0 / nearest), out=near)
+    left, right = _neighbours(known)
+    rows = np.arange(depth.shape[0])[:, None]
+    from_left = np.where(left >= 0, near[rows, left], np.inf)
+    from_right = np.where(right >= 0, near[rows, right], np.inf)
+    filled = np.minimum(from_left, from_right)
+    return np.where(np.isfinite(filled), filled, 1.0 / instead).astype(np.float32)
+
+
+def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
+    """Returns the column of the picture that each pixel of an eye's picture shows, shape (height, width), float32 [px].
+
+    Where several pixels meet, the nearest stays. A hole, which opens beside something near, shows the edge of what is
+    behind. Columns outside the picture say that the camera does not see there.
+
+    Args:
+        shift: half the disparity of each pixel, not negative [px].
+        eye: LEFT or RIGHT.
+    """
+    height, width = shift.shape
+    columns = np.arange(width)
+    # A later assignment wins. The left eye's pixels move right: of those that meet, the nearest began leftmost.
+    order = columns[::-1] if eye == LEFT else columns
+    shift_in_order = eye * shift[:, order]
+    target = np.rint(order + shift_in_order).astype(np.int32)
+    inside = (target >= 0) & (target < width)
+    target += np.arange(height, dtype=np.int32)[:, None] * width
+    source = np.full(height * width, NONE, np.float32)
+    target_column = np.rint(order + shift_in_order).astype(np.float32)
+    source[target[inside]] = (target_column - shift_in_order)[inside]
+    return _without_holes(source.reshape(height, width), eye)
+
+
+def shifted(picture: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Returns the picture, shape (height, width, 3), read at the columns of `eye_map`; black outside."""
+    rows = np.broadcast_to(np.arange(columns.shape[0], dtype=np.float32)[:, None], columns.shape)
+    return cv2.remap(picture, columns, np.ascontiguousarray(rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+
+
+def _without_holes(source: np.ndarray, eye: int) -> np.ndarray:
+    known = source > NONE
+    if known.all():
+        return source
+    rows, holes = np.nonzero(~known)
+    left, right = _neighbours(known)
+    left, right = left[rows, holes], right[rows, holes]
+    # The neighbour that has moved less is farther away; at the edge there is one neighbour only.
+    moved_left = np.where(left >= 0, eye * (left - source[rows, left]), np.inf)
+    moved_right = np.where(right >= 0, eye * (right - source[rows, right]), np.inf)
+    behind = np.where(moved_left <= moved_right, left, right)
+    at_edge = (left < 0) | (right < 0)
+    source[rows, holes] = source[rows, behind] + np.where(at_edge, holes - behind, 0)
+    return source
+
+
+def _neighbours(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the nearest known column at or left of each pixel, and at or right of it; -1 where there is none."""
+    width = known.shape[1]
+    columns = np.arange(width, dtype=np.int32)
+    left = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
+    right = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
+    return left, np.where(right < width, right, -1)

@@ -1,0 +1,236 @@
+"""Laws of the view for the headset: lens maps, depth-image-based rendering, and the age of the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import yaml
+from depth_scene import RGB, load
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.camera_model import pinhole
+from common.config import parse
+from common.errors import ConfigError
+from vision.stereo_view import StereoView
+from vision.stereo_view_age import PictureAge, age_text, mark_age
+from vision.stereo_view_config import StereoViewConfig
+from vision.stereo_view_depth import LEFT, RIGHT, eye_map, inverse_depth, shifted
+from vision.stereo_view_lens import BLUE, CENTRES, GREEN, HEIGHT, RED, WIDTH, Lens, directions
+
+CAMERA = pinhole("test", 64, 48, [[60.0, 0.0, 31.5], [0.0, 60.0, 23.5], [0.0, 0.0, 1.0]])
+CONFIG = load("stereo_view.yaml")
+
+
+def config(**changes):
+    return parse(StereoViewConfig, {**CONFIG, **changes})
+
+
+def stripes(camera=CAMERA):
+    """A picture in which each column has its own colour, and none is black."""
+    columns = np.linspace(40.0, 250.0, camera.width).astype(np.uint8)
+    return np.broadcast_to(columns[None, :, None], (camera.height, camera.width, 3)).copy()
+
+
+class TestLens:
+    pixel = st.tuples(st.floats(0.0, WIDTH), st.floats(0.0, HEIGHT))
+
+    @given(pixel, st.sampled_from([0, 1]))
+    def test_the_centre_looks_straight_ahead_and_red_inside_green_inside_blue(self, pixel, eye):
+        assert np.allclose(directions(CENTRES[eye], eye), 0.0)
+        red, green, blue = (np.linalg.norm(directions(pixel, eye, c)) for c in (RED, GREEN, BLUE))
+        assert red <= green <= blue
+
+    @given(pixel)
+    def test_the_eyes_are_mirror_images(self, pixel):
+        u, v = pixel
+        left, right = directions((u, v), 0), directions((WIDTH - u, v), 1)
+        np.testing.assert_allclose(left, right * (-1.0, 1.0), atol=1e-9)
+
+    @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.sampled_from([0, 1]), st.sampled_from([RED, GREEN, BLUE]))
+    def test_every_direction_is_on_exactly_one_pixel(self, x, y, eye, colour):
+        """Along each ray from the centre the angle grows, so bisection finds the pixel."""
+        wanted = np.array([x, y])
+        if np.linalg.norm(wanted) < 1e-6:
+            return
+        ray = wanted / np.linalg.norm(wanted)
+        low, high = 0.0, 900.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            nearer = np.linalg.norm(directions(CENTRES[eye] + middle * ray, eye, colour)) < np.linalg.norm(wanted)
+            low, high = (middle, high) if nearer else (low, middle)
+        np.testing.assert_allclose(directions(CENTRES[eye] + low * ray, eye, colour), wanted, atol=1e-9)
+
+    def test_the_field_of_view_is_that_of_the_dk2(self):
+        edges = {(0, 0.0): 46.6, (0, WIDTH): 47.5}  # the left eye's outer and inner edge, in degrees
+        for (eye, u), degrees in edges.items():
+            x = abs(directions((u, 540.0), eye)[0])
+            assert np.degrees(np.arctan(x)) == pytest.approx(degrees, abs=0.5)
+
+    def test_a_map_undoes_the_lens(self):
+        """A picture whose colour says its column and row, drawn for the screen, shows each direction's own colour."""
+        camera = pinhole("ramp", 256, 256, [[200.0, 0.0, 127.5], [0.0, 200.0, 127.5], [0.0, 0.0, 1.0]])
+        u, v = np.meshgrid(np.arange(256, dtype=np.uint8), np.arange(256, dtype=np.uint8))
+        picture = np.stack((u, u, u), axis=-1), np.stack((v, v, v), axis=-1)
+        lens = Lens(camera, 1.0, True)
+        columns, rows = (lens.draw(p, p) for p in picture)
+        for eye in (0, 1):
+            for colour in (RED, GREEN, BLUE):
+                for du, dv in ((0, 0), (150, -90), (-200, 120)):
+                    at = int(CENTRES[eye][0]) + du, 540 + dv
+                    x, y = directions((at[0] + 0.5, at[1] + 0.5), eye, colour)
+                    column = eye * WIDTH + at[0]
+                    assert columns[at[1], column, colour] == pytest.approx(200.0 * x + 127.5, abs=1.0)
+                    assert rows[at[1], column, colour] == pytest.approx(200.0 * y + 127.5, abs=1.0)
+
+    def test_without_colours_of_its_own_every_colour_is_bent_as_green(self):
+        camera = pinhole("ramp", 256, 256, [[200.0, 0.0, 127.5], [0.0, 200.0, 127.5], [0.0, 0.0, 1.0]])
+        picture = np.random.default_rng(1).integers(1, 255, (256, 256, 3), np.uint8)
+        plain, chromatic = (Lens(camera, 1.0, c).draw(picture, picture) for c in (False, True))
+        np.testing.assert_array_equal(plain[..., GREEN], chromatic[..., GREEN])
+        assert not np.array_equal(plain[..., BLUE], chromatic[..., BLUE])
+
+    def test_larger_magnification_covers_more_of_the_screen(self):
+        filled = [np.count_nonzero(Lens(CAMERA, m, False).draw(stripes(), stripes())) for m in (0.5, 1.0, 2.0)]
+        assert filled == sorted(filled) and filled[0] < filled[2]
+
+
+class TestDepth:
+    @given(st.floats(0.5, 20.0))
+    def test_a_plane_shifts_by_focal_length_times_distance_of_the_eyes_over_depth(self, z):
+        shift = 0.5 * 60.0 * 0.064 * inverse_depth(np.full((4, 64), z, np.float32), 0.4, 2.0)
+        columns = np.arange(64)
+        left, right = (eye_map(shift, eye) for eye in (LEFT, RIGHT))
+        np.testing.assert_allclose(right - left, 60.0 * 0.064 / z, atol=1e-4)
+        np.testing.assert_allclose(left[2], columns - 0.5 * 60.0 * 0.064 / z, atol=1e-4)
+
+    @given(st.integers(0, 2**32 - 1))
+    @settings(max_examples=30)
+    def test_whatever_the_depth_no_map_has_a_hole_or_a_nan(self, seed):
+        rng = np.random.default_rng(seed)
+        depth = rng.uniform(-1.0, 5.0, (8, 40)).astype(np.float32)
+        depth[rng.random(depth.shape) < rng.random()] = np.nan
+        depth[rng.random(depth.shape) < 0.05] = np.inf
+        near = inverse_depth(depth, 0.4, 2.0)
+        assert np.isfinite(near).all() and (near > 0.0).all() and near.max() <= np.float32(1.0 / 0.4)
+        for eye in (LEFT, RIGHT):
+            found = eye_map(4.0 * near, eye)
+            assert np.isfinite(found).all()
+            margin = int(4.0 / 0.4) + 1
+            inner = found[:, margin:-margin]
+            assert (inner >= -0.5).all() and (inner <= 39.5).all()
+
+    @given(st.integers(0, 2**32 - 1))
+    @settings(max_examples=30)
+    def test_of_pixels_that_meet_the_nearest_stays(self, seed):
+        shift = np.random.default_rng(seed).uniform(0.0, 8.0, (3, 40)).astype(np.float32)
+        for eye in (LEFT, RIGHT):
+            found = eye_map(shift, eye)
+            for row in range(3):
+                nearest = {}
+                for u in range(40):
+                    t = int(np.rint(u + eye * shift[row, u]))
+                    nearest[t] = max(nearest.get(t, 0.0), shift[row, u])
+                for t, s in nearest.items():
+                    if 0 <= t < 40:
+                        assert found[row, t] == pytest.approx(t - eye * s, abs=1e-4)
+
+    def test_the_eyes_are_mirror_images(self):
+        shift = np.random.default_rng(3).uniform(0.0, 8.0, (5, 40)).astype(np.float32)
+        left, right = eye_map(shift, LEFT), eye_map(shift[:, ::-1].copy(), RIGHT)
+        np.testing.assert_allclose(left, 39.0 - right[:, ::-1], atol=1e-4)
+
+    def test_a_hole_beside_something_near_shows_what_is_behind(self):
+        depth = np.full((6, 60), 4.0, np.float32)
+        depth[:, 25:35] = 0.5
+        picture = np.full((6, 60, 3), 50, np.uint8)
+        picture[:, 25:35] = 200
+        shift = 0.5 * 60.0 * 0.2 * inverse_depth(depth, 0.4, 2.0)
+        for eye in (LEFT, RIGHT):
+            drawn = shifted(picture, eye_map(shift, eye))
+            bright = np.flatnonzero(drawn[3, :, 0] > 125)
+            assert len(bright) == pytest.approx(10, abs=1)
+            assert (drawn[3, 5:-5, 0] >= 50 - 1).all()
+            assert bright.mean() == pytest.approx(29.5 + eye * 12.0, abs=1.0)
+
+    def test_what_has_no_depth_counts_as_its_farther_neighbour(self):
+        depth = np.array([[1.0, np.nan, np.nan, 3.0], [np.nan] * 4, [np.nan, 2.0, 0.0, -1.0]], np.float32)
+        expected = [[1.0, 3.0, 3.0, 3.0], [5.0] * 4, [2.0] * 4]
+        np.testing.assert_allclose(1.0 / inverse_depth(depth, 0.4, 5.0), expected, rtol=1e-6)
+
+
+class TestView:
+    def test_without_depth_both_eyes_see_the_same_picture_at_the_flat_distance(self):
+        view = StereoView(CAMERA, config(flat_distance=0.4, lens="none"))
+        seen = view.eyes(stripes(), None)
+        assert not seen.deep
+        shift = round(0.5 * 60.0 * 0.064 / 0.4)
+        np.testing.assert_array_equal(seen.left[:, shift:], stripes()[:, :-shift])
+        np.testing.assert_array_equal(seen.right[:, :-shift], stripes()[:, shift:])
+        assert not seen.left[:, :shift].any() and not seen.right[:, -shift:].any()
+
+    def test_far_away_it_is_the_doubled_picture_of_2019(self):
+        view = StereoView(CAMERA, config(flat_distance=1e6, lens="none"))
+        seen = view.eyes(stripes(), None)
+        np.testing.assert_array_equal(view.screen.draw(seen.left, seen.right), np.hstack((stripes(), stripes())))
+
+    def test_depth_at_the_flat_distance_gives_the_flat_picture(self):
+        view = StereoView(CAMERA, config(flat_distance=0.96, lens="none"))
+        flat = view.eyes(stripes(), None)
+        deep = view.eyes(stripes(), np.full((48, 64), 0.96, np.float32))
+        assert deep.deep
+        for eye in ("left", "right"):
+            np.testing.assert_allclose(getattr(flat, eye), getattr(deep, eye), atol=1)
+
+    def test_the_real_camera_fills_the_screen_of_the_dk2_without_nan(self):
+        view = StereoView(RGB, config())
+        rng = np.random.default_rng(0)
+        colour = rng.integers(0, 255, (RGB.height, RGB.width, 3), np.uint8)
+        depth = rng.uniform(0.5, 3.0, (RGB.height, RGB.width)).astype(np.float32)
+        depth[100:200, 100:300] = np.nan
+        seen = view.eyes(colour, depth)
+        screen = view.screen.draw(seen.left, seen.right)
+        assert screen.shape == (1080, 1920, 3)
+        assert 0.2 < np.count_nonzero(screen.any(axis=-1)) / screen[..., 0].size < 0.4
+
+    def test_a_picture_of_another_size_is_refused(self):
+        view = StereoView(CAMERA, config())
+        with pytest.raises(ValueError, match="colour picture has the shape"):
+            view.eyes(stripes()[:-1], None)
+        with pytest.raises(ValueError, match="depth picture has the shape"):
+            view.eyes(stripes(), np.ones((48, 65), np.float32))
+
+
+class TestAge:
+    def test_only_a_new_stamp_makes_the_picture_young(self):
+        age = PictureAge()
+        assert age.age(1.0) is None
+        assert age.arrived(7.0, 10.0)
+        assert not age.arrived(7.0, 12.0)
+        assert age.age(13.0) == 3.0
+        assert age.arrived(6.0, 13.0)  # a recording that starts again
+        assert age.age(13.5) == 0.5
+
+    def test_the_text_and_the_mark(self):
+        assert [age_text(a) for a in (None, 3.21, 120.0)] == ["no picture yet", "3.2 s old", "2 min old"]
+        picture = np.full((480, 640, 3), 200, np.uint8)
+        marked = mark_age(picture, 3.2)
+        assert marked.shape == picture.shape and (picture == 200).all()
+        assert np.median(marked) == 80
+        rows, columns = np.nonzero(marked[..., 0] > 200)
+        assert abs(rows.mean() - 240) < 20 and abs(columns.mean() - 320) < 20
+
+
+def test_the_settings_are_complete_and_a_contradiction_is_refused():
+    assert config().lens == "dk2"
+    with pytest.raises(ConfigError, match="nearest is 3 m"):
+        config(nearest=3.0)
+    with pytest.raises(ConfigError, match="lens"):
+        config(lens="vive")
+
+
+def test_every_line_of_the_yaml_states_its_unit():
+    from depth_scene import CONFIG as FOLDER
+
+    lines = [x for x in (FOLDER / "stereo_view.yaml").read_text().splitlines() if x and not x.startswith("#")]
+    assert all("#" in line for line in lines) and len(lines) == len(yaml.safe_load("\n".join(lines)))
