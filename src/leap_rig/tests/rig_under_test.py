@@ -11,6 +11,7 @@ import sys
 import xmlrpc.client
 from pathlib import Path
 
+import pytest
 import rosgraph
 import rospy
 from arm_trace import ArmTrace
@@ -33,9 +34,6 @@ PROGRAMS = {
 }
 START_S, MOVE_S, SOON_S = 60.0, 15.0, 5.0
 """Longest waits [s]: for the rig to start, for a motion, for a message."""
-
-SAFETY_SPEED = 0.7
-"""Tool speed of the simulated safety stop [m/s]: not the real one, 0.8 m/s, because below that the controller stays."""
 
 STANDING = 2e-3
 """A servo goal is approached ever more slowly: at this speed [rad/s] a joint is 0.1 deg away from it."""
@@ -92,7 +90,8 @@ class RigUnderTest:
             # The rig's own Leap service stands aside on other ports: driver and operator are to find the test's.
             **{"leap_port": ready[1], "leap_control_port": ready[2]},
             "leap_args": "--port 0 --control-port 0",
-            "robot_args": f"--safety-speed {SAFETY_SPEED}",
+            # The arm moves through free space here; what it touches is tested with the world's own tests.
+            "world": "false",
         }
         self._launch = self._processes.start(
             "roslaunch", "--wait", "leap_rig", "demo.launch", *(f"{k}:={v}" for k, v in arguments.items())
@@ -174,7 +173,29 @@ class RigUnderTest:
 
     def wait(self, condition, what: str, timeout: float = SOON_S):
         """Waits until the condition is true and returns its value; fails the test if that takes too long."""
-        return self._shared.wait_until(condition, timeout, what)
+        try:
+            return self._shared.wait_until(condition, timeout, what)
+        except pytest.fail.Exception as failure:
+            pytest.fail(f"{failure.msg}\n{self.situation}")
+
+    @property
+    def situation(self) -> str:
+        """What is known of the rig now, for the text of a failure."""
+        lines = [f"controller: mode {self.mode!r}, before: {self.modes[-12:]}"]
+        if self.status is not None:
+            lines.append(f"  control {'on' if self.status.control_on else 'off'}; {self.status.reason}")
+        lines.append(f"stream: {self.stream_state!r}, the last of {len(self.stream)} changes:")
+        lines += [f"  {state}: {why}" for state, why in self.stream[-6:]]
+        if self.arm.now is not None:
+            arm = self.arm.now
+            lines.append(
+                f"arm: mode {arm.mode!r}, fastest joint {arm.speed:.4f} rad/s, tool {arm.tool_speed:.3f} m/s at "
+                f"{arm.T_base_tool[:3, 3].round(4).tolist()} m, {arm.stops} stops, safety stop: {arm.safety_stop}"
+            )
+        for name, tools in (("desired", self.desired), ("commanded", self.commanded)):
+            if tools:
+                lines.append(f"{name}: {tools[-1][:3, 3].round(4).tolist()} m, {len(tools)} frames")
+        return "\n".join(["", *lines, "the end of the log:", *self.log.splitlines()[-25:]])
 
     def watch(self, seconds: float) -> None:
         """Lets so much time pass on the arm's clock."""

@@ -213,9 +213,8 @@ def test_the_tool_stays_in_the_workspace_and_comes_back_without_a_lurch(rig):
         np.testing.assert_allclose(rig.arm.now.T_base_tool[:3, 3], rig.desired[-1][:3, 3], atol=2e-3)
     assert max(outside(T[:3, 3]) for T in rig.commanded) < 1e-6
     samples = rig.arm.since(start)
-    assert max(outside(sample.T_base_tool[:3, 3]) for sample in samples) < 0.04, (
-        "the arm stops a braking way behind the bound, no further"
-    )
+    farthest = max(outside(sample.T_base_tool[:3, 3]) for sample in samples)
+    assert farthest < 0.01, "goals leave the workspace by 2 mm; the joints follow them with lags of their own"
     assert rig.arm.now.stops == stops and highest_share_of_joint_speed(samples) < 0.9
     rig.wait(lambda: rig.count("kuka_control", "workspace_clips") >= clips + 2, "the clips to be counted")
 
@@ -248,7 +247,7 @@ def move_too_fast(rig):
 
 @pytest.fixture
 def fast_controller(rig):
-    """A controller that lets the tool go as fast as parameters allow, and a hand that moves it further than itself."""
+    """A controller that sends every target as it is, so that nothing but the robot itself keeps the tool slow."""
     from kuka_msgs.srv import setScalingFactor
 
     def end_controller():
@@ -256,22 +255,23 @@ def fast_controller(rig):
         assert rig.exit_code(CONTROLLER) == 0
 
     end_controller()
-    rig.set(tcp_speed=0.79)
+    rig.set(shaping="none")
     rig.calm()
     assert rig.call("kuka/scaling_factor", setScalingFactor, 1.5).success
     yield
     end_controller()
-    rig.set(tcp_speed=0.6)
+    rig.set(shaping="ruckig")
 
 
 @on_an_unbroken_stream
 def test_the_safety_stop_at_25_nm(rig):
-    stop_and_recover(rig, push_the_arm, "The external torque of joint 2 is 25.5 Nm (limit 25).", share=0.3)
+    stop_and_recover(rig, push_the_arm, "The external torque of joint 2 is 25.5 Nm (limit 25).", share=0.35)
 
 
 @on_an_unbroken_stream
 def test_the_safety_stop_of_a_fast_tool(rig, fast_controller):
-    stop_and_recover(rig, move_too_fast, "m/s (limit 0.7).")
+    # Unshaped, the last two degrees to the hand are made up for as fast as the robot can.
+    stop_and_recover(rig, move_too_fast, "m/s (limit 0.8).", share=0.9)
 
 
 def stop_and_recover(rig, provoke, cause, share):
@@ -336,7 +336,8 @@ def test_a_lost_hand_sends_the_arm_home_and_another_one_is_picked_up_without_a_j
     rig.wait_for_mode("servo")
     rig.settle()
     np.testing.assert_allclose(rig.arm.now.T_base_tool[:3, 3], rig.desired[-1][:3, 3], atol=2e-3)
-    assert rig.modes == ["pick_up", "servo", "pick_up", "servo"]
+    # Where the mean of the next hand takes longer than time_out to fill, the arm goes home in between.
+    assert [mode for mode in rig.modes if mode not in ("returning", "home")] == ["pick_up", "servo"] * 2
     assert highest_share_of_joint_speed(rig.arm.since(since)) < 0.3, "pick-up motions run at a quarter of full speed"
 
 
