@@ -96,7 +96,8 @@ def test_the_jacobian_is_the_derivative(model, seed):
 def test_without_deviations_it_is_the_arm_of_the_data_sheet(model, seed):
     rng = np.random.default_rng(seed)
     plain, arm = Kinematics(model, TOOL), arm_of(model, NONE)
-    q, near = inner_joints(model, rng), rng.uniform(model.lower, model.upper)
+    q = inner_joints(model, rng)
+    near = np.clip(q + rng.uniform(-0.2, 0.2, 7), model.lower, model.upper)  # far away, two ways can be equally good
     np.testing.assert_allclose(arm.forward(q), plain.forward(q), atol=1e-12)
     np.testing.assert_allclose(arm.jacobian(q), plain.jacobian(q), atol=1e-12)
     expected, found = plain.inverse(plain.forward(q), near), arm.inverse(plain.forward(q), near)

@@ -96,6 +96,14 @@ class Person:
     def types(self, text):
         os.write(self._terminal, text.encode())
 
+    def interrupts(self):
+        """Presses Ctrl-C, and again if nothing happens: Python misses one that comes just before it waits for input."""
+        for _ in range(20):
+            self.process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(3.0)
+                return
+
     def reads_until(self, text):
         while text not in self.seen:
             data = os.read(self._terminal, 4096)
@@ -243,7 +251,7 @@ class TestWithoutMaster:
         somebody.reads_until("[y/N]")
         time.sleep(0.5)  # as a person reads first: the program has begun to wait for the answer
         if answer == "\x03":
-            somebody.process.send_signal(signal.SIGINT)
+            somebody.interrupts()
         else:
             somebody.types(answer)
         assert somebody.reads_to_the_end() == code

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import os
-import socket
 from pathlib import Path
-from urllib.parse import urlparse
 
 import rosgraph
 import rospkg
 import yaml
 
 from common.errors import RigError
-
-ANSWER_S = 3.0
-"""Longest wait for the master to answer [s]."""
+from common.ros.nodes import listens
 
 
 class NoMaster(RigError):
@@ -51,12 +47,9 @@ def master_of_this_graph() -> rosgraph.Master:
         NoMaster: nobody does.
     """
     uri = os.environ.get("ROS_MASTER_URI", "")
-    address = urlparse(uri)
-    try:
-        with socket.create_connection((address.hostname, address.port), ANSWER_S):
-            return rosgraph.Master("/leap_rig_program")
-    except (OSError, TypeError, ValueError) as error:
-        raise NoMaster(f"There is no ROS master at {uri or 'ROS_MASTER_URI, which is not set'}.") from error
+    if not listens(uri):
+        raise NoMaster(f"There is no ROS master at {uri or 'ROS_MASTER_URI, which is not set'}.")
+    return rosgraph.Master("/leap_rig_program")
 
 
 def living_node(name: str) -> bool:
@@ -67,9 +60,7 @@ def living_node(name: str) -> bool:
     """
     master = master_of_this_graph()
     try:
-        address = urlparse(master.lookupNode(f"/{name}"))
-        with socket.create_connection((address.hostname, address.port), ANSWER_S):
-            return True
+        return listens(master.lookupNode(f"/{name}"))
     except (rosgraph.MasterError, OSError):
         return False
 

@@ -55,6 +55,18 @@ class RgbdPair:
         return camera_model_from_info(self.depth_info)
 
 
+class _NearInTime(message_filters.ApproximateTimeSynchronizer):
+    """Pairs of pictures near in time. Starts anew where stamps go back, as in a recording that begins again: the later
+    ones would stay in the queue for ever and push the new ones out."""
+
+    def add(self, msg, my_queue, my_queue_index=None):
+        with self.lock:
+            if my_queue and msg.header.stamp < max(my_queue):
+                for queue in self.queues:
+                    queue.clear()
+        super().add(msg, my_queue, my_queue_index)
+
+
 class RgbdPairs:
     """Listens to rgb/image_raw and depth/image_raw, and to camera_info beside each.
 
@@ -86,7 +98,7 @@ class RgbdPairs:
                 message_filters.Subscriber(f"{name}/image_raw", Image, queue_size=1, buff_size=BUFFER_BYTES)
                 for name in ("rgb", "depth")
             ]
-            pairs = message_filters.ApproximateTimeSynchronizer(self._subscribers, QUEUE, self._slop)
+            pairs = _NearInTime(self._subscribers, QUEUE, self._slop)
             pairs.registerCallback(self._on_pictures)
         elif not wanted and self._subscribers:
             for subscriber in self._subscribers:

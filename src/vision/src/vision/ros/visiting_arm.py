@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 from common.config import choice, integer, parse, text
 from common.errors import ConfigError, DeviceError
 from common.ros.conversions import stamped_transform
+from common.ros.nodes import listens
 from kst.client import KstClient
 from kst.errors import ReplyTimeout, ServerBusy
 from kst.limits import JointLimits
@@ -149,8 +150,8 @@ class VisitingArm:
 def _refuse_if_held() -> None:
     master = rospy.get_master()
     for name in CONTROLLERS:
-        resolved = rospy.resolve_name(name)
-        if master.lookupNode(resolved)[0] == 1:
+        code, _, uri = master.lookupNode(rospy.resolve_name(name))
+        if code == 1 and listens(uri):
             raise DeviceError(
                 f"The node {name} has the robot's only connection; end it first (rosservice call kuka/exit_app), "
                 "or move the arm with it and use --by-hand."
