@@ -80,5 +80,5 @@ def while_running() -> Iterator[None]:
     try:
         yield
     except rospy.ROSException:
-        if not rospy.is_shutdown():
+        if not rospy.core.is_shutdown_requested():  # which is true as soon as the topics close, is_shutdown() later
             raise

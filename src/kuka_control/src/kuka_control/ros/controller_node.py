@@ -80,6 +80,8 @@ def _connect(config: ArmConfig, rig: Rig) -> KstArm:
             return KstArm(client, partial(moment_at_tool, rig.kinematics))
         except DeviceError as error:
             if not isinstance(error, NoServer) or time.monotonic() > deadline:
+                if _ends_soon():
+                    break
                 sentence = f"There is no connection to the robot at {config.ip}:{config.port}: {error}."
                 raise DeviceError(sentence) from error
             if not waiting:
