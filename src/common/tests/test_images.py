@@ -81,3 +81,20 @@ def test_depth_in_metres_says_nan_where_there_is_none():
     metres = images.metres_from_millimetres(np.array([[0, 1, 3500]], np.uint16))
     assert metres.dtype == np.float32
     np.testing.assert_allclose(metres, [[np.nan, 0.001, 3.5]])
+
+
+def test_colour_comes_red_first_and_depth_in_metres_whatever_the_encoding():
+    images, stamp = messages()
+    colour = np.array([[[200, 20, 2]]], np.uint8)
+    for encoding, picture in (("rgb8", colour), ("bgr8", colour[..., ::-1].copy())):
+        np.testing.assert_array_equal(
+            images.colour_from_image(images.image_message(picture, encoding, "f", stamp)), colour
+        )
+    for encoding, picture in (("16UC1", np.array([[1500]], np.uint16)), ("32FC1", np.array([[1.5]], np.float32))):
+        np.testing.assert_allclose(
+            images.depth_from_image(images.image_message(picture, encoding, "f", stamp)), [[1.5]]
+        )
+    with pytest.raises(ValueError, match="colour picture has the encoding mono8, not rgb8 or bgr8"):
+        images.colour_from_image(images.image_message(np.zeros((1, 1), np.uint8), "mono8", "f", stamp))
+    with pytest.raises(ValueError, match="depth picture has the encoding rgb8, not 16UC1 or 32FC1"):
+        images.depth_from_image(images.image_message(colour, "rgb8", "f", stamp))

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import ssl
 import subprocess
 import urllib.error
 import urllib.request
@@ -146,26 +147,26 @@ class TestWindow:
 
         wait_until(said, 30.0, "the sentence", poll=0.1)
 
-    def test_a_picture_that_is_none_is_not_shown_and_the_next_one_is(self, ros, camera, offscreen, wait_until):
+    def test_torn_pictures_are_not_shown_and_do_not_count_as_new(self, ros, camera, offscreen, wait_until):
         import rospy
         from sensor_msgs.msg import Image
 
         sentence = status(ros, "stereo_view")
         node = start_view(ros)
 
-        def refused():
-            camera.publish()
+        def torn():
             torn = Image(width=640, height=480, encoding="rgb8", step=1920, data=b"short")
             torn.header.stamp = rospy.Time.now()
             camera.publishers["rgb/image_raw"].publish(torn)
-            return "A picture was not shown: a picture has 5 bytes" in node.log_path.read_text()
-
-        wait_until(refused, 30.0, "the refusal", poll=0.1)
+            return sentence().endswith("s old.")
 
         def shown():
             camera.publish()
             return sentence() == "Shows pictures."
 
+        wait_until(shown, 30.0, "a picture", poll=0.1)
+        wait_until(torn, 30.0, "the sentence about the age", poll=0.1)
+        assert "A picture was not shown: a picture has 5 bytes" in node.log_path.read_text()
         wait_until(shown, 30.0, "a picture", poll=0.1)
 
     @pytest.mark.parametrize(
@@ -228,6 +229,34 @@ class TestWeb:
             assert (up + down) * RGB.P[1, 1] == pytest.approx(480.0)
             wait_until(lambda: self.ask(connection)[0] == {"picture": False}, 30.0, "silence")
         wait_until(lambda: not camera.watched(), 30.0, "the camera's rest")
+
+    def test_ctrl_c_ends_it_while_a_page_looks(self, ros, camera, processes, wait_until):
+        from websockets.sync.client import connect
+
+        node, address = start_web(ros, wait_until)
+        with connect(address.replace("http", "ws") + "pictures"):
+            wait_until(camera.watched, 30.0, "the node to look")
+            assert processes.end(node, timeout=30.0) == 0
+        assert "Traceback" not in node.log_path.read_text()
+
+    @pytest.mark.skipif(not shutil.which("openssl"), reason="openssl is not installed")
+    def test_with_a_certificate_the_page_comes_by_https(self, ros, wait_until, tmp_path):
+        from websockets.sync.client import connect
+
+        key, certificate = str(tmp_path / "key.pem"), str(tmp_path / "certificate.pem")
+        subprocess.run(
+            ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=localhost",
+             "-addext", "subjectAltName=IP:127.0.0.1", "-keyout", key, "-out", certificate],
+            check=True, capture_output=True, timeout=60.0,
+        )  # fmt: skip
+        _, address = start_web(ros, wait_until, certificate=certificate, key=key)
+        assert address.startswith("https://")
+        trust = ssl.create_default_context(cafile=certificate)
+        with urllib.request.urlopen(address, timeout=30.0, context=trust) as answer:
+            assert answer.read() == Path(PAGE).read_bytes()
+        socket = address.replace("https", "wss") + "pictures"
+        with connect(socket, ssl=trust, origin=address.rstrip("/")) as connection:
+            assert self.ask(connection)[0] == {"picture": False}
 
     def test_other_paths_and_other_sites_get_nothing(self, ros, wait_until):
         from websockets.exceptions import InvalidStatus

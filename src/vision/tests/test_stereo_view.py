@@ -154,9 +154,11 @@ class TestDepth:
             assert bright.mean() == pytest.approx(29.5 + eye * 12.0, abs=1.0)
 
     def test_what_has_no_depth_counts_as_its_farther_neighbour(self):
-        depth = np.array([[1.0, np.nan, np.nan, 3.0], [np.nan] * 4, [np.nan, 2.0, 0.0, -1.0]], np.float32)
-        expected = [[1.0, 3.0, 3.0, 3.0], [5.0] * 4, [2.0] * 4]
-        np.testing.assert_allclose(1.0 / inverse_depth(depth, 0.4, 5.0), expected, rtol=1e-6)
+        nan = np.nan
+        depth = np.array([[1, nan, nan, 3], [nan] * 4, [nan, 2, 0, -1], [nan, 2, nan, 2.5], [0.1, nan, np.inf, 0.2]])
+        expected = [[1, 3, 3, 3], [3, 3, 3, 3], [2, 2, 2, 2], [2, 2, 2.5, 2.5], [0.4, 0.4, 0.4, 0.4]]
+        np.testing.assert_allclose(1.0 / inverse_depth(depth.astype(np.float32), 0.4, 5.0), expected, rtol=1e-6)
+        np.testing.assert_allclose(1.0 / inverse_depth(np.full((2, 3), nan, np.float32), 0.4, 5.0), 5.0)
 
 
 class TestView:
@@ -202,13 +204,15 @@ class TestView:
 
 
 class TestAge:
-    def test_only_a_new_stamp_makes_the_picture_young(self):
+    def test_only_another_stamp_is_a_new_picture(self):
         age = PictureAge()
         assert age.age(1.0) is None
-        assert age.arrived(7.0, 10.0)
-        assert not age.arrived(7.0, 12.0)
+        assert age.is_new(7.0)
+        age.shown(7.0, 10.0)
+        assert not age.is_new(7.0)
         assert age.age(13.0) == 3.0
-        assert age.arrived(6.0, 13.0)  # a recording that starts again
+        assert age.is_new(6.0)  # a recording that starts again
+        age.shown(6.0, 13.0)
         assert age.age(13.5) == 0.5
 
     def test_the_text_and_the_mark(self):

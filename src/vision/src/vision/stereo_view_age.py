@@ -12,21 +12,22 @@ COLOUR = (255, 200, 60)
 
 
 class PictureAge:
-    """Measures how long ago the newest picture came. A picture with the stamp of the one before is none."""
+    """Measures how long ago the picture came that is shown."""
 
     def __init__(self) -> None:
         self._stamp: float | None = None
         self._since: float | None = None
 
-    def arrived(self, stamp: float, now: float) -> bool:
-        """Takes in the stamp [s] of a picture that came at the time `now` [s]; returns whether it is a new one."""
-        if stamp == self._stamp:
-            return False
-        self._stamp, self._since = stamp, now
-        return True
+    def is_new(self, stamp: float) -> bool:
+        """Returns whether a picture with this stamp [s] is another one: a frozen camera repeats its last one."""
+        return stamp != self._stamp
+
+    def shown(self, stamp: float, since: float) -> None:
+        """Takes in that a picture with this stamp [s], which came at the time `since` [s], is shown from now on."""
+        self._stamp, self._since = stamp, since
 
     def age(self, now: float) -> float | None:
-        """Returns the time since the newest picture came [s]; None before the first."""
+        """Returns the time since the picture came that is shown [s]; None before the first."""
         return None if self._since is None else now - self._since
 
 

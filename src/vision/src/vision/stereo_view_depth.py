@@ -20,22 +20,26 @@ def inverse_depth(depth: np.ndarray, nearest: float, instead: float) -> np.ndarr
     """Returns 1/z for every pixel, float32 [1/m].
 
     A pixel without depth (NaN, infinite, not positive) gets that of the farther one of its neighbours to the left and
-    right: a depth camera misses mostly what stands in the shadow of something near.
+    right: a depth camera misses mostly what stands in the shadow of something near. A row without any depth counts as
+    the farthest of all pixels.
 
     Args:
         depth: shape (height, width) [m].
         nearest: smaller depths count as this one [m].
-        instead: depth of a row in which no pixel has one [m].
+        instead: depth of a picture in which no pixel has one [m].
     """
     known = np.isfinite(depth) & (depth > 0.0)
-    near = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float32), where=known, dtype=np.float32)
-    np.minimum(near, np.float32(1.0 / nearest), out=near)
-    left, right = _neighbours(known)
-    rows = np.arange(depth.shape[0])[:, None]
+    if not known.any():
+        return np.full(depth.shape, 1.0 / instead, np.float32)
+    near = np.divide(1.0, depth, out=np.full(depth.shape, np.inf, np.float32), where=known, dtype=np.float32)
+    farthest = near.min()
+    rows, holes = np.nonzero(~known)
+    left, right = (columns[rows, holes] for columns in _neighbours(known))
     from_left = np.where(left >= 0, near[rows, left], np.inf)
     from_right = np.where(right >= 0, near[rows, right], np.inf)
     filled = np.minimum(from_left, from_right)
-    return np.where(np.isfinite(filled), filled, 1.0 / instead).astype(np.float32)
+    near[rows, holes] = np.where(np.isfinite(filled), filled, farthest)
+    return np.minimum(near, np.float32(1.0 / nearest), out=near)
 
 
 def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
@@ -73,8 +77,7 @@ def _without_holes(source: np.ndarray, eye: int) -> np.ndarray:
     if known.all():
         return source
     rows, holes = np.nonzero(~known)
-    left, right = _neighbours(known)
-    left, right = left[rows, holes], right[rows, holes]
+    left, right = (columns[rows, holes] for columns in _neighbours(known))
     # The neighbour that has moved less is farther away; at the edge there is one neighbour only.
     moved_left = np.where(left >= 0, eye * (left - source[rows, left]), np.inf)
     moved_right = np.where(right >= 0, eye * (right - source[rows, right]), np.inf)

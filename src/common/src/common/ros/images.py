@@ -66,6 +66,32 @@ def metres_from_millimetres(depth: np.ndarray) -> np.ndarray:
     return metres
 
 
+def colour_from_image(message: Image) -> np.ndarray:
+    """Returns the colour picture in a message, shape (height, width, 3), red first.
+
+    Raises:
+        ValueError: the message holds none, or is torn.
+    """
+    if message.encoding not in ("rgb8", "bgr8"):
+        raise ValueError(f"the colour picture has the encoding {message.encoding}, not rgb8 or bgr8")
+    picture = picture_from_image(message)
+    return picture if message.encoding == "rgb8" else picture[..., ::-1]
+
+
+def depth_from_image(message: Image) -> np.ndarray:
+    """Returns the depth picture in a message, shape (height, width), float32 [m], not finite = none.
+
+    Raises:
+        ValueError: the message holds none, or is torn.
+    """
+    picture = picture_from_image(message)
+    if picture.dtype == np.uint16:
+        return metres_from_millimetres(picture)
+    if picture.dtype == np.float32:
+        return picture
+    raise ValueError(f"the depth picture has the encoding {message.encoding}, not 16UC1 or 32FC1")
+
+
 def camera_info_message(model: CameraModel, frame: str, stamp: rospy.Time) -> CameraInfo:
     """Returns the message that describes the camera."""
     message = CameraInfo(height=model.height, width=model.width, distortion_model=PLUMB_BOB)

@@ -15,14 +15,13 @@ from std_msgs.msg import Header
 
 from common.camera_model import CameraModel
 from common.ros.conversions import pose_from_transform
-from common.ros.images import camera_model_from_info, metres_from_millimetres, picture_from_image
+from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
 from common.ros.node import while_running
 
 BUFFER_BYTES = 2**24
 """Room for many pictures: rospy drops all but the newest only among those that it has read."""
 QUEUE = 5
 THROTTLE_S = 10.0
-RGB = ("rgb8", "bgr8")
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,13 +128,10 @@ class RgbdPairs:
         except tf2_ros.TransformException:
             self._wait(f"the frame {depth.header.frame_id} in {rgb.header.frame_id}")
             return
-        if rgb.encoding not in RGB:
-            raise ValueError(f"the colour picture has the encoding {rgb.encoding}, not {' or '.join(RGB)}")
-        colour = picture_from_image(rgb)
         pair = RgbdPair(
             rgb.header,
-            colour if rgb.encoding == "rgb8" else colour[..., ::-1],
-            _metres(depth),
+            colour_from_image(rgb),
+            depth_from_image(depth),
             self._infos["rgb"],
             self._infos["depth"],
             pose_from_transform(found.transform),
@@ -147,13 +143,3 @@ class RgbdPairs:
     def _wait(self, what: str) -> None:
         self.waits_for = what
         rospy.loginfo_throttle(THROTTLE_S, f"Waiting for {what}.")
-
-
-def _metres(message: Image) -> np.ndarray:
-    """Raises ValueError for a picture that is no depth."""
-    picture = picture_from_image(message)
-    if picture.dtype == np.uint16:
-        return metres_from_millimetres(picture)
-    if picture.dtype == np.float32:
-        return picture
-    raise ValueError(f"the depth picture has the encoding {message.encoding}, not 16UC1 or 32FC1")

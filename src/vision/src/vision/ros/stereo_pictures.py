@@ -14,7 +14,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
-from common.ros.images import camera_model_from_info, metres_from_millimetres, picture_from_image
+from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
 from vision.stereo_view import EyePictures, StereoView
 from vision.stereo_view_age import PictureAge, age_text
 from vision.stereo_view_config import StereoViewConfig
@@ -22,7 +22,6 @@ from vision.stereo_view_config import StereoViewConfig
 BUFFER_BYTES = 2**24
 """Room for many pictures: rospy drops all but the newest only among those that it has read."""
 THROTTLE_S = 10.0
-COLOUR = ("rgb8", "bgr8")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +54,7 @@ class StereoPictures:
         self._config = config
         self._arrival = threading.Condition()
         self._age = PictureAge()
-        self._colour: Image | None = None
+        self._colour: tuple[Image, float] | None = None
         self._depth: Image | None = None
         self._info: CameraInfo | None = None
         self._view: StereoView | None = None
@@ -91,10 +90,12 @@ class StereoPictures:
             colour, depth, info = self._colour, self._depth, self._info
             if info is not None:
                 self._colour = None
-        if colour is not None and info is not None:
+        if colour is not None and info is not None and self._age.is_new(colour[0].header.stamp.to_sec()):
             try:
-                self._last = self._make(colour, depth, info)
-                return self._last
+                seen = self._make(colour[0], depth, info)
+                self._age.shown(seen.stamp.to_sec(), colour[1])
+                self._last = seen
+                return seen
             except ValueError as error:
                 rospy.logwarn_throttle(THROTTLE_S, f"A picture was not shown: {error}.")
         return self._aged()
@@ -109,8 +110,7 @@ class StereoPictures:
             missing = "camera_info" if self._info is None else "image_raw"
             return DiagnosticStatus.WARN, f"Waits for {rospy.resolve_name(f'rgb/{missing}')}.", values
         values["deep"] = last.eyes.deep
-        with self._arrival:
-            age = self._age.age(time.monotonic())
+        age = self._age.age(time.monotonic())
         if age > self._config.age_after:
             return DiagnosticStatus.WARN, f"The picture that is shown is {age_text(age)}.", values
         if self._config.depth and not last.eyes.deep:
@@ -125,9 +125,8 @@ class StereoPictures:
 
     def _take_colour(self, message: Image) -> None:
         with self._arrival:
-            if self._age.arrived(message.header.stamp.to_sec(), time.monotonic()):
-                self._colour = message
-                self._arrival.notify_all()
+            self._colour = message, time.monotonic()
+            self._arrival.notify_all()
 
     def _take_depth(self, message: Image) -> None:
         with self._arrival:
@@ -135,10 +134,7 @@ class StereoPictures:
 
     def _make(self, colour: Image, depth: Image | None, info: CameraInfo) -> Seen:
         started = time.perf_counter()
-        if colour.encoding not in COLOUR:
-            raise ValueError(f"the colour picture has the encoding {colour.encoding}, not {' or '.join(COLOUR)}")
-        picture = picture_from_image(colour)
-        picture = picture if colour.encoding == "rgb8" else np.ascontiguousarray(picture[..., ::-1])
+        picture = np.ascontiguousarray(colour_from_image(colour))
         view = self._for(info)
         eyes = view.eyes(picture, self._metres(depth, colour.header.stamp))
         self._drawn += 1
@@ -150,8 +146,7 @@ class StereoPictures:
         last = self._last
         if last is None:
             return None
-        with self._arrival:
-            age = self._age.age(time.monotonic())
+        age = self._age.age(time.monotonic())
         eyes = last.eyes.aged(age) if age > self._config.age_after else last.eyes
         return Seen(eyes, last.view, age, False, last.stamp)
 
@@ -159,12 +154,7 @@ class StereoPictures:
         """Returns the depth that belongs to a picture [m]; None if there is none of its time."""
         if depth is None or abs((depth.header.stamp - stamp).to_sec()) > self._config.depth_gap:
             return None
-        picture = picture_from_image(depth)
-        if picture.dtype == np.uint16:
-            return metres_from_millimetres(picture)
-        if picture.dtype == np.float32:
-            return picture
-        raise ValueError(f"the depth picture has the encoding {depth.encoding}, not 16UC1 or 32FC1")
+        return depth_from_image(depth)
 
     def _for(self, info: CameraInfo) -> StereoView:
         """Returns the view of this camera; a calibration may be replaced while the node runs."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import rospy
 from python_qt_binding.QtCore import QTimer
@@ -41,17 +42,18 @@ def _run() -> None:
     pictures = StereoPictures(config)
     pictures.listen_if(True)
     ended = threading.Event()
-    drawer = threading.Thread(target=_draw, args=(pictures, window, ended), name="draw")
-    drawer.start()
+    pool = ThreadPoolExecutor(1, "draw")
+    drawn = pool.submit(_draw, pictures, window, ended)
     Diagnostics("stereo_view", pictures.diagnose)
     end = QTimer()
     # Its time-outs also give Python the chance to see signals.
-    end.timeout.connect(lambda: application.quit() if rospy.is_shutdown() or not drawer.is_alive() else None)
+    end.timeout.connect(lambda: application.quit() if rospy.is_shutdown() or drawn.done() else None)
     end.start(POLL_MS)
     application.exec_()
     end.stop()
     ended.set()
-    drawer.join()
+    drawn.result()
+    pool.shutdown()
 
 
 def _draw(pictures: StereoPictures, window: StereoScreen, ended: threading.Event) -> None:

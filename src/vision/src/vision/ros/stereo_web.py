@@ -26,6 +26,7 @@ SILENCE_S = 0.5
 """Without a new picture for so long the page is told so."""
 REQUEST_S = 10.0
 """A page that asks for nothing for so long is gone."""
+CLOSE_S = 1.0
 MAX_PAGES = 4
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
@@ -77,7 +78,8 @@ class StereoWeb:
 
     def __init__(self, config: WebConfig) -> None:
         self._frame: Frame | None = None
-        self._number = self._pages = 0
+        self._number = 0
+        self._pages: set[ServerConnection] = set()
         self._change = threading.Condition()
         self._local = config.host in LOOPBACK
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
@@ -88,7 +90,13 @@ class StereoWeb:
                 tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
                 tls.load_cert_chain(config.certificate, config.key)
             self._server = serve(
-                self._converse, config.host, config.port, process_request=self._meet, ssl=tls, compression=None
+                self._converse,
+                config.host,
+                config.port,
+                process_request=self._meet,
+                ssl=tls,
+                compression=None,
+                close_timeout=CLOSE_S,
             )
         except (OSError, OverflowError) as error:
             raise DeviceError(f"The page cannot be served on {config.host}:{config.port}: {error}.") from error
@@ -100,7 +108,7 @@ class StereoWeb:
     @property
     def watched(self) -> bool:
         """Whether a page shows the pictures."""
-        return self._pages > 0
+        return bool(self._pages)
 
     def put(self, frame: Frame) -> None:
         """Sends a picture to every page that has shown the one before."""
@@ -110,8 +118,12 @@ class StereoWeb:
             self._change.notify_all()
 
     def close(self) -> None:
-        """Ends the server."""
+        """Ends the server and says so to the pages."""
         self._server.shutdown()
+        with self._change:
+            pages = list(self._pages)
+        for connection in pages:
+            connection.close(1001)
 
     def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answers whatever asks for no WebSocket, and keeps other sites' pages from the camera."""
@@ -131,10 +143,10 @@ class StereoWeb:
 
     def _converse(self, connection: ServerConnection) -> None:
         with self._change:
-            if self._pages >= MAX_PAGES:
+            if len(self._pages) >= MAX_PAGES:
                 connection.close(1013, f"{MAX_PAGES} pages look already")
                 return
-            self._pages += 1
+            self._pages.add(connection)
         shown = self._number
         try:
             while True:
@@ -150,7 +162,7 @@ class StereoWeb:
             pass
         finally:
             with self._change:
-                self._pages -= 1
+                self._pages.remove(connection)
 
     def _after(self, number: int) -> tuple[int, Frame | None]:
         """Returns the newest picture and its number, which is the one given if none came for a while."""
