@@ -53,16 +53,14 @@ def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
         eye: LEFT or RIGHT.
     """
     height, width = shift.shape
-    columns = np.arange(width)
     # A later assignment wins. The left eye's pixels move right: of those that meet, the nearest began leftmost.
-    order = columns[::-1] if eye == LEFT else columns
-    shift_in_order = eye * shift[:, order]
-    target = np.rint(order + shift_in_order).astype(np.int32)
+    order = slice(None, None, -1 if eye == LEFT else 1)
+    move = eye * shift[:, order]
+    target = np.rint(np.arange(width, dtype=np.float32)[order] + move)
     inside = (target >= 0) & (target < width)
-    target += np.arange(height, dtype=np.int32)[:, None] * width
+    pixel = width * np.arange(height, dtype=np.int32)[:, None] + target.astype(np.int32)
     source = np.full(height * width, NONE, np.float32)
-    target_column = np.rint(order + shift_in_order).astype(np.float32)
-    source[target[inside]] = (target_column - shift_in_order)[inside]
+    source[pixel[inside]] = (target - move)[inside]
     return _without_holes(source.reshape(height, width), eye)
 
 
