@@ -38,7 +38,7 @@ def test_objects_and_forces_are_shown(ros, world_port, wait_until):
         truth = world.ask("objects")["objects"]["cup"]["position"]
         heights = [marker.pose.position.z for marker in cup]
         assert abs(sum(heights) / len(heights) - truth[2]) < 0.005
-        wait_until(lambda: of(contacts[-1], Marker.TEXT_VIEW_FACING), 30.0, "the cup on the table")
+        wait_until(lambda: contacts and of(contacts[-1], Marker.TEXT_VIEW_FACING), 30.0, "the cup on the table")
         assert of(contacts[-1], Marker.ARROW)
         (label,) = of(contacts[-1], Marker.TEXT_VIEW_FACING)
         name, newtons, unit = label.text.split()
