@@ -58,9 +58,10 @@ def test_an_object_that_was_picked_and_put_down():
         (PICKED[:3], "was not put down"),
         ((*PICKED, (lifted(0.1), 0.1, IN_HAND)), "was not put down"),
         ((*PICKED[:2], (translation(0, 0, -0.8), -0.8, ("floor",))), "cup: fell off the table"),
+        ((*PICKED, (translation(0, 0, -0.8), -0.8, ("floor",))), "cup: fell off the table"),
         ((*PICKED[:2], (STANDS @ pose(rotation_about(0, np.radians(90.0))), 0.0, ON_TABLE)), "tilted by 90 deg"),
     ],
-    ids=["not touched", "still up", "not let go", "up again", "fell", "tipped over"],
+    ids=["not touched", "still up", "not let go", "up again", "fell", "fell after it stood", "tipped over"],
 )
 def test_what_is_not_picked_and_placed_is_a_fault_of_the_scenario(sights, sentence):
     summary = summary_of(seen(*sights, scenario=DONE))

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +11,7 @@ import yaml
 
 from common.config import path, text
 from common.errors import ConfigError, DeviceError
+from common.ros.files import write_whole
 from vision.calibration_record import CalibrationRecord, mapping_from_record, record_from_mapping
 
 PREFIX = "camera_place_"
@@ -63,20 +61,9 @@ class CalibrationStore:
         content = "# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w.\n" + yaml.safe_dump(
             mapping_from_record(record), sort_keys=False
         )
-        temporary = None
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(prefix=f".{file.name}", dir=str(self.folder))
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, file)
+            write_whole(file, content)
         except OSError as error:
-            if temporary:
-                with contextlib.suppress(OSError):
-                    os.unlink(temporary)
             raise DeviceError(f"Cannot write {file}: {error.strerror}; the calibration before stays.") from None
         return file
 

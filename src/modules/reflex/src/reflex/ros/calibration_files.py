@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import tempfile
 from pathlib import Path
 
 import rospkg
 import rospy
 
 from common.errors import DeviceError
+from common.ros.files import write_whole
 from reflex.calibration import (
     FingerZeros,
     TactileOffsets,
@@ -70,20 +69,9 @@ class CalibrationFiles:
 
     def _write(self, name: str, text: str) -> Path:
         path = self._folder / name
-        temporary = None
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(prefix=name, dir=str(self._folder))
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
+            write_whole(path, text)
         except OSError as error:
-            if temporary:
-                with contextlib.suppress(OSError):
-                    os.unlink(temporary)
             raise DeviceError(
                 f"Cannot write {path}: {error.strerror}; the calibration holds until the driver ends."
             ) from None

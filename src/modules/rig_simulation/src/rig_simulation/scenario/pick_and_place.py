@@ -10,7 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig_simulation.leap.motion import MIN_JERK_PEAK
+
 UP = np.array([0.0, 0.0, 1.0])
+SHORTEST_MOVE_S, SETTLE_S = 0.4, 0.3
+FINGER_SHARE = 0.6
+"""Part of the fingers' time in which the person's own fingers move."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +26,7 @@ class Plan:
         clearance: of the grip above the object before it is grasped [m].
         grasp_height: of the grip above the object's top while it is grasped [m].
         lift: how high it is lifted [m].
-        speed: of the palm [m/s].
+        speed: highest of the palm [m/s].
         tolerance: distance of the tool from where it should be that is good enough [m].
         at_rest: speed below which the tool stands [m/s].
         closing, opening: how long the fingers are given [s].
@@ -159,18 +164,15 @@ class PickAndPlace:
     def _shift(self, way: np.ndarray, now: float) -> Move:
         """Returns the palm's move that shifts the tool by `way`, shape (3,) [m], in the base."""
         self._palm = self._palm + self._R_leap_base @ way
-        seconds = max(0.4, 1.875 * float(np.linalg.norm(way)) / self._plan.speed)
-        return self._made(Move(self._palm, self._curl, seconds), now)
+        seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * float(np.linalg.norm(way)) / self._plan.speed)
+        self._busy_until = now + seconds + SETTLE_S
+        return Move(self._palm, self._curl, seconds)
 
     def _bend(self, curl: float, seconds: float, now: float) -> Move:
+        """Returns the fingers' move; the robot's fingers, which are slower, are given `seconds` in all."""
         self._curl = curl
-        move = self._made(Move(self._palm, curl, 0.6 * seconds), now)
         self._busy_until = now + seconds
-        return move
-
-    def _made(self, move: Move, now: float) -> Move:
-        self._busy_until = now + move.seconds + 0.3
-        return move
+        return Move(self._palm, curl, FINGER_SHARE * seconds)
 
     def _at_rest(self, grip: np.ndarray, now: float) -> bool:
         before, self._before = self._before, (now, grip)

@@ -1,0 +1,31 @@
+"""A file is written whole or not at all."""
+
+import errno
+import os
+
+import pytest
+
+from common.ros.files import write_whole
+
+
+def test_what_was_there_is_replaced_and_folders_are_made(tmp_path):
+    path = tmp_path / "a" / "b" / "file.yaml"
+    for text in ("first: 1\n", "second: ä\n"):
+        write_whole(path, text)
+        assert path.read_text(encoding="utf-8") == text
+    assert os.listdir(path.parent) == ["file.yaml"]
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+def test_on_a_full_disk_the_old_file_stays_and_nothing_else(tmp_path, monkeypatch, step):
+    path = tmp_path / "file.yaml"
+    write_whole(path, "old")
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, step, full)
+    with pytest.raises(OSError, match="No space left"):
+        write_whole(path, "new")
+    assert path.read_text() == "old" and os.listdir(tmp_path) == ["file.yaml"]
