@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,8 @@ SHARED = ROOT.parent / "shared"
 SOURCES = [str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup.py"))]
 sys.path.extend(SOURCES)
 
+from common.ports import free_port  # noqa: E402 - needs the path above
+
 
 def pytest_collection_modifyitems(config, items):
     """Skips the tests marked `ros` where the workspace is not sourced, and says so."""
@@ -31,16 +32,9 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(skip)
 
 
-def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """Returns a port of this machine's loopback address that is free now."""
-    with socket.socket(socket.AF_INET, kind) as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
-
-
 @pytest.fixture(name="free_port")
 def free_port_fixture():
-    """The function free_port."""
+    """The function common.ports.free_port."""
     return free_port
 
 

@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from bench.measure import BenchError, Row
+from common.ports import free_port
 
-PORTS = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port")
+PORTS = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port")
 AT_HOME = " s | arm "
 """What the demo prints once the arm is at home and the person begins."""
 
@@ -79,13 +80,6 @@ def _start(duration: int, report: Path, folder: str, output) -> subprocess.Popen
     return subprocess.Popen(
         [*command, *arguments], env=env, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
     )
-
-
-def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """Returns a port of the loopback address that is free now."""
-    with socket.socket(socket.AF_INET, kind) as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
 
 
 def _wait_until_home(process: subprocess.Popen, log: Path) -> None:

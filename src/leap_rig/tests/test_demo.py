@@ -18,7 +18,14 @@ def demo(processes, free_port, tmp_path):
 
     def start(*arguments: str, **launch):
         report = tmp_path / "report.json"
-        ports = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port")
+        ports = (
+            "robot_port",
+            "robot_control_port",
+            "leap_port",
+            "leap_control_port",
+            "hand_control_port",
+            "world_port",
+        )
         launch = {**{name: free_port() for name in ports}, "hand_port": free_port(socket.SOCK_DGRAM), **launch}
         process = processes.start(
             "rosrun", "leap_rig", "demo.py", "--headless", "--report", str(report), *arguments,
