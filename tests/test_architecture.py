@@ -13,7 +13,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LAYER = {
-    "kuka_msgs": 0, "reflex_msgs": 0, "rig_msgs": 0, "rig_description": 0,
+    "kuka_msgs": 0, "reflex_msgs": 0, "rig_msgs": 0, "grasp_msgs": 0,
+    "rig_description": 0,
     "common": 1,
     "kst": 2, "leap_motion": 2, "reflex": 2, "apriltag_ros": 2,
     "kuka_control": 3, "leap_kuka": 3, "leap_hand": 3, "vision": 3, "grasping": 3,
@@ -21,7 +22,7 @@ LAYER = {
 }  # fmt: skip
 ROS = {"rospy", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "rospkg", "geometry_msgs", "std_msgs", "std_srvs",
        "sensor_msgs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs", "kuka_msgs",
-       "reflex_msgs", "rig_msgs"}  # fmt: skip
+       "reflex_msgs", "rig_msgs", "grasp_msgs"}  # fmt: skip
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files of a device module: they may hold sockets, clocks and threads.
 EDGES = {"transport", "session", "client"}
