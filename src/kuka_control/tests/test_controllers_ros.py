@@ -342,6 +342,38 @@ def test_the_services_work_as_they_are_typed(processes, robot, start):
         assert answer in process.log_path.read_text()
 
 
+@pytest.mark.parametrize("executable", [REAL_TIME, PTP])
+def test_whether_the_tool_can_be_brought_to_a_pose(robot, start, executable):
+    import rospy
+
+    from common.ros.conversions import pose_from_message, stamped_pose
+    from rig_msgs.srv import CheckToolPose
+
+    node = start(executable)
+    node.wait_for_mode("home")
+    assert node.call("scaling_factor", "setScalingFactor", 0.5).success
+    before = robot.joints
+    check = rospy.ServiceProxy("kuka/check_tool_pose", CheckToolPose)
+
+    def ask(T, frame="kuka/base_frame"):
+        return check(stamped_pose(T, frame, rospy.Time()))
+
+    good = ask(shifted(home_tool(), 0.03, 0.0, 0.05))
+    assert good.success and good.message == "The arm can bring the tool there."
+    np.testing.assert_allclose(pose_from_message(good.desired), shifted(home_tool(), 0.06, 0.0, 0.1), atol=1e-4)
+    for bad, words in (
+        (ask(shifted(home_tool(), 0.0, 0.0, -0.3)), "lower z limit"),
+        (ask(home_tool(), "camera_link"), "its frame is 'camera_link' instead of kuka/base_frame"),
+        (ask(shifted(home_tool(), np.nan, 0.0, 0.0)), "not finite"),
+    ):
+        assert not bad.success and words in bad.message
+    no_rotation = stamped_pose(home_tool(), "kuka/base_frame", rospy.Time())
+    no_rotation.pose.orientation.x = no_rotation.pose.orientation.y = 0.0
+    no_rotation.pose.orientation.z = no_rotation.pose.orientation.w = 0.0
+    assert "norm 0 instead of 1" in check(no_rotation).message
+    np.testing.assert_allclose(robot.joints, before, atol=1e-9)
+
+
 def test_a_jump_is_picked_up_anew(robot, start, hand, wait_until):
     node = start()
     node.wait_for_mode("home")

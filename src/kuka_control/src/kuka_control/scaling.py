@@ -26,3 +26,8 @@ def check_scaling_factor(factor: float) -> float:
 def scaled(position: np.ndarray, centre: np.ndarray, factor: float) -> np.ndarray:
     """Returns the position, shape (3,), moved towards the centre (factor < 1) or away from it (factor > 1)."""
     return centre + factor * (position - centre)
+
+
+def unscaled(position: np.ndarray, centre: np.ndarray, factor: float) -> np.ndarray:
+    """Returns the position, shape (3,), that `scaled` brings to the given one."""
+    return centre + (position - centre) / factor

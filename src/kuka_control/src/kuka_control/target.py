@@ -8,7 +8,7 @@ import numpy as np
 
 from common.poses import pose, read_only
 from kuka_control.kinematics import Kinematics
-from kuka_control.scaling import scaled
+from kuka_control.scaling import scaled, unscaled
 from kuka_control.workspace import Infeasible, Workspace
 
 
@@ -30,7 +30,7 @@ class Target:
 
 
 class TargetChain:
-    """Composes the steps from the desired tool frame to joints.
+    """Composes the steps from the desired tool frame to joints. It has no state, so any thread may ask it.
 
     Args:
         centre: of the workspace, shape (3,) [m].
@@ -51,10 +51,18 @@ class TargetChain:
             scale: scaling factor.
             near: joints that the solution is to be close to, shape (7,) [rad].
         """
-        constrained = self._workspace.constrain(scaled(T_base_desired[:3, 3], self._centre, scale))
+        return self.reach(pose(T_base_desired[:3, :3], scaled(T_base_desired[:3, 3], self._centre, scale)), near)
+
+    def desired(self, T_base_tool: np.ndarray, scale: float) -> np.ndarray:
+        """Returns the desired tool frame, shape (4, 4) [m], that the scaling makes the given one of."""
+        return read_only(pose(T_base_tool[:3, :3], unscaled(T_base_tool[:3, 3], self._centre, scale)))
+
+    def reach(self, T_base_scaled: np.ndarray, near: np.ndarray) -> Target | Infeasible:
+        """Returns the target of a tool frame that is scaled already; arguments as in `resolve`."""
+        constrained = self._workspace.constrain(T_base_scaled[:3, 3])
         if isinstance(constrained, Infeasible):
             return constrained
-        T_base_tool = read_only(pose(T_base_desired[:3, :3], constrained.position))
+        T_base_tool = read_only(pose(T_base_scaled[:3, :3], constrained.position))
         result = self._kinematics.inverse(T_base_tool, near=near, keep_branch=True)
         return Target(
             result.q,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, TransformStamped, Vector3
 
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
@@ -41,6 +41,30 @@ def pose_from_message(message: Pose) -> np.ndarray:
         ValueError: a number is not finite, or the quaternion is not a unit quaternion.
     """
     return _pose(message.position, message.orientation)
+
+
+def message_from_pose(T: np.ndarray) -> Pose:
+    """Returns the message of the pose T, shape (4, 4)."""
+    return Pose(Point(*T[:3, 3]), Quaternion(*quaternion_from_rotation(T[:3, :3])))
+
+
+def stamped_pose(T: np.ndarray, frame: str, stamp: rospy.Time) -> PoseStamped:
+    """Returns the message of the pose T, shape (4, 4), in `frame`."""
+    message = PoseStamped(pose=message_from_pose(T))
+    message.header.stamp = stamp
+    message.header.frame_id = frame
+    return message
+
+
+def pose_in(frame: str, message: PoseStamped) -> np.ndarray:
+    """Returns the pose, shape (4, 4), of a message that has to stand in `frame`.
+
+    Raises:
+        ValueError: it stands in another frame, a number is not finite, or the quaternion is not a unit quaternion.
+    """
+    if message.header.frame_id.lstrip("/") != frame:
+        raise ValueError(f"its frame is {message.header.frame_id!r} instead of {frame}")
+    return pose_from_message(message.pose)
 
 
 def _pose(position: Vector3 | Point, q: Quaternion) -> np.ndarray:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -28,6 +29,7 @@ from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.dh_file import dh_deviations
 from kuka_control.ros.services import Services
 from kuka_control.ros.state_publisher import Snapshot, StatePublisher
+from kuka_control.ros.tool_check_service import ToolCheckService
 from kuka_control.ros.workspace_markers import publish_workspace
 from kuka_control.switches import Switches
 from kuka_control.wrench import moment_at_tool
@@ -107,6 +109,7 @@ class _Node:
         self._desired = DesiredTool()
         self._step = None
         self._services = Services(self._switches)
+        self._tool_check = ToolCheckService(rig, self._for_tool_check)
 
     def spin(self) -> None:
         """Runs the control loop until it ends, or ROS does.
@@ -138,6 +141,10 @@ class _Node:
             ) from error
         finally:
             self._state.stop()
+
+    def _for_tool_check(self) -> tuple[str, np.ndarray | None, float]:
+        step = self._step
+        return "starting" if step is None else step.mode, self._arm.state.joints, self._switches.read().scale
 
     def _end(self, command: End) -> None:
         if command.fault is not None:
