@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import choice, describe, flag, integer, number, parse, path, required, text, vector
+from common.config import choice, flag, integer, keys, number, parse, path, required, text, vector
 from common.errors import ConfigError
 
 
@@ -89,9 +89,16 @@ def test_not_a_mapping():
         parse(Example, 7, "kuka/")
 
 
-def test_description_has_a_row_per_field():
-    assert describe(Example)[0] == ("robot", "one of LBR7R800, LBR14R820", "the arm")
-    assert [row[0] for row in describe(Example)] == [*GOOD, "file"]
+def test_keys_tell_type_range_unit_and_meaning():
+    assert keys(Example) == [
+        ("robot", "one of", "LBR7R800, LBR14R820", "", "the arm"),
+        ("angle", "number", "(0, 180)", "deg", ""),
+        ("size", "whole number", "[1, 100]", "", ""),
+        ("centre", "3 numbers", "", "m", ""),
+        ("home", "true or false", "", "", ""),
+        ("host", "text", "", "", ""),
+        ("file", "absolute path, or empty", "", "", ""),
+    ]
 
 
 @given(st.floats())

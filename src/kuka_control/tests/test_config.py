@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from common.config import describe, parse
+from common.config import keys, parse
 from common.errors import ConfigError, RigError
 from kuka_control import assembly
 from kuka_control.config import PtpConfig, RealTimeConfig, neighbours
@@ -26,7 +26,7 @@ def values(schema, **changes):
 @schemas
 def test_the_files_hold_good_defaults_for_every_key_and_nothing_else(schema):
     assembly.Rig.of(parse(schema, values(schema)))
-    assert values(schema).keys() == {name for name, _, _ in describe(schema)}
+    assert values(schema).keys() == {key.name for key in keys(schema)}
 
 
 @schemas

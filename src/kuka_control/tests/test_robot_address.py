@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from common.config import describe
+from common.config import keys
 from common.errors import ConfigError
 from kuka_control.config import ArmConfig
 from kuka_control.robot_address import KEYS, RobotAddress, robot_address
@@ -18,7 +18,7 @@ def values(name="kuka_params_rt.yaml"):
 
 
 def test_it_is_a_part_of_the_controllers_parameters():
-    assert set(describe(RobotAddress)) <= set(describe(ArmConfig))
+    assert set(keys(RobotAddress)) <= set(keys(ArmConfig))
 
 
 @pytest.mark.parametrize("name", ["kuka_params_rt.yaml", "kuka_params_ptp.yaml"])

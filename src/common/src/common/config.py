@@ -18,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -106,9 +106,19 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     raise ConfigError(faults)
 
 
-def describe(schema: type) -> list[tuple[str, str, str]]:
-    """Returns a row (key, what is allowed, meaning) for each field of the schema, for tables and help texts."""
-    return [(f.name, f.metadata["kind"].allowed(), f.metadata["doc"]) for f in dataclasses.fields(schema)]
+class Key(NamedTuple):
+    """One key of a schema, for tables: its type in a word, its range and unit where it has them, its meaning."""
+
+    name: str
+    type: str
+    range: str
+    unit: str
+    meaning: str
+
+
+def keys(schema: type) -> list[Key]:
+    """Returns the keys of the schema in their order."""
+    return [Key(f.name, *f.metadata["kind"].columns(), f.metadata["doc"]) for f in dataclasses.fields(schema)]
 
 
 def required(schema: type) -> tuple[str, ...]:
@@ -145,15 +155,22 @@ class _Number:
     def allowed(self) -> str:
         return f"a finite number{self._range()}{self._unit()}"
 
+    def columns(self) -> tuple[str, str, str]:
+        return "number", self._interval(), self.unit
+
     def _unit(self) -> str:
         return f" {self.unit}" if self.unit else ""
 
     def _range(self) -> str:
+        interval = self._interval()
+        return f" in {interval}" if interval else ""
+
+    def _interval(self) -> str:
         if self.low is None and self.high is None and self.above is None and self.below is None:
             return ""
         left = f"[{self.low:g}" if self.low is not None else f"({self.above:g}" if self.above is not None else "(-inf"
         right = f"{self.high:g}]" if self.high is not None else f"{self.below:g})" if self.below is not None else "inf)"
-        return f" in {left}, {right}"
+        return f"{left}, {right}"
 
 
 class _Integer(_Number):
@@ -164,6 +181,9 @@ class _Integer(_Number):
 
     def allowed(self) -> str:
         return f"a whole number{self._range()}{self._unit()}"
+
+    def columns(self) -> tuple[str, str, str]:
+        return "whole number", self._interval(), self.unit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,6 +202,9 @@ class _Vector:
         interval = self.item._range()
         return f"{self.length} finite numbers{', each' + interval if interval else ''}{self.item._unit()}"
 
+    def columns(self) -> tuple[str, str, str]:
+        return f"{self.length} numbers", self.item._interval(), self.item.unit
+
 
 class _Flag:
     def read(self, value):
@@ -191,6 +214,9 @@ class _Flag:
 
     def allowed(self) -> str:
         return "true or false"
+
+    def columns(self) -> tuple[str, str, str]:
+        return "true or false", "", ""
 
 
 class _Text:
@@ -202,6 +228,9 @@ class _Text:
     def allowed(self) -> str:
         return "a string that is not empty"
 
+    def columns(self) -> tuple[str, str, str]:
+        return "text", "", ""
+
 
 class _Path:
     def read(self, value):
@@ -211,6 +240,9 @@ class _Path:
 
     def allowed(self) -> str:
         return "an absolute path, or empty"
+
+    def columns(self) -> tuple[str, str, str]:
+        return "absolute path, or empty", "", ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -224,3 +256,6 @@ class _Choice:
 
     def allowed(self) -> str:
         return f"one of {', '.join(self.options)}"
+
+    def columns(self) -> tuple[str, str, str]:
+        return "one of", ", ".join(self.options), ""
