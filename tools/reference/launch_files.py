@@ -1,0 +1,57 @@
+"""The page of launch files: each with its arguments, their defaults and what they mean."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+from tools.reference import markdown, sources
+
+
+def page() -> str:
+    """Returns the page."""
+    parts = [
+        markdown.generated(
+            "Launch files",
+            "the launch files",
+            "`roslaunch PACKAGE FILE.launch name:=value ...`. An argument without a default must be given. "
+            "`roslaunch leap_rig demo` is short for `demo.launch`.",
+        )
+    ]
+    name = ""
+    for file in sorted(sources.ROOT.glob("src/**/launch/*.launch"), key=sources.inside):
+        if sources.package(file) != name:
+            name = sources.package(file)
+            parts.append(f"## {name}\n")
+        parts.append(_file(file))
+    return "\n".join(parts)
+
+
+def arguments(file: Path) -> dict[str, ElementTree.Element]:
+    """Returns the arguments that a launch file takes, by name; those with a fixed value are its own affair."""
+    return {a.get("name", ""): a for a in ElementTree.parse(file).getroot().findall("arg") if a.get("value") is None}
+
+
+def _file(file: Path) -> str:
+    rows = [
+        [markdown.code(name), _default(arg), markdown.text(arg.get("doc", ""))]
+        for name, arg in arguments(file).items()
+    ]
+    parts = [f"### {file.name}\n", f"{sources.link(file)}: {markdown.text(_comment(file))}\n"]
+    if rows:
+        parts.append(markdown.table(["argument", "default", "meaning"], rows))
+    return "\n".join(parts)
+
+
+def _default(arg: ElementTree.Element) -> str:
+    default = arg.get("default")
+    if default is None:
+        return "must be given"
+    return markdown.code(default) or "empty"
+
+
+def _comment(file: Path) -> str:
+    """Returns the first comment of a launch file, which says what it does."""
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    root = ElementTree.parse(file, parser).getroot()
+    return next((" ".join((child.text or "").split()) for child in root if child.tag is ElementTree.Comment), "")

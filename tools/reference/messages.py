@@ -1,0 +1,54 @@
+"""The page of messages and services: their definitions, and the MD5 sums by which two sides know that they mean the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tools.reference import markdown, sources
+
+DEFINITIONS = (Path("/usr/share"), Path("/opt/ros/noetic/share"))
+"""Where ROS packages keep the messages that ours build on."""
+
+
+def page() -> str:
+    """Returns the page.
+
+    Raises:
+        ImportError: genmsg of ROS is not installed.
+    """
+    import genmsg
+
+    context = genmsg.MsgContext.create_default()
+    search = _search_path()
+    parts = [
+        markdown.generated(
+            "Messages and services",
+            "the msg and srv files",
+            "The definitions, with their MD5 sums as `rosmsg md5` and `rossrv md5` tell them. Two programs understand each "
+            "other when the sums are the same.",
+        )
+    ]
+    package = ""
+    for file in sorted(sources.ROOT.glob("src/**/*.[ms][sr][gv]"), key=sources.inside):
+        if sources.package(file) != package:
+            package = sources.package(file)
+            parts.append(f"## {package}\n")
+        name = f"{package}/{file.stem}"
+        load = genmsg.load_msg_by_type if file.suffix == ".msg" else genmsg.load_srv_by_type
+        spec = load(context, name, search)
+        genmsg.load_depends(context, spec, search)
+        md5 = genmsg.compute_md5(context, spec)
+        kind = "message" if file.suffix == ".msg" else "service"
+        parts.append(f"### {name}\n\n{kind}, MD5 `{md5}`\n\n```text\n{file.read_text().rstrip()}\n```\n")
+    return "\n".join(parts)
+
+
+def _search_path() -> dict[str, list[str]]:
+    path: dict[str, list[str]] = {}
+    folders = [file.parent for file in sources.ROOT.glob("src/**/*.[ms][sr][gv]")]
+    folders += [folder for root in DEFINITIONS for folder in root.glob("*/msg")]
+    for folder in folders:
+        path.setdefault(folder.parent.name, [str(folder)])
+        if str(folder) not in path[folder.parent.name]:
+            path[folder.parent.name].append(str(folder))
+    return path

@@ -1,0 +1,12 @@
+"""The generated pages that follow from the source alone, by their file's name."""
+
+from __future__ import annotations
+
+from tools.reference import commands, launch_files, messages, parameters
+
+PAGES = {
+    "commands.md": commands.page,
+    "launch.md": launch_files.page,
+    "messages.md": messages.page,
+    "parameters.md": parameters.page,
+}

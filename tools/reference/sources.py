@@ -1,0 +1,38 @@
+"""Where the project's sources are, as the generators see them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "docs" / "reference"
+
+
+def on_path() -> None:
+    """Makes the packages importable without a build."""
+    for setup in sorted(ROOT.glob("src/**/setup.py")):
+        folder = str(setup.parent / "src")
+        if folder not in sys.path:
+            sys.path.append(folder)
+
+
+def package(path: Path) -> str:
+    """Returns the name of the package that a file belongs to."""
+    for folder in path.parents:
+        if (folder / "package.xml").is_file():
+            return folder.name
+    raise ValueError(f"{path} belongs to no package")
+
+
+def inside(path: Path) -> str:
+    """Returns the place of a file, `package/path/in/it`."""
+    for folder in path.parents:
+        if (folder / "package.xml").is_file():
+            return str(path.relative_to(folder.parent))
+    raise ValueError(f"{path} belongs to no package")
+
+
+def link(path: Path) -> str:
+    """Returns a link from docs/reference to a file of the project."""
+    return f"[{inside(path)}](../../{path.relative_to(ROOT)})"
