@@ -1,0 +1,188 @@
+"""The file of an episode: a numpy archive (.npz), one array for each entry of `LAYOUT`, without pickled objects.
+
+`meta` is a JSON object with the schema version, the entries of `Metadata`, the fingerprint, and the camera's name and
+size. Every array has a checksum in the archive, so that a torn or damaged file is noticed.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from dataclasses import asdict, fields
+from typing import Any
+
+import numpy as np
+
+from common.camera_model import CameraModel
+from common.errors import RigError
+from common.poses import check_pose
+from grasping.dataset.episode import EXECUTION, TELEOPERATION, Episode, Metadata
+from grasping.depth_image import NETWORK_SIDE, Crop
+
+SCHEMA = 1
+SUFFIX = ".npz"
+LAYOUT = {
+    "meta": ("U", ()),
+    "camera_K": ("f8", (3, 3)),
+    "camera_D": ("f8", (5,)),
+    "camera_R": ("f8", (3, 3)),
+    "camera_P": ("f8", (3, 4)),
+    "crop": ("i4", (3,)),
+    "T_flange_tool": ("f8", (4, 4)),
+    "T_tool_grasp": ("f8", (4, 4)),
+    "T_base_tool_closed": ("f8", (4, 4)),
+    "T_base_grasp": ("f8", (4, 4)),
+    "t_grasp": ("f8", ()),
+    "held": ("?", ()),
+    "stamp": ("f8", ("n",)),
+    "depth": ("u2", ("n", "side", "side")),
+    "maps": ("f2", ("n", 4, "m", "m")),
+    "mean": ("f4", ("n",)),
+    "peak": ("f8", ("n", 5)),
+    "T_base_camera": ("f8", ("n", 4, 4)),
+    "T_base_tool_measured": ("f8", ("n", 4, 4)),
+    "T_base_tool_desired": ("f8", ("n", 4, 4)),
+    "finger_angles": ("f4", ("n", 4)),
+    "teleop_active": ("?", ("n",)),
+}
+"""Type and shape of each array; n frames, `side` of the crop, m rows of a map."""
+MAY_BE_NAN = {"T_base_tool_desired", "finger_angles"}
+POSES = [name for name in LAYOUT if name.startswith("T_")]
+TEXTS = [f.name for f in fields(Metadata) if f.name != "configuration"]
+GRASP_TOLERANCE = 1e-9
+
+
+class DatasetError(RigError):
+    """A file holds no episode that can be used."""
+
+
+def encode(episode: Episode) -> bytes:
+    """Returns the content of the file of an episode.
+
+    Raises:
+        DatasetError: the episode is none; its arrays do not fit together or are not finite.
+    """
+    camera = episode.camera
+    meta = {
+        "schema": SCHEMA,
+        **asdict(episode.metadata),
+        "fingerprint": episode.metadata.fingerprint,
+        "camera": {"name": camera.name, "width": camera.width, "height": camera.height},
+    }
+    values: dict[str, Any] = {name: getattr(episode, name) for name in LAYOUT if hasattr(episode, name)}
+    values.update(meta=json.dumps(meta, allow_nan=False), crop=episode.crop)
+    values.update({f"camera_{key}": getattr(camera, key) for key in "KDRP"})
+    arrays = {
+        name: np.asarray(values[name], dtype=None if kind == "U" else np.dtype(kind).newbyteorder("<"))
+        for name, (kind, _) in LAYOUT.items()
+    }
+    _check(arrays)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def decode(data: bytes) -> Episode:
+    """Returns the episode in the content of a file.
+
+    Raises:
+        DatasetError: it is torn, damaged, of another schema, or no episode at all.
+    """
+    arrays = _read(data)
+    meta = _meta(arrays)
+    _check(arrays)
+    for array in arrays.values():
+        array.setflags(write=False)
+    try:
+        metadata = Metadata(**{name: str(meta[name]) for name in TEXTS}, configuration=dict(meta["configuration"]))
+        named = meta["camera"]
+        camera = CameraModel(
+            str(named["name"]), int(named["width"]), int(named["height"]), *(arrays[f"camera_{key}"] for key in "KDRP")
+        )
+        fingerprint = meta["fingerprint"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"The file's metadata lack or distort {error}.") from None
+    if metadata.fingerprint != fingerprint:
+        raise DatasetError("The file is damaged: the fingerprint is not that of the rig's configuration.")
+    if metadata.source not in (EXECUTION, TELEOPERATION):
+        raise DatasetError(f"The file's source is {metadata.source!r}, not {EXECUTION} or {TELEOPERATION}.")
+    own = {f.name for f in fields(Episode)}
+    return Episode(
+        metadata=metadata,
+        camera=camera,
+        crop=Crop(*(int(i) for i in arrays["crop"])),
+        t_grasp=float(arrays["t_grasp"]),
+        held=bool(arrays["held"]),
+        **{name: arrays[name] for name in LAYOUT if name in own and name not in ("crop", "t_grasp", "held")},
+    )
+
+
+def _read(data: bytes) -> dict[str, np.ndarray]:
+    """Returns the arrays of the archive, unchecked."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
+        raise DatasetError(f"The file is torn or damaged: {error}.") from None
+    except (AttributeError, TypeError, ValueError, KeyError, NotImplementedError, MemoryError) as error:
+        raise DatasetError(f"The file is no episode: {' '.join(str(error).split())}.") from None
+
+
+def _meta(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Returns the metadata, after the schema was checked."""
+    try:
+        meta = json.loads(str(arrays["meta"][()]))
+        schema = meta["schema"]
+    except (KeyError, ValueError, TypeError, IndexError):
+        raise DatasetError("The file is no episode: it has no metadata.") from None
+    if schema != SCHEMA:
+        raise DatasetError(f"The file has the schema {schema!r}, but this version of the package reads {SCHEMA}.")
+    return meta
+
+
+def _check(arrays: dict[str, np.ndarray]) -> None:
+    """Refuses arrays that are missing, too many, of another type or shape, not finite, or no poses.
+
+    Raises:
+        DatasetError: with the first fault.
+    """
+    if arrays.keys() != LAYOUT.keys():
+        odd = sorted(arrays.keys() ^ LAYOUT.keys())
+        raise DatasetError(f"The file is no episode of schema {SCHEMA}: {', '.join(odd)} missing or unknown.")
+    sizes: dict[str, int] = {}
+    for name, (kind, shape) in LAYOUT.items():
+        array = arrays[name]
+        found = array.dtype.kind == "U" if kind == "U" else array.dtype == np.dtype(kind)
+        fits = len(array.shape) == len(shape) and all(
+            size == (sizes.setdefault(want, size) if isinstance(want, str) else want)
+            for size, want in zip(array.shape, shape)
+        )
+        if not (found and fits):
+            raise DatasetError(f"The array {name} is {array.dtype}, shape {array.shape}, but must be {kind}, {shape}.")
+        if array.dtype.kind == "f" and name not in MAY_BE_NAN and not np.isfinite(array).all():
+            raise DatasetError(f"The array {name} holds values that are not finite.")
+    _check_meaning(arrays, sizes)
+
+
+def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int]) -> None:
+    """Refuses arrays whose values do not fit together."""
+    stamp, t_grasp = arrays["stamp"], float(arrays["t_grasp"])
+    if not sizes["n"]:
+        raise DatasetError("The episode has no frame.")
+    if np.any(np.diff(stamp) <= 0.0) or stamp[-1] > t_grasp:
+        raise DatasetError("The stamps do not rise up to the moment of the grasp.")
+    if sizes["side"] != arrays["crop"][2] or NETWORK_SIDE % sizes["m"]:
+        raise DatasetError(f"Pictures of {sizes['side']} px and maps of {sizes['m']} px do not belong together.")
+    for name in POSES:
+        for T in arrays[name].reshape(-1, 4, 4):
+            if name in MAY_BE_NAN and np.isnan(T).all():
+                continue
+            try:
+                check_pose(T)
+            except ValueError as error:
+                raise DatasetError(f"The array {name} holds no pose: {error}.") from None
+    T = arrays["T_base_tool_closed"] @ arrays["T_tool_grasp"]
+    if np.abs(arrays["T_base_grasp"] - T).max() > GRASP_TOLERANCE:
+        raise DatasetError("T_base_grasp is not the grasp of the tool where the fingers closed.")

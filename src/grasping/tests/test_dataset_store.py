@@ -1,0 +1,184 @@
+"""The file of an episode: what is in it, and that nothing but an episode is taken for one."""
+
+import io
+import json
+import pickle
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from episodes import episode, metadata
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.poses import pose
+from grasping.dataset.episode import Episode
+from grasping.dataset.store import LAYOUT, DatasetError, decode, encode
+from grasping.depth_image import Crop
+
+GOLDEN = Path(__file__).parent / "golden" / "episode_schema_1.npz"
+"""Written once by schema 1; later versions of the package must read it, or say that they do not."""
+TINY = episode(2, Crop(220, 300, 12), m=3)
+
+
+def content(data: bytes) -> dict:
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        return dict(archive)
+
+
+def changed(**arrays) -> bytes:
+    """The file of the tiny episode with other arrays; None leaves one out."""
+    stream = io.BytesIO()
+    values = {**content(encode(TINY)), **arrays}
+    np.savez_compressed(stream, **{name: value for name, value in values.items() if value is not None})
+    return stream.getvalue()
+
+
+def changed_meta(**entries) -> bytes:
+    meta = json.loads(str(content(encode(TINY))["meta"]))
+    return changed(meta=np.array(json.dumps({k: v for k, v in {**meta, **entries}.items() if v is not None})))
+
+
+def assert_equal(a: Episode, b: Episode) -> None:
+    for field in fields(Episode):
+        one, other = getattr(a, field.name), getattr(b, field.name)
+        if field.name == "camera":
+            assert (one.name, one.width, one.height) == (other.name, other.width, other.height)
+            for key in "KDRP":
+                np.testing.assert_array_equal(getattr(one, key), getattr(other, key))
+        elif isinstance(one, np.ndarray):
+            np.testing.assert_array_equal(one, other)
+            assert one.dtype == other.dtype
+        else:
+            assert one == other
+
+
+@given(st.integers(1, 4), st.integers(8, 20), st.sampled_from([3, 6]), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_an_episode_comes_back_as_it_was(n, side, m, held):
+    given_one = episode(n, Crop(200, 300, side), m=m, held=held)
+    found = decode(encode(given_one))
+    assert_equal(found, given_one)
+    assert len(found.frames()) == n
+    with pytest.raises(ValueError, match="read-only"):
+        found.depth[0, 0, 0] = 1
+
+
+def test_the_format_is_what_the_handbook_says():
+    found = {name: (a.dtype.str.lstrip("<|"), a.shape) for name, a in content(GOLDEN.read_bytes()).items()}
+    assert found.pop("meta")[0].startswith("U")
+    assert found == {
+        "camera_K": ("f8", (3, 3)),
+        "camera_D": ("f8", (5,)),
+        "camera_R": ("f8", (3, 3)),
+        "camera_P": ("f8", (3, 4)),
+        "crop": ("i4", (3,)),
+        "T_flange_tool": ("f8", (4, 4)),
+        "T_tool_grasp": ("f8", (4, 4)),
+        "T_base_tool_closed": ("f8", (4, 4)),
+        "T_base_grasp": ("f8", (4, 4)),
+        "t_grasp": ("f8", ()),
+        "held": ("b1", ()),
+        "stamp": ("f8", (2,)),
+        "depth": ("u2", (2, 12, 12)),
+        "maps": ("f2", (2, 4, 3, 3)),
+        "mean": ("f4", (2,)),
+        "peak": ("f8", (2, 5)),
+        "T_base_camera": ("f8", (2, 4, 4)),
+        "T_base_tool_measured": ("f8", (2, 4, 4)),
+        "T_base_tool_desired": ("f8", (2, 4, 4)),
+        "finger_angles": ("f4", (2, 4)),
+        "teleop_active": ("b1", (2,)),
+    }
+    meta = json.loads(str(content(GOLDEN.read_bytes())["meta"]))
+    assert sorted(meta) == [
+        "camera", "configuration", "date", "fingerprint", "object", "operator", "reason", "revision", "schema",
+        "source", "version",
+    ]  # fmt: skip
+    assert meta["fingerprint"] == "03c786713fa56c63299c07782ef80d24ac301089a5b215ba02ffd94976f66e64"
+    assert_equal(decode(GOLDEN.read_bytes()), TINY)
+
+
+def test_the_fingerprint_is_that_of_the_configuration_alone():
+    one = metadata(configuration={"a": 1, "b": [0.1, 2.0]})
+    assert one.fingerprint == metadata(configuration={"b": [0.1, 2.0], "a": 1}, object="box").fingerprint
+    assert one.fingerprint != metadata(configuration={"a": 1, "b": [0.1, 2.1]}).fingerprint
+
+
+def test_a_file_cut_anywhere_is_named_torn():
+    data = encode(TINY)
+    for length in range(0, len(data), 97):
+        with pytest.raises(DatasetError):
+            decode(data[:length])
+    with pytest.raises(DatasetError, match="torn or damaged"):
+        decode(data[: len(data) // 2])
+
+
+def test_a_flipped_byte_is_noticed_or_harmless():
+    """Not every byte of an archive carries meaning; what comes back is the episode or a sentence."""
+    data = encode(TINY)
+    caught = 0
+    for place in range(0, len(data), 53):
+        damaged = bytearray(data)
+        damaged[place] ^= 0xFF
+        try:
+            assert_equal(decode(bytes(damaged)), TINY)
+        except DatasetError:
+            caught += 1
+    assert caught > len(data) // 53 // 2
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "torn or damaged"),
+        (b"episode\n" * 100, "no episode"),
+        (pickle.dumps({"a": 1}), "no episode"),
+        (changed(meta=None), "no metadata"),
+        (changed(meta=np.array("{")), "no metadata"),
+        (changed(meta=np.array("[1]")), "no metadata"),
+        (changed(meta=np.array({"schema": 1}, dtype=object)), "no episode"),
+        (changed_meta(schema=2), "has the schema 2, but this version of the package reads 1"),
+        (changed_meta(operator=None), "lack or distort 'operator'"),
+        (changed_meta(camera=5), "lack or distort"),
+        (changed_meta(source="dream"), "source is 'dream'"),
+        (changed_meta(configuration={"robot": "LBR14R820"}), "fingerprint is not that"),
+        (changed(depth=None), "depth missing or unknown"),
+        (changed(colour=np.zeros(3)), "colour missing or unknown"),
+        (changed(depth=np.zeros((2, 12, 12), np.float32)), "array depth is float32"),
+        (changed(depth=np.zeros((3, 12, 12), np.uint16)), "array depth is uint16, shape (3, 12, 12)"),
+        (changed(crop=np.array([0, 0, 13], np.int32)), "do not belong together"),
+        (changed(maps=np.zeros((2, 4, 7, 7), np.float16)), "do not belong together"),
+        (changed(mean=np.array([1.0, np.nan], np.float32)), "mean holds values that are not finite"),
+        (changed(stamp=np.array([101.0, 100.0])), "stamps do not rise"),
+        (changed(stamp=np.array([101.0, 500.0])), "stamps do not rise"),
+        (changed(T_tool_grasp=2.0 * np.eye(4)), "T_tool_grasp holds no pose"),
+        (changed(T_base_camera=np.full((2, 4, 4), np.nan)), "T_base_camera holds values that are not finite"),
+        (changed(T_base_grasp=np.eye(4)), "T_base_grasp is not the grasp"),
+    ],
+)
+def test_what_is_no_episode_is_refused_with_a_sentence(data, sentence):
+    with pytest.raises(DatasetError) as refusal:
+        decode(data)
+    assert sentence in str(refusal.value)
+    assert str(refusal.value).endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"stamp": np.array([1.0, 1.0])}, "stamps do not rise"),
+        ({"depth": np.zeros((2, 5, 5), np.uint16)}, "do not belong together"),
+        ({"T_base_tool_closed": pose(p=(np.nan, 0.0, 0.0))}, "not finite"),
+    ],
+)
+def test_what_is_no_episode_is_not_written(changes, sentence):
+    with pytest.raises(DatasetError, match=sentence):
+        encode(replace(TINY, **changes))
+
+
+def test_an_episode_without_frames_is_none():
+    framed = [name for name, (_, shape) in LAYOUT.items() if shape[:1] == ("n",)]
+    with pytest.raises(DatasetError, match="no frame"):
+        encode(replace(TINY, **{name: getattr(TINY, name)[:0] for name in framed}))
