@@ -77,22 +77,40 @@ def load(data: bytes, sha256: str | None = None) -> Loaded:
     Raises:
         WeightsError: another hash, no weight file, or none of a network in `NETWORKS`.
     """
-    found = hashlib.sha256(data).hexdigest()
-    if sha256 is not None and found != sha256:
-        raise WeightsError(f"The weight file has the SHA-256 {found}, but {sha256} was expected.")
+    found = checked_sha256(data, sha256)
     if data.startswith(HDF5_MAGIC):
         name, state = "ggcnn_keras", _keras_state(data)
     elif data.startswith((ZIP_MAGIC, PICKLE_MAGIC)):
-        name, state = "", _torch_state(data)
+        name, state = "", torch_state(data)
     else:
         raise WeightsError("The weight file is neither a torch file nor a Keras HDF5 file.")
     name = name or _which(state)
-    network = NETWORKS[name]()
+    return Loaded(filled(NETWORKS[name](), name, state), name, found, KNOWN.get(found, ""))
+
+
+def checked_sha256(data: bytes, wanted: str | None) -> str:
+    """Returns the SHA-256 of a file's content, hexadecimal.
+
+    Raises:
+        WeightsError: it is not the one that is wanted, if any is.
+    """
+    found = hashlib.sha256(data).hexdigest()
+    if wanted is not None and found != wanted:
+        raise WeightsError(f"The weight file has the SHA-256 {found}, but {wanted} was expected.")
+    return found
+
+
+def filled(network: nn.Module, name: str, state: dict[str, torch.Tensor]) -> nn.Module:
+    """Returns the network with the weights of a state dict, ready to be evaluated.
+
+    Raises:
+        WeightsError: the state dict is not of such a network, here called `name`, or not finite.
+    """
     _check_shapes(name, network, state)
     if not all(torch.isfinite(value).all() for value in state.values()):
         raise WeightsError("The weight file holds values that are not finite.")
     network.load_state_dict(state)
-    return Loaded(network.eval(), name, found, KNOWN.get(found, ""))
+    return network.eval()
 
 
 def listed_sha256(sums: str, name: str) -> str:
@@ -153,8 +171,12 @@ def _collect(into, path, item) -> None:
         into[path.rsplit("/", 1)[-1]] = np.asarray(item, dtype=np.float32)
 
 
-def _torch_state(data: bytes) -> dict[str, torch.Tensor]:
-    """Returns the state dict of a torch file, which may hold the whole model."""
+def torch_state(data: bytes) -> dict[str, torch.Tensor]:
+    """Returns the state dict of a torch file, which may hold the whole model.
+
+    Raises:
+        WeightsError: it holds neither.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # torch remarks that the model's source is not the stub's

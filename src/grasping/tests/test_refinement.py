@@ -1,0 +1,147 @@
+"""The second network: untrained it changes nothing, it turns and moves with the picture, and its file is safe."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.camera_model import pinhole
+from grasping.depth_image import NETWORK_SIDE, centre_crop, prepare
+from grasping.maps import Peak
+from grasping.projection import grasp
+from grasping.refinement import INPUT_TURN, OUTPUT_TURN, Refinement, RefinementNetwork, load, refined_grasp
+from grasping.weights import WeightsError
+
+CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
+SHAPE = (480, 640)
+
+
+def scene(seed: int = 0):
+    """Returns GGCNN's maps, the picture and the depth of a made-up scene."""
+    rng = np.random.default_rng(seed)
+    depth = (0.7 + 0.05 * rng.random(SHAPE)).astype(np.float32)
+    output = rng.standard_normal((4, NETWORK_SIDE, NETWORK_SIDE)).astype(np.float32)
+    return output, prepare(depth, centre_crop(SHAPE)), depth
+
+
+def trained(seed: int = 1) -> RefinementNetwork:
+    """Returns a network with random weights in every layer."""
+    torch.manual_seed(seed)
+    network = RefinementNetwork()
+    for parameter in network.parameters():
+        parameter.data.normal_(0.0, 0.2)
+    return network
+
+
+def turned(x: torch.Tensor, quarters: int, turn: torch.Tensor) -> torch.Tensor:
+    """Returns maps whose picture was turned anticlockwise."""
+    return torch.einsum("ij,njhw->nihw", torch.linalg.matrix_power(turn, quarters), torch.rot90(x, quarters, (2, 3)))
+
+
+def test_untrained_it_is_ggcnn_bit_by_bit():
+    output, picture, depth = scene()
+    refined = Refinement(RefinementNetwork()).apply(output, picture)
+    np.testing.assert_array_equal(refined.output, output)
+    assert refined.output.dtype == np.float32
+    for values in (refined.dz, refined.tilt_x, refined.tilt_y):
+        np.testing.assert_array_equal(values, np.zeros((NETWORK_SIDE, NETWORK_SIDE)))
+    peak = Peak(120, 170, 0.8, 0.4, 60.0)
+    own = grasp(peak, picture.crop, NETWORK_SIDE, depth, CAMERA)
+    same = refined_grasp(own, refined, peak)
+    np.testing.assert_array_equal(same.T_camera_grasp, own.T_camera_grasp)
+    assert same.width == own.width
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 3), st.integers(0, 99))
+def test_a_turned_picture_gives_turned_changes(quarters, seed):
+    network, x = trained(), torch.from_numpy(np.random.default_rng(seed).standard_normal((1, 5, 24, 24), np.float32))
+    with torch.no_grad():
+        found, wanted = network(turned(x, quarters, INPUT_TURN)), turned(network(x), quarters, OUTPUT_TURN)
+    torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-5 * float(wanted.abs().max()))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(-6, 6), st.integers(-6, 6))
+def test_a_shifted_picture_gives_shifted_changes(rows, columns):
+    network, x = trained(), torch.zeros(1, 5, 60, 60)
+    x[:, :, 22:38, 22:38] = torch.from_numpy(np.random.default_rng(0).standard_normal((5, 16, 16), np.float32))
+    with torch.no_grad():
+        found = network(x.roll((rows, columns), (2, 3)))
+        wanted = network(x).roll((rows, columns), (2, 3))
+    # The border's zeros are felt as far as the layers reach: 1 + 2 + 4 + 8 pixels, and the shift.
+    inner = (..., slice(21, 39), slice(21, 39))
+    torch.testing.assert_close(found[inner], wanted[inner], rtol=1e-4, atol=1e-5 * float(wanted.abs().max()))
+
+
+def test_a_constant_offset_moves_the_maps_and_keeps_the_grasps_depth():
+    network = RefinementNetwork()
+    output, picture, _ = scene()
+    network.offset[:] = torch.tensor([3.0 * picture.mean, -2.0 * picture.mean, 0.1, -0.05])
+    refined = Refinement(network).apply(output, picture)
+    np.testing.assert_allclose(refined.output[:, 10:-10, 13:-7], output[:, 12:-8, 10:-10], atol=1e-4)
+    found = (picture.depth + refined.dz)[10:-10, 13:-7]
+    np.testing.assert_allclose(found, picture.depth[12:-8, 10:-10], atol=1e-4)
+    np.testing.assert_allclose(refined.tilt_x, 0.1, atol=1e-6)
+    np.testing.assert_allclose(refined.tilt_y, -0.05, atol=1e-6)
+
+
+def test_a_refined_grasp_stays_on_its_pixels_ray_and_leans():
+    _, picture, depth = scene()
+    peak = Peak(120, 170, 0.8, 0.4, 60.0)
+    own = grasp(peak, picture.crop, NETWORK_SIDE, depth, CAMERA)
+    refined = Refinement(RefinementNetwork()).apply(*scene()[:2])
+    refined.dz[120, 170], refined.tilt_x[120, 170] = 0.02, 0.3
+    found = refined_grasp(own, refined, peak)
+    p, before = found.T_camera_grasp[:3, 3], own.T_camera_grasp[:3, 3]
+    assert p[2] == pytest.approx(before[2] + 0.02)
+    np.testing.assert_allclose(p / p[2], before / before[2], atol=1e-9)
+    np.testing.assert_allclose(found.T_camera_grasp[:3, 2], [0.0, -np.sin(0.3), np.cos(0.3)], atol=1e-7)
+    assert found.width == pytest.approx(own.width * p[2] / before[2])
+
+
+def file(state) -> bytes:
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    return buffer.getvalue()
+
+
+def test_a_saved_network_comes_back():
+    network = trained()
+    network.offset[:] = torch.tensor([1.0, 2.0, 0.1, 0.2])
+    output, picture, _ = scene()
+    for a, b in zip(
+        load(file(network.state_dict())).apply(output, picture), Refinement(network).apply(output, picture)
+    ):
+        np.testing.assert_array_equal(a, b)
+
+
+def bad(key, value):
+    state = RefinementNetwork().state_dict()
+    state[key] = value
+    return state
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"nothing", "The torch file cannot be read"),
+        (file({}), "neither a state dict nor a model"),
+        (file({"a": torch.zeros(3)}), "lacks"),
+        (file(bad("offset", torch.zeros(3))), "The array offset has the shape"),
+        (file(bad("offset", torch.full((4,), np.nan))), "not finite"),
+    ],
+)
+def test_bad_files_are_refused(data, sentence):
+    with pytest.raises(WeightsError, match=sentence):
+        load(data)
+
+
+def test_another_hash_is_refused():
+    with pytest.raises(WeightsError, match="but 00 was expected"):
+        load(file(RefinementNetwork().state_dict()), "00")
