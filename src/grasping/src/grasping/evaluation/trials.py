@@ -99,7 +99,7 @@ def judge(of: Situation, chosen: Peak | None) -> Outcome:
     rng = np.random.default_rng([99, of.number])
     friction = float(rng.uniform(*FRICTION))
     error = rng.normal(0.0, POSITION_ERROR_M, 2), rng.normal(0.0, ANGLE_ERROR_RAD)
-    where = None if chosen is None else grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, _camera())
+    where = None if chosen is None else grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, camera())
     if where is None:
         return Outcome(False, False, False, False, 0.0)
     miss = pose(rotation_about(2, error[1]), (*error[0], 0.0))
@@ -108,7 +108,8 @@ def judge(of: Situation, chosen: Peak | None) -> Outcome:
     return Outcome(True, trial.lifted, trial.reached, is_right(chosen, of.rectangles), chosen.quality)
 
 
-def _camera() -> CameraModel:
+def camera() -> CameraModel:
+    """Returns the camera of the scenes; the window is its whole picture."""
     centre = 0.5 * (CROP_SIDE - 1)
     K = np.array([[FOCAL_PX, 0.0, centre], [0.0, FOCAL_PX, centre], [0.0, 0.0, 1.0]])
     return pinhole("simulated", CROP_SIDE, CROP_SIDE, K)

@@ -20,8 +20,14 @@ SINGLE_SHARE = 0.4
 CLEAN_SHARE = 0.1
 """Share of the pictures without the camera's faults."""
 GRIPPER = labels.Gripper()
-SPLITS = {"train": (0, shapes.TRAINING), "validation": (1, shapes.TRAINING), "test": (2, shapes.HELD_OUT)}
-"""Number and families of each split; no seed belongs to two of them."""
+SPLITS = {
+    "train": (0, shapes.TRAINING),
+    "validation": (1, shapes.TRAINING),
+    "test": (2, shapes.HELD_OUT),
+    "person": (3, shapes.TRAINING),
+    "person_test": (4, shapes.HELD_OUT),
+}
+"""Number and families of each split; no scene belongs to two of them. The last two are a simulated person's."""
 
 
 class View(NamedTuple):

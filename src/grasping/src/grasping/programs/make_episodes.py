@@ -1,0 +1,69 @@
+"""Makes episodes of a simulated person's grasps, files as `collect.launch` records them; goes on where it ended."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import mujoco
+import torch
+from tqdm import tqdm
+
+from common.errors import RigError
+from grasping import weights
+from grasping.dataset import store
+from grasping.predictor import frozen
+from grasping.programs.make_dataset import ignore_warning
+from grasping.synthetic import episodes
+from grasping.synthetic.person import Person
+
+
+@lru_cache(maxsize=1)
+def network(path: Path):
+    """Returns the network of a weight file, and the file's hash."""
+    loaded = weights.load(path.read_bytes())
+    return frozen(loaded.network), loaded.sha256
+
+
+def make(task: tuple[Path, Path, str, int, int]) -> None:
+    """Writes one episode unless it is there."""
+    folder, file, split, number, frames = task
+    path = folder / (episodes.file_name(split, number) + store.SUFFIX)
+    if path.exists():
+        return
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    mujoco.set_mju_user_warning(ignore_warning)
+    made = episodes.episode(split, number, *network(file), Person(), frames)
+    if made is not None:
+        part = path.with_suffix(".part")
+        part.write_bytes(store.encode(made))
+        part.replace(path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the episodes go")
+    parser.add_argument("weights", type=Path, help="weight file of GGCNN")
+    parser.add_argument("--split", choices=("person", "person_test"), default="person", help="known or held-out things")
+    parser.add_argument("--episodes", type=int, default=400, help="how many scenes; where nothing holds, none is made")
+    parser.add_argument("--frames", type=int, default=2, help="pictures an episode")
+    parser.add_argument("--processes", type=int, default=1, help="how many at a time")
+    arguments = parser.parse_args()
+    if arguments.frames < 1:
+        parser.error(f"--frames is {arguments.frames}, but must be at least 1.")
+    try:
+        network(arguments.weights)
+    except (OSError, RigError) as error:
+        parser.error(str(error))
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    tasks = [
+        (arguments.folder, arguments.weights, arguments.split, number, arguments.frames)
+        for number in range(arguments.episodes)
+    ]
+    with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
+        for _ in tqdm(pool.imap_unordered(make, tasks), total=len(tasks), unit="episode"):
+            pass

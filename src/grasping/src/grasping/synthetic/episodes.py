@@ -1,0 +1,152 @@
+"""Episodes of a simulated person, in the very form of the recorded ones: scene, pictures, GGCNN's maps, the grasp.
+
+Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the person's grasp
+wide open, and lifts.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from common.poses import inverse, pose, read_only
+from grasping import depth_image, maps
+from grasping.dataset.episode import TELEOPERATION, Episode, Metadata
+from grasping.evaluation import trials
+from grasping.evaluation.lifting import lift
+from grasping.predictor import run
+from grasping.synthetic import labels, person, samples, sensor
+
+SMOOTHING = maps.Smoothing(quality=2.0)
+MAP_SIDE = 150
+FRAME_S, REACH_S = 0.5, 2.0
+"""Between two frames; from the last one to the closing of the fingers [s]."""
+OPERATOR = "simulated"
+NAME = re.compile(r"simulated_(\w+)_(\d+)")
+SETTINGS_VERSION = 1
+
+
+class Situation(NamedTuple):
+    """A scene and what a person and a network know of it.
+
+    Attributes:
+        view: the scene, as the camera sees it.
+        labels: of the pixels of the network's picture.
+        depth: exact, in that picture [m].
+        friction: of the scene.
+        T_base_world: shape (4, 4) [m].
+    """
+
+    view: samples.View
+    labels: labels.Labels
+    depth: np.ndarray
+    friction: float
+    T_base_world: np.ndarray
+
+
+def file_name(split: str, number: int) -> str:
+    """Returns the name, without its ending, of the file of an episode."""
+    return f"simulated_{split}_{number:06d}"
+
+
+def scene_of(name: str) -> tuple[str, int] | None:
+    """Returns split and number of the scene of an episode's file; None where the file is no simulated one's."""
+    found = NAME.fullmatch(name)
+    return None if found is None else (found[1], int(found[2]))
+
+
+def situation(split: str, number: int) -> Situation:
+    """Returns scene `number` of a split: one object where the number is even, else two or three."""
+    seen = samples.view(split, number, 1 if number % 2 == 0 else 2 + number // 2 % 2)
+    side = depth_image.NETWORK_SIDE
+    exact = cv2.resize(seen.exact, (side, side), interpolation=cv2.INTER_NEAREST)
+    found = labels.best(labels.grasps(seen.surface, seen.table, samples.CELL_M, samples.GRIPPER))
+    focal = seen.camera.focal * side / depth_image.CROP_SIDE
+    of_pixels = labels.in_picture(found, seen.surface, samples.CELL_M, exact, focal)
+    friction = float(np.random.default_rng([98, number]).uniform(*trials.FRICTION))
+    return Situation(seen, of_pixels, exact, friction, inverse(person.base_in_world(seen.camera)))
+
+
+def held(of: Situation, T_base_grasp: np.ndarray, opening: float = samples.GRIPPER.opening) -> bool:
+    """Returns whether the gripper, open by `opening` [m], lifts something there."""
+    T_world_grasp = inverse(of.T_base_world) @ T_base_grasp
+    return lift(of.view.scene, T_world_grasp, opening, samples.GRIPPER, of.friction).lifted
+
+
+def episode(split: str, number: int, network, who: person.Person, frames: int, network_sha256: str) -> Episode | None:
+    """Returns the episode of a scene, None where the person finds nothing to grasp.
+
+    Args:
+        split: one of `samples.SPLITS`.
+        number: of the scene.
+        network: GGCNN, as `predictor.run` takes it.
+        who: grasps.
+        frames: pictures, each with the camera's faults drawn anew.
+        network_sha256: of its weights.
+    """
+    of = situation(split, number)
+    rng = np.random.default_rng([97, number])
+    T_base_grasp = _grasp(of, who, rng)
+    if T_base_grasp is None:
+        return None
+    T_base_camera = of.T_base_world @ pose(of.view.camera.R, of.view.camera.position)
+    stored: dict[str, list] = {"depth": [], "maps": [], "mean": [], "peak": []}
+    for _ in range(frames):
+        depth = np.nan_to_num(np.round(1000.0 * sensor.observe(of.view.exact, rng))).astype(np.uint16)
+        picture = depth_image.prepare(depth * np.float32(0.001), trials.CROP)
+        output = run(network, picture.input)
+        peak = maps.highest(maps.smoothed(output, picture.valid, SMOOTHING))
+        small = np.stack([cv2.resize(m, (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA) for m in output])
+        for name, value in zip(stored, (depth, small.astype(np.float16), picture.mean, peak)):
+            stored[name].append(value)
+    lifted = held(of, T_base_grasp)
+    stamp = FRAME_S * np.arange(frames)
+    return Episode(
+        metadata=_metadata(of, who, lifted, network_sha256),
+        camera=trials.camera(),
+        crop=trials.CROP,
+        T_flange_tool=np.eye(4),
+        T_tool_grasp=np.eye(4),
+        T_base_tool_closed=read_only(T_base_grasp),
+        t_grasp=float(stamp[-1] + REACH_S),
+        held=lifted,
+        stamp=stamp,
+        depth=np.stack(stored["depth"]),
+        maps=np.stack(stored["maps"]),
+        mean=np.array(stored["mean"], np.float32),
+        peak=np.array(stored["peak"], float),
+        T_base_camera=np.stack([T_base_camera] * frames),
+        T_base_tool_measured=np.stack([T_base_grasp] * frames),
+        T_base_tool_desired=np.full((frames, 4, 4), np.nan),
+        finger_angles=np.full((frames, 4), np.nan, np.float32),
+        teleop_active=np.ones(frames, bool),
+    )
+
+
+def _grasp(of: Situation, who: person.Person, rng: np.random.Generator) -> np.ndarray | None:
+    camera = of.view.camera
+    places = person.points(of.depth, camera)
+    focal = camera.focal * len(of.depth) / camera.side
+    pixel = person.chosen_pixel(who, of.labels, places[..., 2], of.labels.opening * of.depth / focal)
+    if pixel is None:
+        return None
+    angle = float(of.labels.angle[pixel])
+    line = camera.R @ np.array([np.cos(angle), -np.sin(angle), 0.0])
+    R, p = of.T_base_world[:3, :3], of.T_base_world[:3, 3]
+    return person.grasp_pose(who, R @ places[pixel] + p, R @ line, rng)
+
+
+def _metadata(of: Situation, who: person.Person, lifted: bool, network_sha256: str) -> Metadata:
+    return Metadata(
+        version="0.1.0",
+        revision="",
+        date="",
+        operator=OPERATOR,
+        object=", ".join(of.view.scene.families),
+        source=TELEOPERATION,
+        reason="lifted by a parallel gripper in simulation" if lifted else "not lifted in simulation",
+        configuration={"simulated": SETTINGS_VERSION, "person": who._asdict(), "network": network_sha256},
+    )

@@ -1,0 +1,97 @@
+"""A simulated person who grasps: knows what holds, has a taste and a bias, and trembles.
+
+Stands in for a teleoperating person where none is at hand; whatever was found with it is to be called simulated. The
+person sees the exact labels, prefers high and slender parts of things, comes straight down with the hand wide open, and
+grasps beside the chosen place by a constant bias and a tremor.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from common.poses import pose
+from grasping.maps import gaussian
+from grasping.synthetic import scene
+from grasping.synthetic.labels import Labels
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+class Person(NamedTuple):
+    """A person's taste and hand.
+
+    Attributes:
+        holds: lowest quality of a grasp that the person considers.
+        higher: what height is worth, in quality a metre.
+        slender: what a narrow opening is worth, in quality a metre less.
+        blur: standard deviation of the eye's blur of all that [px].
+        bias: x, y, z [m] beside the chosen place, in the base frame.
+        tremor_m: standard deviation of a position along each axis [m].
+        tremor_rad: standard deviation of a turn about each axis [rad].
+    """
+
+    holds: float = 0.3
+    higher: float = 8.0
+    slender: float = 6.0
+    blur: float = 2.0
+    bias: tuple[float, float, float] = (0.008, 0.006, 0.0)
+    tremor_m: float = 0.005
+    tremor_rad: float = np.radians(5.0)
+
+
+def base_in_world(camera: scene.Camera) -> np.ndarray:
+    """Returns a base frame whose x axis points to the picture's right, T_world_base, shape (4, 4).
+
+    On a rig the camera stands still before the base; here the scenes stand still before cameras turned anyhow.
+    """
+    heading = np.arctan2(camera.R[1, 0], camera.R[0, 0])
+    return pose(pin.exp3(np.array([0.0, 0.0, heading])))
+
+
+def chosen_pixel(person: Person, labels: Labels, height: np.ndarray, opening: np.ndarray) -> tuple[int, int] | None:
+    """Returns row and column of the grasp the person likes best, None where nothing holds.
+
+    Args:
+        person: who chooses.
+        labels: of the pixels.
+        height: above the table, shape (h, w) [m].
+        opening: that the grasp needs, shape (h, w) [m].
+    """
+    worth = labels.quality + person.higher * height - person.slender * opening
+    holds = (labels.quality > person.holds) & labels.known
+    if not holds.any():
+        return None
+    # A place is liked for its neighbourhood; what does not hold is worth little there.
+    blurred = gaussian(np.where(holds, worth, worth[holds].min() - 1.0).astype(np.float32), person.blur)
+    row, column = np.unravel_index(np.argmax(np.where(holds, blurred, -np.inf)), blurred.shape)
+    return int(row), int(column)
+
+
+def points(depth: np.ndarray, camera: scene.Camera) -> np.ndarray:
+    """Returns where the pixels of a square depth picture lie in the world, shape (h, w, 3) [m].
+
+    Args:
+        depth: shape (h, w) [m].
+        camera: that took it; the picture may be scaled.
+    """
+    scaled = camera._replace(focal=camera.focal * len(depth) / camera.side, side=len(depth))
+    rays = scene.rays(scaled).reshape(*depth.shape, 3)
+    return camera.position + (depth[..., None] * rays) @ camera.R.T
+
+
+def grasp_pose(person: Person, place: np.ndarray, line: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Returns the person's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach.
+
+    Args:
+        person: who grasps.
+        place: the chosen place, shape (3,) [m].
+        line: direction of the line through the fingers, shape (3,); both in the base frame.
+        rng: of the tremor.
+    """
+    x = line - (line @ DOWN) * DOWN
+    x /= np.linalg.norm(x)
+    R = np.column_stack([x, np.cross(DOWN, x), DOWN]) @ pin.exp3(rng.normal(0.0, person.tremor_rad, 3))
+    return pose(R, place + person.bias + rng.normal(0.0, person.tremor_m, 3))
