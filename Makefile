@@ -18,7 +18,7 @@ SCENARIO ?=
 REPORT ?=
 ARGS ?=
 
-.PHONY: help setup demo test test-fast bench lint cad clean distclean
+.PHONY: help setup demo test test-fast bench lint docs cad clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
@@ -45,8 +45,18 @@ test-fast: $(READY) ## the tests that need no ROS, in seconds
 bench: $(READY) ## measures speed on this machine and prints a table
 	@$(IN_WORKSPACE) python bench/run.py
 
-lint: $(READY) ## style of the code
+lint: $(READY) ## style, types, packages, shell scripts, architecture, handbook
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check .
+	@.venv/bin/mypy
+	@catkin_lint --offline --strict --quiet --ignore plugin_depend src
+	@shellcheck --exclude SC1091 .ci/run $$(find src tools bench -name '*.sh')
+	@.venv/bin/python -m pytest -q tests/test_architecture.py
+	@.venv/bin/mkdocs build --strict --quiet --site-dir build/site
+
+docs: $(READY) ## the handbook in site/, its reference pages made anew from the source
+	@.venv/bin/python -m tools.reference
+	@.venv/bin/mkdocs build --strict --quiet
+	@echo "The handbook is made: site/index.html"
 
 cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures, tag sheets
 	@test -x cad/.venv/bin/python || /usr/bin/python3 -m venv cad/.venv
@@ -56,7 +66,7 @@ cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures,
 	@.venv/bin/python -m cad.tag_sheets.sheets
 
 clean: ## removes the build
-	rm -rf build devel install logs src/CMakeLists.txt .catkin_workspace .pytest_cache .hypothesis .ruff_cache
+	rm -rf build devel install logs site src/CMakeLists.txt .catkin_workspace .pytest_cache .hypothesis .mypy_cache .ruff_cache
 
 distclean: clean ## removes the build and the Python environment
 	rm -rf .venv cad/.venv

@@ -1,0 +1,45 @@
+"""mkdocs: what the pages need on the site and not on the repository's web page."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+
+LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(((?:\.\./)+[^)\s]*)\)")
+
+
+def on_config(config):
+    """Replaces each folder in the navigation by its pages."""
+    config.nav = _expanded(config.nav, Path(config.docs_dir))
+    return config
+
+
+def on_page_markdown(markdown: str, page, config, files) -> str:
+    """Turns links to files outside of docs/, which the site does not hold, into the place of the file in the repository."""
+    folder = posixpath.dirname(page.file.src_uri)
+
+    def replaced(match: re.Match) -> str:
+        target = posixpath.normpath(posixpath.join("docs", folder, match[2].split("#")[0]))
+        if target.startswith("docs/"):
+            return match[0]
+        return f"`{target}`" if match[1].strip("`") in (target, posixpath.basename(target)) else f"{match[1]} (`{target}`)"
+
+    return LINK.sub(replaced, markdown)
+
+
+def _expanded(nav: list, docs: Path) -> list:
+    """Returns the navigation with `folder/` replaced by the pages in it, the README first."""
+    expanded = []
+    for item in nav:
+        title, target = next(iter(item.items())) if isinstance(item, dict) else (None, item)
+        if isinstance(target, list):
+            pages = _expanded(target, docs)
+        elif target.endswith("/"):
+            found = sorted((docs / target).glob("*.md"), key=lambda p: (p.name != "README.md", p.name))
+            pages = [str(page.relative_to(docs)) for page in found]
+        else:
+            expanded.append(item)
+            continue
+        expanded += [{title: pages}] if title else pages
+    return expanded
