@@ -41,6 +41,14 @@ def test_quaternion_round_trip(a, b, c):
     np.testing.assert_allclose(rot.rotation_from_quaternion(q), R, atol=1e-12)
 
 
+@given(angles, angles, angles, st.floats(0.0, 1.0))
+def test_shares_of_a_rotation_add_up_to_it(a, b, c, share):
+    R = rot.rotation_from_zyx(a, b, c)
+    first, rest = rot.share_of_rotation(R, share), rot.share_of_rotation(R, 1.0 - share)
+    np.testing.assert_allclose(first @ rest, R, atol=1e-6)
+    np.testing.assert_allclose(rot.rotation_angle(first), share * rot.rotation_angle(R), atol=1e-6)
+
+
 def test_quaternion_order_is_x_y_z_w():
     np.testing.assert_allclose(
         rot.rotation_from_quaternion([np.sqrt(0.5), 0, 0, np.sqrt(0.5)]), rot.rotation_about(0, np.pi / 2), atol=1e-12

@@ -124,6 +124,9 @@ def node(ros):
         def states(self):
             return [{v.key: v.value for v in m.values}["state"] for m in self.stream]
 
+        def holds(self):
+            return [{v.key: v.value for v in m.values}["hold"] for m in self.stream]
+
         def children(self):
             return {t.child_frame_id for t in self.tf[-1].transforms} if self.tf else set()
 
@@ -166,6 +169,61 @@ def test_a_hand_is_followed_and_lost(ros, node, tracker, hand, wait_until):
     wait_until(lambda: node.children() == {"leap_motion/virtual_frame"}, 20.0, "the frames of the hand to end")
     wait_until(lambda: node.states()[-1] == "waiting", 5.0, "the end to be announced")
     assert any(m.level == 1 and m.message == "right hand 12 was lost" for m in node.stream)
+    listener.unregister()
+
+
+def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, hand, wait_until):
+    import rospy
+    import tf2_ros
+
+    from common.poses import pose
+    from common.ros.conversions import pose_from_transform, stamped_pose
+    from rig_msgs.msg import KukaStatus
+    from rig_msgs.srv import HoldTool
+
+    set_params()
+    node.start()
+    rospy.wait_for_service("leap_kuka/hold_tool", 20.0)
+    hold = rospy.ServiceProxy("leap_kuka/hold_tool", HoldTool)
+    status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1, latch=True)
+    T = pose(np.diag([-1.0, 1.0, -1.0]), (0.4, 0.1, 0.3))
+    tool = stamped_pose(T, "kuka/base_frame", rospy.Time())
+
+    wait_until(lambda: node.children(), 20.0, "frames")
+    assert hold(tool, 30.0).message == "The tool is not held: control of the arm is off."
+    status.publish(KukaStatus(control_on=True))
+    wait_until(lambda: hold(tool, 30.0).success, 10.0, "the hold")
+    for bad in (
+        stamped_pose(T, "camera_link", rospy.Time()),
+        stamped_pose(T * np.nan, "kuka/base_frame", rospy.Time()),
+    ):
+        answer = hold(bad, 30.0)
+        assert not answer.success and ("instead of kuka/base_frame" in answer.message or "finite" in answer.message)
+    wait_until(lambda: node.children() == set(PARENTS) - {"hand/frame"}, 20.0, "the tool that is held")
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+
+    def desired():
+        return pose_from_transform(
+            buffer.lookup_transform(
+                "kuka/base_frame", "kuka/tool_frame/desired", rospy.Time(0), rospy.Duration(10.0)
+            ).transform
+        )
+
+    np.testing.assert_allclose(desired(), T, atol=1e-6)
+    wait_until(lambda: node.holds()[-1] == "held", 5.0, "the status of the hold")
+    tracker.show(hand(yaw=30.0, position=(0.05, 0.3, 0.02)))
+    wait_until(lambda: node.holds()[-1] == "taken", 20.0, "the hand that takes over")
+    np.testing.assert_allclose(desired(), T, atol=1e-6)
+    tracker.show()
+    wait_until(lambda: node.holds()[-1] == "none", 20.0, "the end of both")
+    wait_until(lambda: hold(tool, 30.0).success, 10.0, "another hold")
+    wait_until(lambda: node.holds()[-1] == "held", 20.0, "the status of the other hold")
+    status.publish(KukaStatus(control_on=False))
+    wait_until(lambda: node.holds()[-1] == "none", 20.0, "the end with control")
+    assert "the tool is held no longer: control of the arm is off" in [m.message for m in node.stream]
+    assert hold(tool, 0.0).success
+    status.unregister()
     listener.unregister()
 
 

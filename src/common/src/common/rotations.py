@@ -86,3 +86,8 @@ def zyx_from_rotation(R) -> tuple[float, float, float]:
 def rotation_angle(R) -> float:
     """Returns the angle [rad], 0 to pi, by which the rotation R, shape (3, 3), turns."""
     return float(np.linalg.norm(pin.log3(np.asarray(R, dtype=float))))
+
+
+def share_of_rotation(R, share: float) -> np.ndarray:
+    """Returns the rotation about the axis of R, shape (3, 3), by `share` of its angle, shape (3, 3)."""
+    return pin.exp3(share * pin.log3(np.asarray(R, dtype=float)))

@@ -2,6 +2,9 @@
 
 One object composes the steps 3 to 6 of the data's way. Poses are in the frame of the virtual Leap, which holds the same
 numbers as the real Leap's frame, and `T_base_virtual` places it in the robot's base frame; metres and radians.
+
+While no hand steers, the tool may be held at a pose for a hand that then starts from there (tool_hold.py). It is held
+only while tracking frames come in, so that a person can take over, and control of the arm is on.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from leap_kuka.desired_tool import Attitude, attitude, tool_rotation
 from leap_kuka.hand_average import HandAverage, MeanHand
 from leap_kuka.hand_frame import HandSample
 from leap_kuka.start_gate import Box, StartGate, interaction_box
+from leap_kuka.tool_hold import HELD, NONE, TAKEN, Answer, HandOver, ToolHold, hand_over
 from leap_kuka.virtual_leap import heading, virtual_leap_pose
 
 WAITING = "waiting"
@@ -53,9 +57,10 @@ class TeleopResult:
         usable: whether the frame was new and of the present; only then its poses are to be published.
         T_base_virtual: pose of the virtual Leap in the base frame, shape (4, 4).
         T_virtual_hand: pose of the averaged hand, shape (4, 4), or None without one.
-        T_virtual_tool: pose of the desired tool, shape (4, 4), or None unless the state is RUNNING.
-        measured: attitude of the hand against the heading of its stream, or None like the tool.
+        T_virtual_tool: pose of the desired tool, shape (4, 4), or None unless the state is RUNNING or the tool is held.
+        measured: attitude of the hand against the heading of its stream, or None unless the state is RUNNING.
         clipped: the same with each angle within its limit.
+        hold: HELD while the tool is held, TAKEN while the hand steers that took it over, else NONE.
     """
 
     state: str
@@ -66,6 +71,7 @@ class TeleopResult:
     T_virtual_tool: np.ndarray | None = None
     measured: Attitude | None = None
     clipped: Attitude | None = None
+    hold: str = NONE
 
 
 @dataclass
@@ -76,6 +82,7 @@ class Counts:
     frames_refused: int = 0
     samples_left_out: int = 0
     streams: int = 0
+    holds: int = 0
 
 
 class Teleop:
@@ -107,13 +114,39 @@ class Teleop:
         self._gate = StartGate(leap, self.box)
         self._hand: HandSample | None = None
         self._reason = NO_FRAMES
+        self._hold = ToolHold(self._bearings.up)
+        self._hand_over: HandOver | None = None
         self._turn(0.0)
 
     def reset(self) -> None:
-        """Ends the stream and forgets all frames; the virtual Leap stays as the last stream turned it."""
+        """Ends stream and hold and forgets all frames; the virtual Leap stays as the last stream placed it."""
+        self._hold.end(NO_FRAMES)
         self._watch.reset()
         self._choice.reset()
         self._lose(NO_FRAMES)
+
+    def hold(self, T_base_tool: np.ndarray, duration: float, now: float) -> Answer:
+        """Holds the tool at a pose until a hand takes it over from there; that hand's stream then is as any other.
+
+        Args:
+            T_base_tool: shape (4, 4) [m].
+            duration: how long it is held without a hand [s].
+            now: on the clock of `step` [s].
+        """
+        hindrance = "a hand is followed" if self._gate.running else self._watch.silence(now)
+        answer = self._hold.ask(T_base_tool, duration, now, hindrance)
+        self.counts.holds += answer.success
+        return answer
+
+    def end_hold(self) -> Answer:
+        """Ends the hold; a hand that took the tool over goes on."""
+        held = self._hold.T_base_tool is not None
+        self._hold.end("it was ended")
+        return Answer(True, "The hold has ended." if held else "The tool is not held.")
+
+    def control(self, on: bool) -> None:
+        """Tells whether control of the arm is on; a hold ends with it."""
+        self._hold.control(on)
 
     def step(self, frame: TrackingFrame, now: float) -> TeleopResult:
         """Takes a frame in.
@@ -127,9 +160,11 @@ class Teleop:
         end = arrival.broken
         if end:
             self._lose(end)
+            self._hold.end(end)
+        self._hold.expire(now)
         if not arrival.usable:
             self.counts.frames_refused += 1
-            return self._result(usable=False)
+            return self._result(False, now)
         self.counts.frames += 1
         hand = self._choice.choose(frame.hands)
         if self._hand is not None and (hand is None or (hand.id, hand.is_left) != (self._hand.id, self._hand.is_left)):
@@ -142,7 +177,7 @@ class Teleop:
             self._take(hand, now)
         if ran and end:
             self._reason = end
-        return self._result(usable=True)
+        return self._result(True, now)
 
     def silence(self, now: float) -> TeleopResult | None:
         """Ends the stream if no usable frame came for MAX_SILENCE_S; returns that result, or None while frames come."""
@@ -150,7 +185,8 @@ class Teleop:
         if silence is None:
             return None
         self._lose(silence)
-        return self._result(usable=False)
+        self._hold.end(silence)
+        return self._result(False, now)
 
     def _take(self, hand: HandSample, now: float) -> None:
         """Takes a sample of the followed hand into the mean, and lets the gate decide."""
@@ -164,16 +200,17 @@ class Teleop:
         elif mean is None:
             self._reason = f"{hand.name} turns too fast"
         else:
-            self._decide(hand, mean)
+            self._decide(hand, mean, now)
         if self._average.lost or (self._gate.running and mean is None):
             self._lose(f"{hand.name} was lost: {left_out or 'it turns too fast'}")
 
-    def _decide(self, hand: HandSample, mean: MeanHand) -> None:
+    def _decide(self, hand: HandSample, mean: MeanHand, now: float) -> None:
         ran = self._gate.running
         faults = self._gate.step(mean)
         self._reason = f"{hand.name}: {'; '.join(faults)}" if faults else f"{hand.name} is followed"
         if self._gate.running and not ran:
             self._turn(heading(mean.T_leap_hand[:3, 0]))
+            self._take_over(mean, now)
             self.counts.streams += 1
 
     def _turn(self, psi: float) -> None:
@@ -182,33 +219,64 @@ class Teleop:
         height = float(self.box.center[1])
         self._T_base_virtual = read_only(virtual_leap_pose(self._bearings, self._ws_center, height, psi))
 
+    def _take_over(self, mean: MeanHand, now: float) -> None:
+        """Lets the hand go on from where the tool is held, if it is."""
+        T_base_held, self._hand_over = self._hold.take(), None
+        if T_base_held is None:
+            return
+        T_virtual_tool, _, _ = self._tool(mean)
+        R_virtual_level = tool_rotation(Attitude(0.0, 0.0, 0.0), self._heading, self._bearings.turned)
+        self._hand_over = hand_over(T_base_held, self._T_base_virtual, T_virtual_tool, R_virtual_level, now)
+        self._T_base_virtual = self._hand_over.T_base_virtual
+
     def _lose(self, reason: str) -> None:
         self._average.reset()
         self._gate.reset()
         self._hand = None
         self._reason = reason
 
-    def _result(self, usable: bool) -> TeleopResult:
-        mean = self._average.mean()
-        T_virtual_hand = None if mean is None else mean.T_leap_hand
-        if not self._gate.running:
-            return TeleopResult(WAITING, self._reason, usable, self._T_base_virtual, T_virtual_hand)
+    def _tool(self, mean: MeanHand) -> tuple[np.ndarray, Attitude, Attitude]:
+        """Returns the tool that the hand alone asks for, T_virtual_tool, and the hand's attitude, measured and clipped.
+
+        A hold is not thought of here.
+        """
         measured = attitude(mean.T_leap_hand[:3, :3], self._heading)
         clipped = measured.clipped(self._limits)
         R_virtual_tool = tool_rotation(clipped, self._heading, self._bearings.turned)
+        return pose(R_virtual_tool, mean.palm), measured, clipped
+
+    def _result(self, usable: bool, now: float) -> TeleopResult:
+        mean = self._average.mean()
+        T_virtual_hand = None if mean is None else mean.T_leap_hand
+        hold_end = self._hold.news()
+        if not self._gate.running:
+            T_base_held = self._hold.T_base_tool
+            return TeleopResult(
+                WAITING,
+                hold_end or self._reason,
+                usable,
+                self._T_base_virtual,
+                T_virtual_hand,
+                None if T_base_held is None else read_only(inverse(self._T_base_virtual) @ T_base_held),
+                hold=NONE if T_base_held is None else HELD,
+            )
+        T_virtual_tool, measured, clipped = self._tool(mean)
+        if self._hand_over is not None:
+            T_virtual_tool[:3, :3] = self._hand_over.rotation(T_virtual_tool[:3, :3], now)
         return TeleopResult(
             RUNNING,
-            f"{self._reason}{_held(measured, clipped)}",
+            f"{self._reason}{_at_limit(measured, clipped)}",
             usable,
             self._T_base_virtual,
             T_virtual_hand,
-            read_only(pose(R_virtual_tool, mean.palm)),
+            read_only(T_virtual_tool),
             measured,
             clipped,
+            NONE if self._hand_over is None else TAKEN,
         )
 
 
-def _held(measured: Attitude, clipped: Attitude) -> str:
+def _at_limit(measured: Attitude, clipped: Attitude) -> str:
     """Returns which angles are held at their limits, as the end of a sentence."""
     held = [name for name in ("yaw", "pitch", "roll") if getattr(measured, name) != getattr(clipped, name)]
     return f"; {' and '.join(held)} at the limit" if held else ""

@@ -14,6 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from leap_kuka.start_gate import Box
 from leap_kuka.teleop import RUNNING, TeleopResult
+from leap_kuka.tool_hold import HELD
 
 GREEN = (0.2, 0.8, 0.3)
 AMBER = (1.0, 0.7, 0.1)
@@ -22,7 +23,7 @@ TEXT_HEIGHT_M = 0.025
 
 
 class StreamStatus:
-    """Publishes a change of the state at once, and a change of the reason alone when `flush` is called.
+    """Publishes a change of the state or of the hold at once, and one of the reason alone when `flush` is called.
 
     The reason may change with every frame (how far the palm is outside), which nobody can read.
     """
@@ -34,21 +35,22 @@ class StreamStatus:
         self._markers = rospy.Publisher("leap_kuka/interaction_box", MarkerArray, queue_size=10, latch=True)
         self._lock = threading.Lock()
         self._newest: TeleopResult | None = None
-        self._published: tuple[str, str] | None = None
+        self._published: tuple[str, str, str] | None = None
 
     def update(self, result: TeleopResult) -> None:
         """Takes the newest result; publishes if the state changed."""
         with self._lock:
             self._newest = result
-            if self._published is None or self._published[0] != result.state:
-                rospy.loginfo("Stream %s: %s.", result.state, result.reason)
+            if self._published is None or self._published[:2] != (result.state, result.hold):
+                held = ", the tool is held" if result.hold == HELD else ""
+                rospy.loginfo("Stream %s%s: %s.", result.state, held, result.reason)
                 self._publish(result)
 
     def flush(self) -> None:
         """Publishes the newest result if its reason is not the one that was published last."""
         with self._lock:
             result = self._newest
-            if result is not None and self._published != (result.state, result.reason):
+            if result is not None and self._published != _key(result):
                 self._publish(result)
 
     @property
@@ -60,13 +62,13 @@ class StreamStatus:
         return _level(result), result.reason, result.state
 
     def _publish(self, result: TeleopResult) -> None:
-        self._published = (result.state, result.reason)
+        self._published = _key(result)
         self._status.publish(
             DiagnosticStatus(
                 level=_level(result),
                 name="leap_kuka",
                 message=result.reason,
-                values=[KeyValue("state", result.state)],
+                values=[KeyValue("state", result.state), KeyValue("hold", result.hold)],
             )
         )
         colour = GREEN if result.state == RUNNING else AMBER
@@ -101,6 +103,10 @@ class StreamStatus:
         marker.pose.position = Point(*position)
         marker.pose.orientation = Quaternion(w=1.0)
         return marker
+
+
+def _key(result: TeleopResult) -> tuple[str, str, str]:
+    return result.state, result.hold, result.reason
 
 
 def _level(result: TeleopResult) -> int:

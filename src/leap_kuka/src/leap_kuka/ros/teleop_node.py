@@ -16,12 +16,12 @@ from common.ros.node import run, while_running
 from common.ros.params import wait_for_config, wait_for_param
 from common.ros.stage_times import StageTimes
 from leap_kuka.config import ArmConfig, LeapConfig
+from leap_kuka.ros.hold_service import BASE, HoldService
 from leap_kuka.ros.stream_status import StreamStatus
 from leap_kuka.ros.tracking import frame_from_human
 from leap_kuka.teleop import Teleop, TeleopResult
 from leap_motion.msg import Human
 
-BASE = "kuka/base_frame"
 VIRTUAL_LEAP = "leap_motion/virtual_frame"
 HAND = "hand/frame"
 TOOL = "kuka/tool_frame/desired"
@@ -41,6 +41,7 @@ class TeleopNode:
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=10, tcp_nodelay=True)
         self._stage_times = StageTimes("leap_kuka")
         self._status = StreamStatus(teleop.box, VIRTUAL_LEAP)
+        self._hold_service = HoldService(teleop, self._lock)
         Diagnostics("leap_kuka", self._diagnostics)
         rospy.Subscriber(
             "leap_motion/leap_device",

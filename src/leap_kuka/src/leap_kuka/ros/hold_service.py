@@ -1,0 +1,51 @@
+"""The service leap_kuka/hold_tool, and what a hold needs to know of the arm's controller."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import rospy
+
+from common.ros.conversions import pose_in
+from leap_kuka.teleop import Teleop
+from rig_msgs.msg import KukaStatus
+from rig_msgs.srv import HoldTool, HoldToolRequest
+
+BASE = "kuka/base_frame"
+
+
+class HoldService:
+    """Hands requests on to the chain.
+
+    Args:
+        teleop: the chain.
+        lock: of the chain, which other threads use too.
+    """
+
+    def __init__(self, teleop: Teleop, lock: threading.Lock) -> None:
+        self._teleop = teleop
+        self._lock = lock
+        rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
+        rospy.Service("leap_kuka/hold_tool", HoldTool, self._answer)
+
+    def _on_status(self, status: KukaStatus) -> None:
+        with self._lock:
+            self._teleop.control(status.control_on)
+
+    def _answer(self, request: HoldToolRequest) -> tuple[bool, str]:
+        success, sentence = self._hold(request)
+        (rospy.loginfo if success else rospy.logwarn)(sentence)
+        return success, sentence
+
+    def _hold(self, request: HoldToolRequest) -> tuple[bool, str]:
+        with self._lock:
+            if request.duration == 0.0:
+                answer = self._teleop.end_hold()
+            else:
+                try:
+                    T_base_tool = pose_in(BASE, request.tool)
+                except ValueError as error:
+                    return False, f"The tool is not held: {error}."
+                answer = self._teleop.hold(T_base_tool, request.duration, time.monotonic())
+        return answer.success, answer.sentence
