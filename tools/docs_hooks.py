@@ -16,14 +16,15 @@ def on_config(config):
 
 
 def on_page_markdown(markdown: str, page, config, files) -> str:
-    """Turns links to files outside of docs/, which the site does not hold, into the place of the file in the repository."""
+    """Turns links to files outside of docs/, which the site does not hold, into their place in the repository."""
     folder = posixpath.dirname(page.file.src_uri)
 
     def replaced(match: re.Match) -> str:
         target = posixpath.normpath(posixpath.join("docs", folder, match[2].split("#")[0]))
         if target.startswith("docs/"):
             return match[0]
-        return f"`{target}`" if match[1].strip("`") in (target, posixpath.basename(target)) else f"{match[1]} (`{target}`)"
+        named = match[1].strip("`") in (target, posixpath.basename(target))
+        return f"`{target}`" if named else f"{match[1]} (`{target}`)"
 
     return LINK.sub(replaced, markdown)
 

@@ -1,4 +1,4 @@
-"""Writes the pages of docs/reference from the source: `python -m tools.reference`; a test fails when a page is out of date.
+"""Writes the pages of docs/reference from the source: `python -m tools.reference`. A test compares them with it.
 
 Each module makes one page and has `page() -> str`.
 """

@@ -14,8 +14,8 @@ def page() -> str:
         markdown.generated(
             "Commands",
             "the Makefile and the programs",
-            "Programs start with `rosrun PACKAGE PROGRAM`, after `source devel/setup.bash`; most say more with `--help`. Nodes "
-            "take their parameters from the [launch files](launch.md) that start them.",
+            "Programs start with `rosrun PACKAGE PROGRAM`, after `source devel/setup.bash`; most say more with "
+            "`--help`. Nodes take their parameters from the [launch files](launch.md) that start them.",
         ),
         "## make\n",
         markdown.table(["command", "what it does"], [[f"`make {name}`", what] for name, what in targets().items()]),

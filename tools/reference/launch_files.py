@@ -34,8 +34,7 @@ def arguments(file: Path) -> dict[str, ElementTree.Element]:
 
 def _file(file: Path) -> str:
     rows = [
-        [markdown.code(name), _default(arg), markdown.text(arg.get("doc", ""))]
-        for name, arg in arguments(file).items()
+        [markdown.code(name), _default(arg), markdown.text(arg.get("doc", ""))] for name, arg in arguments(file).items()
     ]
     parts = [f"### {file.name}\n", f"{sources.link(file)}: {markdown.text(_comment(file))}\n"]
     if rows:

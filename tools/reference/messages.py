@@ -1,4 +1,4 @@
-"""The page of messages and services: their definitions, and the MD5 sums by which two sides know that they mean the same."""
+"""The page of messages and services: their definitions, and the MD5 sums by which two programs know each other."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def page() -> str:
         markdown.generated(
             "Messages and services",
             "the msg and srv files",
-            "The definitions, with their MD5 sums as `rosmsg md5` and `rossrv md5` tell them. Two programs understand each "
-            "other when the sums are the same.",
+            "The definitions, with their MD5 sums as `rosmsg md5` and `rossrv md5` tell them. Two programs understand "
+            "each other when the sums are the same.",
         )
     ]
     package = ""

@@ -92,8 +92,8 @@ def page() -> str:
         markdown.generated(
             "Parameters",
             "the yaml files and their schemas",
-            "Every yaml file of every package with its defaults. What is checked is the schema beside it: a value out of "
-            "range, a missing key and an unknown key are refused with one sentence each, and nothing moves.\n\n"
+            "Every yaml file of every package with its defaults. What is checked is the schema beside it: a value out "
+            "of range, a missing key and an unknown key are refused with one sentence each, and nothing moves.\n\n"
             "In intervals a square bracket includes the limit and a round one does not.",
         )
     ]
@@ -111,10 +111,10 @@ def _file(file: Path) -> str:
     parts = [f"### {file.relative_to(file.parents[len(file.parts) - 2 - file.parts.index('config')])}\n"]
     head = _head(words)
     parts.append(f"{sources.link(file)}{': ' + markdown.text(head) if head else ''}\n")
-    if sources.inside(file) in AS_IT_IS:
+    schemas = SCHEMAS.get(sources.inside(file))
+    if schemas is None:
         body = re.sub(r"\A(#.*\n)+\n*", "", words)
         return "\n".join([*parts, f"```yaml\n{body.rstrip()}\n```\n"])
-    schemas = SCHEMAS[sources.inside(file)]
     comments = _comments(words)
     rest = [k for k in yaml.safe_load(words) if not any(not part.path or part.path[0] == k for part in schemas)]
     if rest:
