@@ -1,0 +1,139 @@
+"""The pages say what is there: generated pages are as the source, links lead somewhere, commands exist."""
+
+from __future__ import annotations
+
+import pytest
+
+from tools.handbook import commands, pages
+from tools.reference import errors, messages_in_code, parameters, sources
+from tools.reference.pages import PAGES
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_generated_page_is_as_the_source(name):
+    if name == "messages.md":
+        pytest.importorskip("genmsg")
+    assert (sources.REFERENCE / name).read_text() == PAGES[name](), "run make docs"
+
+
+def test_every_yaml_is_a_table_or_shown_as_it_is():
+    files = {sources.inside(file) for file in sources.ROOT.glob("src/**/config/**/*.yaml")}
+    assert files == parameters.SCHEMAS.keys() | parameters.AS_IT_IS
+    assert not parameters.SCHEMAS.keys() & parameters.AS_IT_IS
+
+
+class TestErrorMessages:
+    def test_each_has_a_cause_and_a_cure(self):
+        _, left = errors.sort(messages_in_code.sentences(), errors.read_entries(errors.CURES.read_text()))
+        assert not [f"{sources.inside(s.file)}: {s.text}" for s in left], "write them into docs/reference/errors.yaml"
+
+    def test_each_entry_fits_one(self):
+        entries = errors.read_entries(errors.CURES.read_text())
+        fitting, _ = errors.sort(messages_in_code.sentences(), entries)
+        stale = [
+            f"{package}: {part}"
+            for package, of_package in entries.items()
+            for entry in of_package
+            for part in entry.parts
+            if not any(part in sentence.text for sentence in fitting[package].get(entry, ()))
+        ]
+        assert not stale
+
+    @pytest.mark.parametrize(
+        ("code", "found"),
+        [
+            ("raise DeviceError(f'No hand on {name}.')", "No hand on …."),
+            ("raise ConfigError([f'{key} is missing here.'])", "… is missing here."),
+            ("rospy.logwarn('Waiting for %s since %.1f s.', a, b)", "Waiting for … since … s."),
+            ("faults.append('the box is empty')", "the box is empty"),
+            ("def faults(self):\n    return [] if self.good else ['two and two']", "two and two"),
+            ("def f():\n    return False, 'it is closed'", "it is closed"),
+            ("return_ = Answer(False, 'not while it moves')", "not while it moves"),
+            ("print('no such file', file=sys.stderr)", "no such file"),
+        ],
+    )
+    def test_is_found_in(self, code, found, tmp_path):
+        file = tmp_path / "module.py"
+        file.write_text(code)
+        assert [sentence.text for sentence in messages_in_code.sentences([file])] == [found]
+
+    @pytest.mark.parametrize(
+        "code",
+        [
+            "raise ValueError('the shape is wrong')",
+            "rospy.loginfo('The arm is at home.')",
+            "raise rospy.ROSInterruptException('shut down while waiting')",
+            "print('The arm is at home.')",
+        ],
+    )
+    def test_is_not_found_in(self, code, tmp_path):
+        file = tmp_path / "module.py"
+        file.write_text(code)
+        assert not messages_in_code.sentences([file])
+
+
+@pytest.mark.parametrize("page", pages.pages(), ids=lambda page: str(page.relative_to(pages.ROOT)))
+class TestPage:
+    def test_links_lead_somewhere(self, page):
+        text = page.read_text()
+        for link in pages.links(text):
+            if "://" in link or link.startswith("mailto:"):
+                continue
+            path, _, anchor = link.partition("#")
+            target = (page.parent / path).resolve() if path else page
+            assert target.exists(), f"{link} leads nowhere"
+            assert target.is_relative_to(pages.ROOT), f"{link} leads out of the project"
+            if anchor and target.suffix == ".md":
+                assert anchor in pages.anchors(target.read_text()), f"{link}: no such heading"
+
+    def test_commands_exist(self, page):
+        wrong = [f"line {block.line}: {fault}" for block in pages.code(page) for fault in commands.faults(block.text)]
+        assert not wrong
+
+    def test_blocks_that_no_test_runs_say_why(self, page):
+        for block in pages.bash_blocks(page):
+            assert block.marker in ("", *pages.MARKERS), f"line {block.line}: {block.marker!r} is no reason"
+
+
+class TestChecker:
+    @pytest.mark.parametrize(
+        "command",
+        [
+            "make tea",
+            "make demo HEADLES=1",
+            "rosrun kuka_control nothing.py",
+            "rosrun kuka_control workspace_plotter.py --paint",
+            "roslaunch leap_rig nothing",
+            "cd x && roslaunch leap_rig demo simm:=false",
+            "rosservice call kuka/kuka_controll true",
+            "rostopic hz /kuka/joint_position",
+        ],
+    )
+    def test_sees_what_is_not_there(self, command):
+        assert len(commands.faults(command)) == 1
+
+    @pytest.mark.parametrize(
+        "command",
+        [
+            "make demo HEADLESS=1 ARGS='viewer:=true'",
+            "rosrun kuka_control workspace_plotter.py --save workspace.png",
+            "sudo roslaunch leap_rig demo sim:=false",
+            "rosservice call kuka/kuka_control true  # on",
+            "rosrun tf2_tools view_frames.py",
+            "rosrun PACKAGE PROGRAM",
+        ],
+    )
+    def test_passes_what_is_there(self, command):
+        assert not commands.faults(command)
+
+    def test_anchors_are_those_of_the_repository_page(self):
+        text = "# A title, `code` and [link](x.md)\n## tags.yaml\n## Twice\n## Twice\n```\n# none\n```\n"
+        assert pages.anchors(text) == {"a-title-code-and-link", "tagsyaml", "twice", "twice-1"}
+
+    def test_marker_of_a_block(self, tmp_path):
+        page = tmp_path / "page.md"
+        page.write_text("<!-- slow -->\n```bash\nmake bench\n```\n\n```bash\nmake help\n```\n")
+        assert [(b.marker, b.text, b.line) for b in pages.bash_blocks(page)] == [
+            ("slow", "make bench", 3),
+            ("", "make help", 7),
+        ]
