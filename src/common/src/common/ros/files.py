@@ -9,7 +9,14 @@ from pathlib import Path
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Writes a text file in place of the one before, which stays as it is if that fails; makes its folder.
+    """Writes a text file as `write_bytes_whole` does, in UTF-8."""
+    write_bytes_whole(path, text.encode("utf-8"))
+
+
+def write_bytes_whole(path: Path, content: bytes) -> None:
+    """Writes a file in place of the one before, which stays as it is if that fails; makes its folder.
+
+    A process that dies meanwhile leaves a file behind whose name is a dot, the file's name, and eight characters.
 
     Raises:
         OSError: it cannot be written, as on a full disk.
@@ -17,8 +24,8 @@ def write_whole(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}", dir=str(path.parent))
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
         os.chmod(temporary, 0o644)

@@ -22,7 +22,7 @@ from grasping.dataset.episode import EXECUTION, TELEOPERATION, Episode, Metadata
 from grasping.depth_image import NETWORK_SIDE, Crop
 
 SCHEMA = 1
-SUFFIX = ".npz"
+PREFIX, SUFFIX = "episode_", ".npz"
 LAYOUT = {
     "meta": ("U", ()),
     "camera_K": ("f8", (3, 3)),
@@ -56,6 +56,17 @@ GRASP_TOLERANCE = 1e-9
 
 class DatasetError(RigError):
     """A file holds no episode that can be used."""
+
+
+def file_name(episode: Episode) -> str:
+    """Returns the name of the file of an episode: the moment of its grasp, to the millisecond."""
+    date = "".join(c for c in episode.metadata.date if c.isalnum())
+    return f"{PREFIX}{date[:-1]}_{int(1e3 * episode.t_grasp) % 1000:03d}{SUFFIX}"
+
+
+def unfinished(name: str) -> bool:
+    """Returns whether a file of that name was left by a process that died while it wrote an episode."""
+    return name.startswith(f".{PREFIX}") and SUFFIX in name
 
 
 def encode(episode: Episode) -> bytes:

@@ -1,0 +1,58 @@
+"""What of the rig decides whether two episodes belong together; their fingerprint is made of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from common.camera_model import CameraModel
+from common.poses import pose
+from common.rotations import rotation_about
+from grasping.depth_image import Crop
+from grasping.tool_pose import ToolPoseConfig
+
+DIGITS = 3
+"""Of the camera's place: a millimetre and a milliradian; two live calibrations differ by more."""
+
+
+def grasp_in_tool(settings: ToolPoseConfig) -> np.ndarray:
+    """Returns T_tool_grasp, shape (4, 4) [m], of the hand on the tool: x through its fingers."""
+    return pose(rotation_about(2, math.radians(settings.closing_angle)), settings.grip_in_tool)
+
+
+def rig_configuration(
+    kuka: dict[str, Any],
+    T_flange_tool: np.ndarray,
+    T_tool_grasp: np.ndarray,
+    camera: CameraModel,
+    crop: Crop,
+    T_base_camera: np.ndarray,
+    weights: str,
+) -> dict[str, Any]:
+    """Returns the configuration as JSON can hold it.
+
+    Args:
+        kuka: the arm: robot, flange, mounting and file of calibrated parameters.
+        T_flange_tool: shape (4, 4) [m].
+        T_tool_grasp: shape (4, 4) [m].
+        camera: that takes the depth pictures.
+        crop: of its pictures.
+        T_base_camera: where it stands, shape (4, 4) [m].
+        weights: SHA-256 of the network's weight file.
+    """
+    # Adding 0 turns -0.0 into 0.0, which would be another text.
+    return {
+        "kuka": kuka,
+        "T_flange_tool": T_flange_tool.tolist(),
+        "T_tool_grasp": (np.round(T_tool_grasp, 9) + 0.0).tolist(),
+        "camera": {
+            "name": camera.name,
+            "size": [camera.width, camera.height],
+            **{key: getattr(camera, key).tolist() for key in "KDRP"},
+        },
+        "crop": list(crop),
+        "T_base_camera": (np.round(T_base_camera, DIGITS) + 0.0).tolist(),
+        "weights": weights,
+    }

@@ -1,0 +1,158 @@
+"""Sees in the hand's state and the tool's height when a person grasped something, and whether it was held.
+
+The fingers have closed when the thumb and a finger beside it are bent and none moves any more. Then the tool has to be
+lifted: the hand holds something if the thumb and a finger still feel it a moment after the tool is up.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.config import number
+
+THUMB = 2
+"""Of the fingers index, middle, thumb."""
+
+
+@dataclass(frozen=True)
+class GraspWatchConfig:
+    """How a grasp is seen."""
+
+    open_angle: float = number("rad", above=0.0, high=3.0, doc="fingers bent less are open")
+    closed_angle: float = number("rad", above=0.0, high=3.0, doc="a thumb and a finger bent more may have closed")
+    rest_angle: float = number("rad", above=0.0, high=1.0, doc="fingers that moved less within rest_time are at rest")
+    rest_time: float = number("s", above=0.0, high=5.0, doc="how long they have to rest")
+    touch_load: float = number("0.1 % of the largest torque", above=0.0, high=1000.0, doc="a load above it is a touch")
+    lift: float = number("m", above=0.0, high=1.0, doc="how high the tool is lifted before it counts")
+    hold_time: float = number("s", low=0.0, high=10.0, doc="how long it has to be held then")
+    patience: float = number("s", above=0.0, high=600.0, doc="longest time from closing to lifting")
+
+    def faults(self) -> list[str]:
+        """Returns what no single value can be blamed for."""
+        if self.open_angle > self.closed_angle:
+            return [f"open_angle is {self.open_angle:g} and must not be above closed_angle, {self.closed_angle:g}."]
+        return []
+
+
+@dataclass(frozen=True)
+class HandState:
+    """What the hand tells of index, middle and thumb.
+
+    Attributes:
+        angles: shape (3,) [rad], 0 = open.
+        touched: whether a cell of the finger is touched, three.
+        loads: of their motors, three, closing positive [0.1 % of the largest torque].
+    """
+
+    angles: np.ndarray
+    touched: tuple[bool, ...]
+    loads: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenGrasp:
+    """A grasp and what became of it.
+
+    Attributes:
+        time: when the fingers had closed [s].
+        T_base_tool: the tool at that time, shape (4, 4) [m].
+        held: whether something was held.
+        reason: one sentence, how that was seen.
+    """
+
+    time: float
+    T_base_tool: np.ndarray
+    held: bool
+    reason: str
+
+
+class GraspWatch:
+    """The watch with its state.
+
+    Args:
+        config: how a grasp is seen.
+        up: the vertical in the base frame, shape (3,).
+    """
+
+    def __init__(self, config: GraspWatchConfig, up: np.ndarray) -> None:
+        self._config, self._up = config, np.asarray(up, dtype=float)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets what it saw; the hand has to be seen open before it can close."""
+        self._open_seen = False
+        self._recent: deque[tuple[float, np.ndarray]] = deque()
+        self._closed: tuple[float, np.ndarray] | None = None
+        self._lifted: float | None = None
+
+    @property
+    def empty(self) -> bool:
+        """Whether the hand was open and has not closed since: nothing that it could grasp is in it."""
+        return self._open_seen and self._closed is None
+
+    def step(self, hand: HandState, T_base_tool: np.ndarray, now: float) -> SeenGrasp | None:
+        """Takes a state of the hand in and returns the grasp whose fate it decides, or None.
+
+        Args:
+            hand: as it is now; one that is not finite is no state.
+            T_base_tool: the measured tool, shape (4, 4) [m].
+            now: time [s], not falling.
+        """
+        if not (np.isfinite(hand.angles).all() and np.isfinite(hand.loads).all()):
+            return None
+        if hand.angles.max() < self._config.open_angle:
+            return self._opened()
+        if self._closed is not None:
+            return self._judge(hand, T_base_tool, now)
+        if self._open_seen and self._at_rest(hand, now) and _opposed(hand.angles > self._config.closed_angle):
+            self._closed = (now, np.array(T_base_tool))
+        return None
+
+    def _at_rest(self, hand: HandState, now: float) -> bool:
+        """Takes the angles in and returns whether they rest."""
+        self._recent.append((now, hand.angles))
+        began = None
+        while self._recent and now - self._recent[0][0] >= self._config.rest_time:
+            began = self._recent.popleft()
+        if began is None:
+            return False
+        self._recent.appendleft(began)
+        angles = np.stack([angles for _, angles in self._recent])
+        return bool(np.ptp(angles, axis=0).max() < self._config.rest_angle)
+
+    def _opened(self) -> SeenGrasp | None:
+        closed, lifted = self._closed, self._lifted
+        self.reset()
+        self._open_seen = True
+        if closed is None:
+            return None
+        how = "before it had been held long enough" if lifted is not None else "before the tool was lifted"
+        return SeenGrasp(*closed, False, f"The fingers opened {how}.")
+
+    def _judge(self, hand: HandState, T_base_tool: np.ndarray, now: float) -> SeenGrasp | None:
+        """The fingers have closed: returns the grasp once it is known whether it held."""
+        config, (time, T_closed) = self._config, self._closed
+        height = float(self._up @ (T_base_tool - T_closed)[:3, 3])
+        if self._lifted is None and height >= config.lift:
+            self._lifted = now
+        if self._lifted is None:
+            if now - time <= config.patience:
+                return None
+            held, reason = False, f"The tool was not lifted by {1e3 * config.lift:.0f} mm in {config.patience:g} s."
+        elif now - self._lifted < config.hold_time:
+            return None
+        else:
+            feels = np.array(hand.touched) | (np.array(hand.loads) > config.touch_load)
+            held = _opposed(feels)
+            what = "The thumb and a finger felt something" if held else "Thumb and fingers did not both feel something"
+            reason = f"{what} when the tool was {1e3 * height:.0f} mm higher."
+        self.reset()
+        return SeenGrasp(time, T_closed, held, reason)
+
+
+def _opposed(fingers: np.ndarray) -> bool:
+    """Returns whether something is true of the thumb and of a finger opposite to it."""
+    return bool(fingers[THUMB] and fingers[:THUMB].any())

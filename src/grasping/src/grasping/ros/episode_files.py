@@ -1,0 +1,107 @@
+"""Writes episodes from a thread of its own, each whole or not at all, and sets the last one aside on demand."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import rospy
+
+from common.ros.files import write_bytes_whole
+from grasping.dataset.episode import Episode
+from grasping.dataset.store import DatasetError, encode, file_name, unfinished
+
+WAITING = 2
+"""Episodes that may wait for the disk; each is up to half a megabyte a frame."""
+FLUSH_S = 6.0
+"""Twice as long is less than the 15 s that roslaunch gives a node to end."""
+ASIDE = ".discarded"
+
+
+class EpisodeFiles:
+    """The folder of the dataset.
+
+    Args:
+        folder: is made with the first episode.
+        on_written: is told each file that was written.
+
+    Attributes:
+        lost: how many episodes could not be written.
+        fault: why the last one could not be, as a sentence; empty if it was.
+    """
+
+    def __init__(self, folder: Path, on_written: Callable[[Episode, Path, int], None]) -> None:
+        self._folder, self._on_written = folder, on_written
+        self._queue: queue.Queue[Episode | None] = queue.Queue(maxsize=WAITING)
+        self._last: Path | None = None
+        self._aside = False
+        self._lock = threading.Lock()
+        self.lost, self.fault = 0, ""
+        for file in sorted(folder.glob(".*")):
+            if unfinished(file.name):
+                rospy.logwarn("The episode in %s is lost: the process that wrote it died; the file can go.", file)
+        self._thread = threading.Thread(target=self._loop, name="episodes", daemon=True)
+        self._thread.start()
+
+    def put(self, episode: Episode) -> None:
+        """Hands an episode over; it is lost if the disk is too slow for those before it."""
+        try:
+            self._queue.put_nowait(episode)
+        except queue.Full:
+            self._lose(f"{WAITING} episodes before it are still being written.")
+
+    def close(self) -> None:
+        """Waits for what is still to be written."""
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=FLUSH_S)
+            self._thread.join(FLUSH_S)
+        if self._thread.is_alive():
+            rospy.logerr("The episode that is being written is lost: the disk took longer than %g s.", FLUSH_S)
+
+    def keep_last(self, keep: bool) -> tuple[bool, str]:
+        """Sets the file of the last episode aside, or takes it back; returns success and a sentence."""
+        with self._lock:
+            if self._last is None:
+                return False, "No episode was written yet."
+            aside = self._last.with_name(self._last.name + ASIDE)
+            if keep == (not self._aside):
+                return True, f"The episode {self._last} {'counts' if keep else 'is aside'} already."
+            try:
+                (aside if keep else self._last).rename(self._last if keep else aside)
+            except OSError as error:
+                return False, f"The episode {self._last} stays as it is: {error.strerror}."
+            self._aside = not keep
+            return True, f"The episode {self._last} {'counts again' if keep else f'is set aside as {aside.name}'}."
+
+    def _loop(self) -> None:
+        while True:
+            episode = self._queue.get()
+            if episode is None:
+                return
+            self._write(episode)
+
+    def _write(self, episode: Episode) -> None:
+        file = self._folder / file_name(episode)
+        with self._lock:
+            if file.exists() or file.with_name(file.name + ASIDE).exists():
+                self._lose(f"{file} is there already.")
+                return
+            try:
+                content = encode(episode)
+                write_bytes_whole(file, content)
+            except OSError as error:
+                self._lose(f"{file} cannot be written: {error.strerror}.")
+                return
+            except DatasetError as error:
+                self._lose(str(error))
+                return
+            self._last, self._aside, self.fault = file, False, ""
+        self._on_written(episode, file, len(content))
+
+    def _lose(self, why: str) -> None:
+        self.lost += 1
+        self.fault = f"An episode is lost: {why}"
+        rospy.logerr(self.fault)

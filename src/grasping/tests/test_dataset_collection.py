@@ -1,0 +1,323 @@
+"""When an episode begins and ends, and which frames it has."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from episodes import CAMERA, CROP, DOWN
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.config import parse
+from common.errors import ConfigError
+from common.poses import translation
+from grasping.dataset.collector import Collector
+from grasping.dataset.configuration import grasp_in_tool, rig_configuration
+from grasping.dataset.episode import EXECUTION, TELEOPERATION
+from grasping.dataset.frame_buffer import FrameBufferConfig, KeptFrame
+from grasping.dataset.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
+from grasping.dataset.network_view import MAP_SIDE, look, millimetres
+from grasping.depth_image import Crop
+from grasping.maps import Peak, Smoothing
+from grasping.tool_pose import ToolPoseConfig, tool_pose
+
+CONFIG = Path(__file__).parents[1] / "config"
+YAML = yaml.safe_load((CONFIG / "collection.yaml").read_text())
+WATCH = parse(GraspWatchConfig, YAML["watch"])
+FRAMES = parse(FrameBufferConfig, YAML["frames"])
+UP = np.array([0.0, 0.0, 1.0])
+OPEN = HandState(np.zeros(3), (False,) * 3, (0.0,) * 3)
+FIST = HandState(np.full(3, 1.8), (False,) * 3, (150.0,) * 3)
+FULL = replace(FIST, touched=(True, False, True))
+LOW, HIGH = translation(0.5, 0.0, 0.2), translation(0.5, 0.0, 0.25)
+
+
+class Hand:
+    """Feeds a watch or a collector 40 times a second."""
+
+    def __init__(self, step):
+        self.step, self.now = step, 100.0
+
+    def feed(self, state, T_base_tool, seconds):
+        """Returns what came out of so many seconds."""
+        found = []
+        for _ in range(round(40 * seconds)):
+            self.now += 0.025
+            found.append(self.step(state, T_base_tool, self.now))
+        return [f for f in found if f is not None]
+
+
+@pytest.fixture
+def hand():
+    return Hand(GraspWatch(WATCH, UP).step)
+
+
+def test_a_thing_that_is_lifted_between_thumb_and_finger_is_held(hand):
+    assert not hand.feed(OPEN, LOW, 1.0) + hand.feed(FULL, LOW, 2.0)
+    (grasp,) = hand.feed(FULL, HIGH, 1.0)
+    assert grasp.held
+    assert grasp.time == pytest.approx(101.0 + WATCH.rest_time, abs=0.06)
+    np.testing.assert_array_equal(grasp.T_base_tool, LOW)
+    assert "felt something when the tool was 50 mm higher" in grasp.reason
+    assert not hand.feed(FULL, HIGH, 5.0), "the same grasp again"
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        FIST,
+        replace(FIST, touched=(True, True, False)),
+        replace(FIST, touched=(False, False, True)),
+        replace(FIST, loads=(300.0, 300.0, 0.0)),
+    ],
+    ids=["nothing", "no thumb", "thumb alone", "loads without thumb"],
+)
+def test_a_hand_without_opposed_touches_holds_nothing(hand, state):
+    hand.feed(OPEN, LOW, 1.0)
+    hand.feed(state, LOW, 1.0)
+    (grasp,) = hand.feed(state, HIGH, 1.0)
+    assert not grasp.held and "did not both feel" in grasp.reason
+
+
+def test_loads_are_touches_too_and_a_thing_lost_while_lifting_is_not_held(hand):
+    pressed = replace(FIST, loads=(300.0, 0.0, 300.0))
+    hand.feed(OPEN, LOW, 1.0)
+    hand.feed(pressed, LOW, 1.0)
+    assert not hand.feed(pressed, HIGH, WATCH.hold_time - 0.1)
+    (grasp,) = hand.feed(FIST, HIGH, 0.5)
+    assert not grasp.held
+    hand.feed(OPEN, LOW, 1.0)
+    hand.feed(pressed, LOW, 1.0)
+    assert hand.feed(pressed, HIGH, 1.0)[0].held
+
+
+def test_fingers_that_open_again_or_stay_down_held_nothing(hand):
+    hand.feed(OPEN, LOW, 1.0)
+    hand.feed(FULL, LOW, 1.0)
+    (grasp,) = hand.feed(OPEN, LOW, 0.1)
+    assert not grasp.held and grasp.reason == "The fingers opened before the tool was lifted."
+    hand.feed(FULL, LOW, 1.0)
+    hand.feed(FULL, HIGH, 0.2)
+    (grasp,) = hand.feed(OPEN, HIGH, 0.1)
+    assert not grasp.held and "before it had been held long enough" in grasp.reason
+    (grasp,) = hand.feed(FULL, LOW, WATCH.patience + 1.0)
+    assert not grasp.held and "not lifted by 30 mm in 20 s" in grasp.reason
+
+
+def test_fingers_that_were_never_open_or_never_rest_have_not_closed(hand):
+    assert not hand.feed(FULL, LOW, 3.0) + hand.feed(FULL, HIGH, 3.0), "it was closed when the node started"
+    hand.feed(OPEN, LOW, 1.0)
+    for i in range(100):
+        restless = replace(FULL, angles=np.full(3, 1.5 + 0.1 * (i % 2)))
+        assert not hand.feed(restless, LOW, 0.05)
+    assert not hand.feed(replace(FULL, angles=np.array([0.0, 0.0, 1.8])), LOW, 2.0), "the thumb alone"
+    assert not hand.feed(replace(FULL, angles=np.array([0.0, 0.0, 1.8])), HIGH, 2.0)
+
+
+def test_up_follows_the_mounting_and_bad_numbers_are_no_state():
+    hand = Hand(GraspWatch(WATCH, -UP).step)
+    hand.feed(OPEN, HIGH, 1.0)
+    hand.feed(FULL, HIGH, 1.0)
+    assert not hand.feed(replace(FULL, angles=np.array([np.nan, 0.0, 0.0])), LOW, 2.0)
+    assert not hand.feed(replace(OPEN, loads=(np.inf, 0.0, 0.0)), HIGH, 0.1)
+    assert hand.feed(FULL, LOW, 1.0)[0].held
+
+
+def test_angles_of_the_watch_that_contradict_each_other_are_refused():
+    with pytest.raises(ConfigError, match="open_angle is 0.9 and must not be above closed_angle, 0.7"):
+        parse(GraspWatchConfig, {**YAML["watch"], "open_angle": 0.9})
+
+
+def kept(stamp, T_base_tool=LOW) -> KeptFrame:
+    window = np.zeros((4, 4), np.uint16)
+    maps = np.zeros((4, 2, 2), np.float16)
+    fingers = np.zeros(4)
+    return KeptFrame(stamp, window, maps, 1.0, Peak(0, 0, 0.0, 0.0, 0.0), DOWN, T_base_tool, T_base_tool, fingers, True)
+
+
+@pytest.fixture
+def collector():
+    made = Collector(replace(FRAMES, most_frames=5), WATCH, UP)
+    made.hand(OPEN, LOW, 0.0)
+    return made
+
+
+def offer(collector, stamps, camera=CAMERA):
+    """Offers a frame of a moving tool at each stamp; returns the stamps of those that were kept."""
+    found = []
+    for stamp in stamps:
+        T = translation(0.01 * stamp, 0.0, 0.2)
+        if collector.due(stamp) and collector.wants(stamp, T):
+            collector.add(kept(stamp, T), camera, CROP)
+            found.append(stamp)
+    return found
+
+
+@given(st.lists(st.floats(0.001, 0.5), min_size=1, max_size=60), st.floats(0.0, 0.02))
+@settings(max_examples=50, deadline=None)
+def test_frames_are_thinned_by_rate_and_motion(steps, speed):
+    collector = Collector(FRAMES, WATCH, UP)
+    collector.hand(OPEN, LOW, 0.0)
+    last = None
+    for stamp in np.cumsum(steps):
+        T = translation(speed * stamp, 0.0, 0.2)
+        if not (collector.due(stamp) and collector.wants(stamp, T)):
+            continue
+        if last is not None:
+            assert stamp - last >= 1.0 / FRAMES.rate - 1e-9
+            assert speed * (stamp - last) >= FRAMES.motion - 1e-9
+        collector.add(kept(stamp, T), CAMERA, CROP)
+        last = stamp
+    assert collector.kept == collector.waiting >= 1
+
+
+def test_an_episode_has_the_newest_frames_up_to_the_grasp(collector):
+    offer(collector, range(100, 110))
+    finished = collector.outcome(SeenGrasp(107.5, LOW, True, "Seen."))
+    assert [row.stamp for row in finished.frames.rows] == [105, 106, 107]
+    assert finished.source == EXECUTION and collector.waiting == 0
+    assert not collector.wants(107.4, HIGH) and collector.wants(107.6, HIGH), "the next episode begins after the grasp"
+    assert not collector.add(kept(107.0), CAMERA, CROP) and collector.waiting == 0
+
+
+def test_frames_that_are_too_old_belong_to_no_episode(collector):
+    offer(collector, [100.0, 101.0, 150.0])
+    rows = collector.outcome(SeenGrasp(100.5 + FRAMES.longest, LOW, True, "Seen.")).frames.rows
+    assert [row.stamp for row in rows] == [101.0, 150.0]
+
+
+def test_a_stream_or_a_proposal_begins_anew(collector):
+    offer(collector, [100.0])
+    collector.stream(True)
+    assert collector.waiting == 0 and collector.teleop
+    offer(collector, [101.0])
+    collector.stream(True)
+    assert collector.waiting == 1, "it began once"
+    collector.stream(False)
+    collector.executing(True)
+    assert collector.waiting == 0
+    offer(collector, [102.0])
+    collector.executing(True)
+    collector.stream(True)
+    assert collector.waiting == 1, "the approach belongs to the episode of a proposal"
+
+
+def grasped(collector, held=FULL):
+    """The hand closes and lifts; returns what came out and when it closed."""
+    hand = Hand(collector.hand)
+    found = hand.feed(OPEN, LOW, 1.0) + hand.feed(held, LOW, 1.0) + hand.feed(held, HIGH, 1.0)
+    return found
+
+
+def test_free_teleoperation_ends_with_what_the_watch_sees(collector):
+    collector.stream(True)
+    offer(collector, [100.0, 100.5])
+    (finished,) = grasped(collector)
+    assert finished.source == TELEOPERATION and finished.grasp.held
+    assert [row.stamp for row in finished.frames.rows] == [100.0, 100.5]
+
+
+def test_frames_of_an_object_in_the_hand_belong_to_no_episode(collector):
+    assert not Collector(FRAMES, WATCH, UP).wants(100.0, LOW), "nobody knows what is in a hand that was not seen"
+    grasped(collector)
+    assert not offer(collector, [110.0]), "it is carried"
+    collector.hand(OPEN, LOW, 111.0)
+    assert offer(collector, [112.0]) == [112.0]
+    collector.hand(FULL, LOW, 113.0)
+    collector.hand(FULL, LOW, 114.0)
+    assert not offer(collector, [115.0]), "it is in the hand again"
+
+
+def test_a_grasp_that_both_see_is_one_episode(collector):
+    collector.executing(True)
+    offer(collector, [100.0])
+    assert not grasped(collector), "the outcome counts while a proposal is executed"
+    assert collector.outcome(SeenGrasp(101.2, LOW, True, "Seen.")).frames.rows
+    collector.executing(False)
+    assert collector.outcome(SeenGrasp(101.9, LOW, True, "Seen again.")) is None
+
+
+def test_time_that_goes_back_begins_anew(collector):
+    assert not collector.went_back(100.0)
+    offer(collector, [100.0])
+    collector.outcome(SeenGrasp(100.0, LOW, True, "Seen."))
+    offer(collector, [101.0])
+    assert not collector.went_back(100.9), "stamps of several sources are never quite in order"
+    assert collector.went_back(50.0)
+    collector.hand(OPEN, LOW, 50.0)
+    assert collector.waiting == 0 and offer(collector, [50.0]) == [50.0]
+    assert not collector.went_back(51.0)
+
+
+def test_another_camera_drops_the_frames_before(collector):
+    offer(collector, [100.0])
+    other = replace(CAMERA, width=320)
+    assert collector.add(kept(101.0), other, CROP)
+    assert collector.waiting == 1
+    assert not collector.add(kept(102.0), replace(other), CROP)
+    assert collector.add(kept(103.0), other, Crop(0, 0, 400))
+
+
+def test_millimetres_are_whole_and_none_is_zero():
+    depth = np.array([[0.9994, 1.0006, np.nan], [np.inf, -1.0, 65.535], [0.0, 0.0003, 65.6]], np.float32)
+    np.testing.assert_array_equal(millimetres(depth), [[999, 1001, 0], [0, 0, 65535], [0, 0, 0]])
+
+
+def test_what_is_kept_of_a_picture_is_what_the_network_said_of_it():
+    def network(picture):
+        rows = torch.linspace(0.0, 1.0, 300)[:, None].expand(300, 300)
+        quality = torch.exp(-((rows - 0.4) ** 2) * 50.0)
+        return torch.stack((quality, rows, -rows, 0.5 * rows))[None]
+
+    depth = np.full((480, 640), 0.8, np.float32)
+    depth[230:240, 310:320] = 0.7
+    view = look(network, depth, CROP, Smoothing())
+    assert view.depth.shape == (400, 400) and view.depth.dtype == np.uint16
+    assert view.maps.shape == (4, MAP_SIDE, MAP_SIDE) and view.maps.dtype == np.float16
+    np.testing.assert_allclose(view.maps[1][:, 0], (np.arange(150) * 2 + 0.5) / 299.0, atol=1e-3)
+    np.testing.assert_allclose(view.maps[2], -view.maps[1])
+    assert view.peak.row == pytest.approx(0.4 * 299, abs=1.0)
+    assert view.mean == pytest.approx(0.8, abs=0.01)
+
+
+def test_a_network_that_says_nothing_finite_and_a_blind_picture_are_refused():
+    depth = np.full((480, 640), 0.8)
+    with pytest.raises(ValueError, match="not finite"):
+        look(lambda _: torch.full((1, 4, 300, 300), torch.nan), depth, CROP, Smoothing())
+    with pytest.raises(ValueError, match="holds no reading"):
+        look(lambda _: torch.zeros((1, 4, 300, 300)), np.full((480, 640), np.nan), CROP, Smoothing())
+
+
+@pytest.mark.parametrize("closing_angle", [0.0, 30.0, -90.0])
+def test_the_grasp_in_the_tool_is_the_inverse_of_the_tool_of_a_grasp(closing_angle):
+    values = {**yaml.safe_load((CONFIG / "tool_pose.yaml").read_text()), "closing_angle": closing_angle}
+    config = parse(ToolPoseConfig, {**values, "approach": "grasp"})
+    T_base_tool = tool_pose(DOWN, config, DOWN[:3, :3])
+    T = T_base_tool @ grasp_in_tool(config)
+    np.testing.assert_allclose(T[:3, 3], DOWN[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(abs(T[:3, 0] @ DOWN[:3, 0]), 1.0, atol=1e-12)
+    np.testing.assert_allclose(T[:3, 2], DOWN[:3, 2], atol=1e-12)
+
+
+def test_the_configuration_changes_with_each_of_its_parts_and_with_nothing_else():
+    def of(kuka="LBR7R800", tool=0.1, camera=CAMERA, crop=CROP, T_base_camera=DOWN, weights="ab"):
+        return rig_configuration(
+            {"robot": kuka}, translation(0, 0, tool), np.eye(4), camera, crop, T_base_camera, weights
+        )
+
+    assert of() == of(T_base_camera=DOWN @ translation(1e-5, 0.0, 0.0))
+    changes = {
+        "kuka": "LBR14R820", "tool": 0.2, "camera": replace(CAMERA, width=320), "crop": Crop(0, 0, 400),
+        "T_base_camera": DOWN @ translation(0.01, 0.0, 0.0), "weights": "cd",
+    }  # fmt: skip
+    for name, value in changes.items():
+        assert of(**{name: value}) != of()
+
+
+def test_every_field_of_a_frame_is_a_field_of_the_episode():
+    from grasping.dataset.episode import Episode
+
+    assert set(KeptFrame._fields) <= {f.name for f in fields(Episode)}
