@@ -1,9 +1,9 @@
 """A pose at which the tool waits for a hand, and how that hand takes the tool over from there without a jump.
 
 The hand that comes in stands somewhere in the interaction box, level within the start tolerances. The virtual Leap is
-shifted so that the palm is where the tool is held. It is not turned: what the person calls ahead stays ahead. Instead
-the tool stays turned in the hand by the heading that it was held at. What is left, the tilt of the hand at its start,
-fades in: the tool begins exactly as it was held, and FADE_S later a level hand means a tool that points down, as ever.
+shifted and turned about the vertical such that palm and heading of the hand are those of the tool that is held. What is
+left, the tilt of the hand at its start, fades in: the tool begins exactly as it was held, and FADE_S later a level hand
+means a tool that points down, as ever.
 """
 
 from __future__ import annotations
@@ -129,14 +129,12 @@ class HandOver:
     """How the tool of a stream differs from that of a hand that came in without a hold.
 
     Attributes:
-        T_base_virtual: the shifted virtual Leap, shape (4, 4) [m].
-        R_turn: what the tool is turned by in the hand, about its z axis, for the whole stream, shape (3, 3).
-        R_rest: what it is turned by besides at the start, which fades, shape (3, 3).
+        T_base_virtual: the virtual Leap, shape (4, 4) [m].
+        R_rest: what the tool is turned by at the start, besides what the hand asks for; it fades; shape (3, 3).
         start: when the stream started [s].
     """
 
     T_base_virtual: np.ndarray
-    R_turn: np.ndarray
     R_rest: np.ndarray
     start: float
 
@@ -144,7 +142,7 @@ class HandOver:
         """Returns the attitude of the tool, shape (3, 3), where the hand alone would ask for the given one."""
         s = min(max((now - self.start) / FADE_S, 0.0), 1.0)
         share = 1.0 - s * s * (3.0 - 2.0 * s)
-        return R_virtual_tool @ self.R_turn @ share_of_rotation(self.R_rest, share)
+        return R_virtual_tool @ share_of_rotation(self.R_rest, share)
 
 
 def hand_over(
@@ -163,9 +161,10 @@ def hand_over(
         R_virtual_level: the tool's attitude for a level hand of the same heading, shape (3, 3).
         now: start of the stream [s].
     """
-    R_base_virtual, R_base_held = T_base_virtual[:3, :3], T_base_held[:3, :3]
-    R_level_held = R_virtual_level.T @ R_base_virtual.T @ R_base_held
-    R_turn = rotation_about(2, math.atan2(R_level_held[1, 0], R_level_held[0, 0]))
-    R_rest = (R_base_virtual @ T_virtual_tool[:3, :3] @ R_turn).T @ R_base_held
+    R_base_level, R_base_held = T_base_virtual[:3, :3] @ R_virtual_level, T_base_held[:3, :3]
+    R_level_held = R_base_level.T @ R_base_held
+    heading = rotation_about(2, math.atan2(R_level_held[1, 0], R_level_held[0, 0]))
+    R_base_virtual = R_base_level @ heading @ R_virtual_level.T
     p = T_base_held[:3, 3] - R_base_virtual @ T_virtual_tool[:3, 3]
-    return HandOver(read_only(pose(R_base_virtual, p)), read_only(R_turn), read_only(R_rest), now)
+    R_rest = (R_base_virtual @ T_virtual_tool[:3, :3]).T @ R_base_held
+    return HandOver(read_only(pose(R_base_virtual, p)), read_only(R_rest), now)
