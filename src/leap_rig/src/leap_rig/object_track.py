@@ -11,7 +11,7 @@ OFF_TABLE_M = 0.01
 ON_TABLE_M = 0.003
 FELL_M = -0.02
 """Lower than the table's top: it fell beside it."""
-UPRIGHT_RAD = np.radians(10.0)
+UPRIGHT_RAD = float(np.radians(10.0))
 
 
 @dataclass

@@ -4,49 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from following_rig import CENTER_LINE, PERIOD_S, PLAN, TOP, FollowingRig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rig_simulation.scenario.pick_and_place import STEPS, PickAndPlace, Plan, View
-
-PERIOD_S = 0.05
-PLAN = Plan()
-CENTER_LINE = np.array([1.0, -1.0, 0.0])
-HOME = np.array([0.42, -0.42, 0.4])
-TOP = np.array([0.44, -0.38, 0.21])
-# Right, up and back of a person who looks along the centre line, in the base.
-RIGHT, BACK = np.array([-1.0, -1.0, 0.0]) / np.sqrt(2.0), -CENTER_LINE / np.sqrt(2.0)
+from rig_simulation.scenario.pick_and_place import STEPS, PickAndPlace, View
 
 
-class FakeRig:
-    """An arm that goes where the palm goes, first order, and a cup that hangs on closed fingers near its top."""
-
-    def __init__(self, scale=1.0, lag=0.1, top=TOP):
-        self.tool, self.top, self.palm, self.curl = HOME.copy(), top.copy(), np.zeros(3), 0.0
-        self._scale, self._lag = scale, lag
-        self.highest = top[2]
-        self.curls = []
-
-    def make(self, move):
-        self.palm, self.curl = move.palm, move.curl
-        self.curls.append(move.curl)
-
-    def advance(self):
-        goal = HOME + self._scale * (np.column_stack([RIGHT, [0.0, 0.0, 1.0], BACK]) @ self.palm)
-        step = (goal - self.tool) * min(1.0, PERIOD_S / self._lag)
-        near = np.linalg.norm(self.tool - self.top) < PLAN.grasp_height + 0.01
-        self.tool = self.tool + step
-        if near and self.curl > 0.5:
-            self.top = self.top + step
-        self.highest = max(self.highest, self.top[2])
-
-
-def work(rig, seconds=120.0, following=lambda now: True):
+def work(rig, seconds=120.0, following=lambda now: True, wanted=None):
+    """Lets the person work; `wanted` is the heading that the object wants, None a round one."""
     person, steps = PickAndPlace(PLAN, CENTER_LINE), []
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S
-        result = person.step(View(rig.tool, rig.top, rig.top[2] - TOP[2], following(now)), now)
+        turn = 0.0 if wanted is None else wanted - rig.heading
+        result = person.step(View(rig.tool, rig.top, rig.top[2] - TOP[2], following(now), turn), now)
         if not steps or steps[-1] != result.step:
             steps.append(result.step)
         if result.move is not None:
@@ -61,7 +33,7 @@ def work(rig, seconds=120.0, following=lambda now: True):
 @given(st.floats(0.6, 1.1), st.floats(0.05, 0.4), st.floats(-0.06, 0.06), st.floats(-0.06, 0.06))
 def test_the_object_is_lifted_and_put_down_where_it_stood(scale, lag, dx, dy):
     top = TOP + np.array([dx, dy, 0.0])
-    rig = FakeRig(scale, lag, top)
+    rig = FollowingRig(scale, lag, top)
     result, steps = work(rig)
     assert not result.failure and tuple(steps) == STEPS
     lifted = rig.highest - top[2]
@@ -72,7 +44,7 @@ def test_the_object_is_lifted_and_put_down_where_it_stood(scale, lag, dx, dy):
 
 
 def test_the_fingers_close_only_over_the_object():
-    rig = FakeRig()
+    rig = FollowingRig()
     person = PickAndPlace(PLAN, CENTER_LINE)
     now = 0.0
     while rig.curl == 0.0:
@@ -85,19 +57,35 @@ def test_the_fingers_close_only_over_the_object():
 
 
 def test_nothing_moves_while_the_arm_does_not_follow():
-    rig = FakeRig()
+    rig = FollowingRig()
     result, steps = work(rig, following=lambda now: False)
     assert "did not follow within 30 s" in result.failure and steps == ["wait"]
     assert not rig.curls
 
 
 def test_an_arm_that_stops_on_the_way_is_given_up_with_the_reason():
-    rig = FakeRig()
+    rig = FollowingRig()
     rig.advance = lambda: None
     result, _ = work(rig)
     assert "away from where step 'above' wants it" in result.failure
 
 
 def test_a_person_waits_out_an_interruption():
-    result, steps = work(FakeRig(), following=lambda now: not 5.0 < now < 12.0)
+    result, steps = work(FollowingRig(), following=lambda now: not 5.0 < now < 12.0)
     assert not result.failure and steps[-1] == "done"
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(-PLAN.most_turn, PLAN.most_turn), st.floats(0.6, 1.1))
+def test_the_hand_turns_until_the_fingers_fit(wanted, scale):
+    rig = FollowingRig(scale)
+    result, _ = work(rig, wanted=wanted)
+    assert not result.failure
+    assert abs(rig.heading - wanted) < PLAN.turn_tolerance + 0.01
+
+
+def test_a_hand_turns_no_further_than_the_arm_follows():
+    rig = FollowingRig()
+    result, steps = work(rig, wanted=1.0)
+    assert not result.failure and steps[-1] == "done"
+    assert abs(rig.yaw + PLAN.most_turn) < 1e-9

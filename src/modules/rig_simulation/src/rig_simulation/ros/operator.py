@@ -19,14 +19,23 @@ from common.errors import DeviceError, RigError
 from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_simulation.control_port import ControlClient
-from rig_simulation.ros.scenario import SCENARIOS, Scenario
+from rig_simulation.ros.assisted_scenario import AssistedScenario
+from rig_simulation.ros.scenario import PickScenario
 
 NAME = "operator"
 HOST = "127.0.0.1"
 POLL_S = 0.1
 REMIND_S = 10.0
 AT_HOME = np.radians(1.0)
-DEFAULTS = {"auto_start": True, "leapd_port": 16437, "world_port": 30021, "scenario": "", "time_out": 300.0}
+PICK_CUP, ASSISTED_GRASP = "pick_cup", "assisted_grasp"
+DEFAULTS = {
+    "auto_start": True,
+    "leapd_port": 16437,
+    "world_port": 30021,
+    "scenario": "",
+    "rounds": 1,
+    "time_out": 300.0,
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +45,10 @@ class OperatorConfig:
     auto_start: bool = flag(doc="switch gripper and arm control on; false: only start the hand")
     leapd_port: int = integer(low=1, high=65535, doc="control port of the simulated Leap service")
     world_port: int = integer(low=1, high=65535, doc="control port of the simulated world, for scenarios")
-    scenario: str = choice("", *SCENARIOS, doc="what the hand does; empty: what the simulated Leap service plays")
+    scenario: str = choice(
+        "", PICK_CUP, ASSISTED_GRASP, doc="what the hand does; empty: what the simulated Leap service plays"
+    )
+    rounds: int = integer(low=1, high=100, doc="of assisted_grasp: how many grasps there are to be")
     time_out: float = number("s", above=0.0, doc="longest time to wait for each thing")
 
 
@@ -65,8 +77,14 @@ class Operator:
         self._wait(self._leapd_plays, "the simulated Leap service plays")
         rospy.loginfo("A hand comes in over the Leap.")
         if self._config.scenario:
-            Scenario(self._config.scenario, self._leapd, ControlClient(HOST, self._config.world_port)).run()
+            self._scenario().run()
         rospy.spin()
+
+    def _scenario(self) -> PickScenario | AssistedScenario:
+        name, world = self._config.scenario, ControlClient(HOST, self._config.world_port)
+        if name == ASSISTED_GRASP:
+            return AssistedScenario(name, self._config.rounds, self._leapd, world)
+        return PickScenario(name, "cup", self._leapd, world)
 
     def _take_joints(self, message: jointPositions) -> None:
         self._joints = np.array([getattr(message, f"joint_{i}") for i in range(1, 8)])

@@ -1,7 +1,8 @@
 """A scenario on the running rig: what the simulated person sees and does, and how far it is.
 
 Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
-are scenario, step and failure; level OK while it goes well and when it is done, ERROR when it was given up.
+are scenario, step, failure, and what the scenario has to tell besides; level OK while it goes well and when it is done,
+ERROR when it was given up.
 """
 
 from __future__ import annotations
@@ -22,24 +23,104 @@ from rig_simulation.control_port import ControlClient
 from rig_simulation.scenario.pick_and_place import PickAndPlace, Plan, Result, View
 from rig_simulation.world.scene import scene_from
 
-SCENARIOS = {"pick_cup": "cup"}
-"""The object of each scenario."""
 PERIOD_S = 0.1
 GRIP_OFFSET = (-0.0152, 0.0, 0.0)
 """From the tool point to the middle between fingers and thumb, in the flange's axes [m]: the hand's x axis points back
 there, and its knuckles stand at x = 60.4 mm and x = -30 mm."""
 
-FOLLOWING = "servo"
+AT_HOME, FOLLOWING = "home", "servo"
 LOST_S, AWAY_S, MOST_VISITS = 2.0, 2.0, 3
 """After the stream broke off: when the person notices, how long the hand stays out of view, how often it comes in."""
 TOPIC = "simulation/scenario"
 
 
-class Scenario:
-    """One scenario.
+class Eyes:
+    """What a person sees who stands beside the rig.
 
     Args:
-        name: a key of SCENARIOS.
+        name: of the scenario, for complaints.
+        world: control port of the simulated world.
+
+    Attributes:
+        center_line: direction of the workspace, shape (3,).
+        shapes: the objects of the scene, by name.
+        R: attitude of the tool in the base, shape (3, 3); None before it was seen.
+        grip: point of the tool that grips, shape (3,) [m]; None before it was seen.
+        mode: of the arm's controller.
+
+    Raises:
+        RigError: the rig is not what a scenario needs.
+    """
+
+    def __init__(self, name: str, world: ControlClient) -> None:
+        self._world = world
+        kuka = rospy.get_param("kuka")
+        if any(kuka.get("mounting", [0.0])):
+            raise RigError(f"The scenario {name} needs an upright arm; kuka/mounting is {kuka['mounting']}.")
+        self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
+        self.center_line = np.asarray(kuka["center_line"], dtype=float)
+        self.shapes = scene_from(world.ask("scene")["scene"]).objects
+        self.R: np.ndarray | None = None
+        self.grip: np.ndarray | None = None
+        self.mode = ""
+        rospy.Subscriber("simulation/flange", PoseStamped, self._take_flange, queue_size=1)
+        rospy.Subscriber("kuka/mode", String, self._take_mode, queue_size=10)
+
+    def objects(self) -> dict[str, dict]:
+        """Returns what the world tells of its objects, and `top`, the centre of the upper side, shape (3,) [m].
+
+        Raises:
+            DeviceError: the world does not answer.
+        """
+        found = self._world.ask("objects")["objects"]
+        for name, seen in found.items():
+            seen["top"] = np.add(seen["position"], (0.0, 0.0, self.shapes[name].height / 2.0))
+        return found
+
+    def _take_flange(self, message: PoseStamped) -> None:
+        T_base_flange = pose_from_message(message.pose)
+        T_base_tool = T_base_flange @ self._T_flange_tool
+        self.R = T_base_tool[:3, :3]
+        self.grip = T_base_tool[:3, 3] + T_base_flange[:3, :3] @ GRIP_OFFSET
+
+    def _take_mode(self, message: String) -> None:
+        self.mode = message.data
+
+
+class Story:
+    """Tells how far a scenario is, whenever something changed.
+
+    Args:
+        name: of the scenario.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._told: dict[str, str] = {}
+        self._publisher = rospy.Publisher(TOPIC, DiagnosticStatus, queue_size=10, latch=True)
+
+    def tell(self, step: str, failure: str = "", **more: str) -> None:
+        """Publishes step and failure, and what else there is to tell."""
+        values = {"scenario": self._name, "step": step, "failure": failure, **more}
+        if values == self._told:
+            return
+        if failure:
+            rospy.logerr("The scenario %s was given up: %s.", self._name, failure)
+        elif step != self._told.get("step"):
+            rospy.loginfo("Scenario %s: %s", self._name, step)
+        self._told = values
+        level = DiagnosticStatus.ERROR if failure else DiagnosticStatus.OK
+        status = DiagnosticStatus(level=level, name="scenario", message=failure or step)
+        status.values = [KeyValue(key, value) for key, value in values.items()]
+        self._publisher.publish(status)
+
+
+class PickScenario:
+    """Picks one object up and puts it down.
+
+    Args:
+        name: of the scenario.
+        thing: name of the object.
         leapd: control port of the simulated Leap service, which must run guided.
         world: control port of the simulated world.
 
@@ -47,24 +128,11 @@ class Scenario:
         RigError: the rig or its world is not what the scenario needs.
     """
 
-    def __init__(self, name: str, leapd: ControlClient, world: ControlClient) -> None:
-        self._name, self._object = name, SCENARIOS[name]
-        self._leapd, self._world = leapd, world
-        kuka = rospy.get_param("kuka")
-        if any(kuka.get("mounting", [0.0])):
-            raise RigError(f"The scenario {name} needs an upright arm; kuka/mounting is {kuka['mounting']}.")
-        self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
-        self._center_line = np.asarray(kuka["center_line"], dtype=float)
-        objects = scene_from(world.ask("scene")["scene"]).objects
-        if self._object not in objects:
-            raise RigError(f"The scenario {name} needs an object {self._object!r}; the scene has {sorted(objects)}.")
-        self._height = objects[self._object].height
-        self._grip: np.ndarray | None = None
-        self._mode = ""
-        self._step = ""
-        self._publisher = rospy.Publisher(TOPIC, DiagnosticStatus, queue_size=10, latch=True)
-        rospy.Subscriber("simulation/flange", PoseStamped, self._take_flange, queue_size=1)
-        rospy.Subscriber("kuka/mode", String, self._take_mode, queue_size=10)
+    def __init__(self, name: str, thing: str, leapd: ControlClient, world: ControlClient) -> None:
+        self._object, self._leapd = thing, leapd
+        self._eyes, self._story = Eyes(name, world), Story(name)
+        if thing not in self._eyes.shapes:
+            raise RigError(f"The scenario {name} needs an object {thing!r}; the scene has {sorted(self._eyes.shapes)}.")
 
     def run(self) -> None:
         """Works until the scenario is over or ROS shuts down, then takes the hand away.
@@ -75,7 +143,7 @@ class Scenario:
         person, visits, followed = self._come_in(), 1, None
         while not rospy.is_shutdown():
             time.sleep(PERIOD_S)
-            if self._grip is None:
+            if self._eyes.grip is None:
                 continue
             view, now = self._view(), time.monotonic()
             if view.following:
@@ -86,40 +154,18 @@ class Scenario:
                 time.sleep(AWAY_S)
                 person, visits, followed = self._come_in(), visits + 1, None
                 continue
-            result = person.step(view, now)
+            result: Result = person.step(view, now)
             if result.move is not None:
                 self._leapd.ask("reach", **result.move.fields)
-            self._tell(result)
+            self._story.tell(result.step, result.failure)
             if result.over:
                 break
         self._leapd.ask("hide")
 
     def _come_in(self) -> PickAndPlace:
         self._leapd.ask("show")
-        return PickAndPlace(Plan(), self._center_line)
+        return PickAndPlace(Plan(), self._eyes.center_line)
 
     def _view(self) -> View:
-        seen = self._world.ask("objects")["objects"][self._object]
-        top = np.add(seen["position"], (0.0, 0.0, self._height / 2.0))
-        return View(self._grip, top, seen["clearance"], self._mode == FOLLOWING)
-
-    def _tell(self, result: Result) -> None:
-        if result.step == self._step and not result.failure:
-            return
-        self._step = result.step
-        if result.failure:
-            rospy.logerr("The scenario %s was given up: %s.", self._name, result.failure)
-        else:
-            rospy.loginfo("Scenario %s: %s", self._name, result.step)
-        values = {"scenario": self._name, "step": result.step, "failure": result.failure}
-        level = DiagnosticStatus.ERROR if result.failure else DiagnosticStatus.OK
-        status = DiagnosticStatus(level=level, name="scenario", message=result.failure or result.step)
-        status.values = [KeyValue(key, value) for key, value in values.items()]
-        self._publisher.publish(status)
-
-    def _take_flange(self, message: PoseStamped) -> None:
-        T_base_flange = pose_from_message(message.pose)
-        self._grip = (T_base_flange @ self._T_flange_tool)[:3, 3] + T_base_flange[:3, :3] @ GRIP_OFFSET
-
-    def _take_mode(self, message: String) -> None:
-        self._mode = message.data
+        seen = self._eyes.objects()[self._object]
+        return View(self._eyes.grip, seen["top"], seen["clearance"], self._eyes.mode == FOLLOWING)

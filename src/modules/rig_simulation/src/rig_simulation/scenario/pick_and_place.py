@@ -1,7 +1,8 @@
 """A person picks an object up and puts it down again: a state machine from what is seen to where the hand goes.
 
-The person looks at the tool and at the object and moves the hand by the difference, as often as it takes; nothing is
-known of the controller but that the tool follows the hand. Positions in metres in `kuka/base_frame`, times in seconds.
+The person looks at the tool and at the object and moves and turns the hand by the difference, as often as it takes;
+nothing is known of the controller but that the tool follows the hand. Positions in metres in `kuka/base_frame`, times
+in seconds.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ class Plan:
         grasp_height: of the grip above the object's top while it is grasped [m].
         lift: how high it is lifted [m].
         speed: highest of the palm [m/s].
+        turn_speed: highest of the hand about the vertical [rad/s].
         tolerance: distance of the tool from where it should be that is good enough [m].
+        turn_tolerance: angle of the tool about the vertical that is good enough [rad].
+        most_turn: how far the hand is turned at most, as the arm follows no further [rad].
         at_rest: speed below which the tool stands [m/s].
         closing, opening: how long the fingers are given [s].
         hold: how long the object is held up [s].
@@ -38,7 +42,10 @@ class Plan:
     grasp_height: float = 0.07
     lift: float = 0.215
     speed: float = 0.1
+    turn_speed: float = 0.5
     tolerance: float = 0.004
+    turn_tolerance: float = 0.05
+    most_turn: float = 0.4
     at_rest: float = 0.005
     closing: float = 2.5
     opening: float = 1.5
@@ -55,19 +62,22 @@ class View:
         top: centre of the object's upper side, shape (3,) [m].
         clearance: height of the object's lowest point above the table [m].
         following: whether the arm follows the hand.
+        turn: how far the tool has to turn so that the fingers fit the object, anticlockwise from above [rad].
     """
 
     grip: np.ndarray
     top: np.ndarray
     clearance: float
     following: bool = True
+    turn: float = 0.0
 
 
 @dataclass(frozen=True)
 class Move:
-    """Where the palm goes: right, up and back from where it came in [m], curl 0 to 1, in so many seconds."""
+    """Where the hand goes: right, up and back from where it came in [m], yaw to the right [rad], curl 0 to 1, in s."""
 
     palm: np.ndarray
+    yaw: float
     curl: float
     seconds: float
 
@@ -75,7 +85,7 @@ class Move:
     def fields(self) -> dict[str, float]:
         """The same as the request `reach` of the simulated Leap service."""
         right, up, back = self.palm.tolist()
-        return {"right": right, "up": up, "back": back, "curl": self.curl, "seconds": self.seconds}
+        return {"right": right, "up": up, "back": back, "yaw": self.yaw, "curl": self.curl, "seconds": self.seconds}
 
 
 @dataclass(frozen=True)
@@ -107,7 +117,7 @@ class PickAndPlace:
         forward = np.asarray(center_line, dtype=float) / np.linalg.norm(center_line)
         self._plan = plan
         self._R_leap_base = np.array([np.cross(forward, UP), UP, -forward])
-        self._palm, self._curl = np.zeros(3), 0.0
+        self._palm, self._yaw, self._curl = np.zeros(3), 0.0, 0.0
         self._step = 0
         self._since: float | None = None
         self._busy_until = 0.0
@@ -131,9 +141,9 @@ class PickAndPlace:
         """The last movement is over and the tool stands: corrects it, or goes on to the next step."""
         name = STEPS[self._step]
         if self._target is not None:
-            error = self._target - view.grip
-            if np.linalg.norm(error) > self._plan.tolerance:
-                return Result(name, self._shift(error, now))
+            error, turn = self._target - view.grip, self._turn(name, view)
+            if np.linalg.norm(error) > self._plan.tolerance or abs(turn) > self._plan.turn_tolerance:
+                return Result(name, self._shift(error, now, turn))
         self._step += 1
         self._since, self._target = now, None
         return self._begin(STEPS[self._step], view, now)
@@ -159,20 +169,29 @@ class PickAndPlace:
             self._target = view.grip + plan.clearance * UP
         else:
             return Result(name)
-        return Result(name, self._shift(self._target - view.grip, now))
+        return Result(name, self._shift(self._target - view.grip, now, self._turn(name, view)))
 
-    def _shift(self, way: np.ndarray, now: float) -> Move:
-        """Returns the palm's move that shifts the tool by `way`, shape (3,) [m], in the base."""
+    def _turn(self, name: str, view: View) -> float:
+        """Returns the turn that is still to be made [rad]: over the object, and no further than the arm follows."""
+        if name != "above":
+            return 0.0
+        most = self._plan.most_turn
+        return float(np.clip(view.turn, self._yaw - most, self._yaw + most))
+
+    def _shift(self, way: np.ndarray, now: float, turn: float) -> Move:
+        """Returns the hand's move that shifts the tool by `way`, shape (3,) [m], in the base and turns it [rad]."""
         self._palm = self._palm + self._R_leap_base @ way
-        seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * float(np.linalg.norm(way)) / self._plan.speed)
+        self._yaw -= turn
+        fastest = max(np.linalg.norm(way) / self._plan.speed, abs(turn) / self._plan.turn_speed)
+        seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * float(fastest))
         self._busy_until = now + seconds + SETTLE_S
-        return Move(self._palm, self._curl, seconds)
+        return Move(self._palm, self._yaw, self._curl, seconds)
 
     def _bend(self, curl: float, seconds: float, now: float) -> Move:
         """Returns the fingers' move; the robot's fingers, which are slower, are given `seconds` in all."""
         self._curl = curl
         self._busy_until = now + seconds
-        return Move(self._palm, curl, FINGER_SHARE * seconds)
+        return Move(self._palm, self._yaw, curl, FINGER_SHARE * seconds)
 
     def _at_rest(self, grip: np.ndarray, now: float) -> bool:
         before, self._before = self._before, (now, grip)

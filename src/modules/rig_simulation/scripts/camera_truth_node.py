@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Node that publishes where the camera of the simulated world truly is."""
+
+from common.ros.node import run
+from rig_simulation.ros.camera_truth import NAME, main
+
+run(NAME, main)

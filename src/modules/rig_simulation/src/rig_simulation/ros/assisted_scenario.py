@@ -1,0 +1,182 @@
+"""The scenario assisted_grasp on the running rig: the person works with the proposals of the network.
+
+Meets the nodes ggcnn and grasp_execution on their topics and services. What each grasp came to is told on
+`simulation/scenario`, in the values that `round_values` names.
+"""
+
+from __future__ import annotations
+
+import time
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
+from std_srvs.srv import Trigger
+
+from common.ros.conversions import array
+from common.rotations import rotation_from_quaternion
+from rig_simulation.control_port import ControlClient
+from rig_simulation.ros.scenario import AT_HOME, FOLLOWING, PERIOD_S, Eyes, Story
+from rig_simulation.scenario.alignment import heading, turn_to
+from rig_simulation.scenario.assisted_grasp import (
+    CANCEL,
+    EXECUTE,
+    HIDE,
+    IDLE,
+    SHOW,
+    AssistedGrasp,
+    Habits,
+    Outcome,
+    Proposal,
+    Result,
+    Round,
+    Scene,
+    SeenObject,
+)
+from rig_simulation.scenario.pick_and_place import Plan
+
+FRESH_S = 2.0
+"""Proposals in an older picture are not looked at."""
+SERVICE_TIMEOUT_S = 10.0
+HOLD_S = 2.0
+
+
+class Proposals:
+    """What the two nodes of grasping say."""
+
+    def __init__(self) -> None:
+        self._grasps: GraspList | None = None
+        self.execution: dict[str, str] = {}
+        self.outcome: Outcome | None = None
+        rospy.Subscriber("ggcnn/out/grasps", GraspList, self._take_grasps, queue_size=1)
+        rospy.Subscriber("grasping/state", DiagnosticStatus, self._take_execution, queue_size=10)
+        rospy.Subscriber("grasping/outcome", GraspOutcome, self._take_outcome, queue_size=10)
+
+    def best(self) -> tuple[Proposal | None, str]:
+        """Returns the best grasp in a fresh picture that the arm reaches, and if there is none, why."""
+        grasps = self._grasps
+        if grasps is None:
+            return None, "no list of grasps came yet"
+        age = (rospy.Time.now() - grasps.header.stamp).to_sec()
+        if age > FRESH_S:
+            return None, f"the newest picture is {age:.1f} s old"
+        for grasp in grasps.grasps:
+            if grasp.reachable and grasp.pose_base.header.frame_id:
+                return _proposal(grasp), ""
+        return None, grasps.grasps[0].reason if grasps.grasps else grasps.reason
+
+    def _take_grasps(self, message: GraspList) -> None:
+        self._grasps = message
+
+    def _take_execution(self, message: DiagnosticStatus) -> None:
+        self.execution = {value.key: value.value for value in message.values}
+
+    def _take_outcome(self, message: GraspOutcome) -> None:
+        self.outcome = Outcome(message.episode, message.held, message.reason)
+
+
+class AssistedScenario:
+    """Lets proposed grasps be executed, and corrects them by hand.
+
+    Args:
+        name: of the scenario.
+        rounds: how many grasps there are to be.
+        leapd: control port of the simulated Leap service, which must run guided.
+        world: control port of the simulated world.
+
+    Raises:
+        RigError: the rig or its world is not what the scenario needs.
+    """
+
+    def __init__(self, name: str, rounds: int, leapd: ControlClient, world: ControlClient) -> None:
+        self._leapd = leapd
+        self._eyes, self._story, self._proposals = Eyes(name, world), Story(name), Proposals()
+        self._person = AssistedGrasp(Habits(rounds), Plan(hold=HOLD_S), self._eyes.center_line)
+        self._streams = False
+        self._services = {name: rospy.ServiceProxy(f"grasping/{name}", Trigger) for name in (EXECUTE, CANCEL)}
+        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=10)
+
+    def run(self) -> None:
+        """Works until the scenario is over or ROS shuts down, then takes the hand away.
+
+        Raises:
+            DeviceError: the world or the Leap service does not answer.
+        """
+        while not rospy.is_shutdown():
+            time.sleep(PERIOD_S)
+            if self._eyes.grip is None:
+                continue
+            result = self._person.step(self._scene(), time.monotonic())
+            self._do(result)
+            self._story.tell(result.step, result.failure, **round_values(result.round))
+            if result.over:
+                break
+        self._leapd.ask(HIDE)
+
+    def _do(self, result: Result) -> None:
+        if result.move is not None:
+            self._leapd.ask("reach", **result.move.fields)
+        if result.request in (SHOW, HIDE):
+            self._leapd.ask(result.request)
+        elif result.request:
+            success, message = self._call(result.request)
+            rospy.loginfo("grasping/%s: %s", result.request, message)
+            if result.request == EXECUTE:
+                self._person.answer(success, message, time.monotonic())
+
+    def _call(self, name: str) -> tuple[bool, str]:
+        try:
+            self._services[name].wait_for_service(SERVICE_TIMEOUT_S)
+            answer = self._services[name]()
+        except (rospy.ROSException, rospy.ServiceException) as error:
+            return False, f"the service grasping/{name} does not answer: {error}"
+        return answer.success, answer.message
+
+    def _scene(self) -> Scene:
+        eyes, execution = self._eyes, self._proposals.execution
+        fingers = heading(eyes.R)
+        objects = {}
+        for name, seen in eyes.objects().items():
+            turn = turn_to(eyes.shapes[name], rotation_from_quaternion(seen["quaternion"]), fingers)
+            objects[name] = SeenObject(seen["top"], seen["clearance"], turn)
+        proposal, complaint = self._proposals.best()
+        return Scene(
+            grip=eyes.grip,
+            heading=fingers,
+            following=self._streams and eyes.mode == FOLLOWING,
+            at_home=eyes.mode == AT_HOME,
+            objects=objects,
+            proposal=proposal,
+            complaint=complaint,
+            execution=execution.get("state", IDLE),
+            reason=execution.get("reason", ""),
+            outcome=self._proposals.outcome,
+        )
+
+    def _take_stream(self, message: DiagnosticStatus) -> None:
+        self._streams = message.level == DiagnosticStatus.OK
+
+
+def round_values(grasp: Round) -> dict[str, str]:
+    """Returns what is told of a grasp: its number, the object, what was proposed, refused, corrected, and achieved."""
+    return {
+        "round": str(grasp.number),
+        "object": grasp.object,
+        "proposals": str(grasp.proposals),
+        "executed": str(grasp.executed),
+        "refused": "; ".join(grasp.refused),
+        "failed": "; ".join(grasp.failed),
+        "correction_m": _number(grasp.correction),
+        "correction_rad": _number(grasp.turn),
+        "lifted_m": _number(grasp.lifted),
+        "held": "" if grasp.held is None else str(grasp.held).lower(),
+        "outcome": grasp.reason,
+    }
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.5f}"
+
+
+def _proposal(grasp: Grasp) -> Proposal:
+    return Proposal(grasp.id, array(grasp.pose_base.pose.position))
