@@ -39,7 +39,7 @@ INPUT_SCALE = (2.0, 1.0, 1.0, 4.0, 20.0)
 OUTPUT_SCALE = (1.0, 1.0, 1.0, 0.25, 0.05, 0.2, 0.2)
 """Make all inputs and outputs about 1: widths are about 0.3, depths [m] and tilts [rad] small."""
 FEATURES = 6
-DILATIONS = (2, 4, 8)
+DILATIONS = (2, 4, 8, 16)
 
 
 class Refined(NamedTuple):
@@ -81,7 +81,8 @@ class RefinementNetwork(nn.Module):
         Args:
             x: GGCNN's maps and the depth less its mean [m], shape (n, 5, h, w), at a `SHRINK`th of their size.
         """
-        x = F.relu(self.first(x * self.input_scale))
+        # With the channels last a processor is three times as fast.
+        x = F.relu(self.first((x * self.input_scale).contiguous(memory_format=torch.channels_last)))
         for layer in self.rest:
             x = x + F.relu(layer(x))
         return self.last(x) * self.output_scale

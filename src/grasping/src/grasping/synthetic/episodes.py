@@ -76,16 +76,16 @@ def held(of: Situation, T_base_grasp: np.ndarray, opening: float = samples.GRIPP
     return lift(of.view.scene, T_world_grasp, opening, samples.GRIPPER, of.friction).lifted
 
 
-def episode(split: str, number: int, network, who: person.Person, frames: int, network_sha256: str) -> Episode | None:
+def episode(split: str, number: int, network, network_sha256: str, who: person.Person, frames: int) -> Episode | None:
     """Returns the episode of a scene, None where the person finds nothing to grasp.
 
     Args:
         split: one of `samples.SPLITS`.
         number: of the scene.
         network: GGCNN, as `predictor.run` takes it.
+        network_sha256: of its weights.
         who: grasps.
         frames: pictures, each with the camera's faults drawn anew.
-        network_sha256: of its weights.
     """
     of = situation(split, number)
     rng = np.random.default_rng([97, number])

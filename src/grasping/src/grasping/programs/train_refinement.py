@@ -1,0 +1,145 @@
+"""Trains the second network on episodes of a person's grasps; ends and goes on at any time.
+
+The folder of the run holds checkpoint.pt (to go on), weights.pt (the best so far), settings.json, curves.csv and
+curves.png. One in five episodes, by its file's name, is kept to say when training is over.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from common.errors import RigError
+from grasping import weights
+from grasping.predictor import frozen, run
+from grasping.programs import episode_files
+from grasping.programs.train_ggcnn import load, save
+from grasping.training import refinement_examples
+from grasping.training.refinement_trainer import Settings, Trainer
+
+COLUMNS = ("step", "training", "validation", "place", "angle", "depth", "tilt", "miss")
+SCENES_A_SHARD = 50
+
+
+def scenes(folder: Path, file: Path, count: int) -> list[refinement_examples.Scene]:
+    """Returns synthetic scenes with the maps of the network in a weight file.
+
+    Raises:
+        RigError: there are none, or it is no weight file.
+    """
+    network = frozen(weights.load(file.read_bytes()).network)
+    samples = load(folder, "train", -(-count // SCENES_A_SHARD))
+    made = []
+    for i in tqdm(range(min(count, len(samples["depth"]))), unit="scene", desc="maps"):
+        sample = {name: values[i] for name, values in samples.items()}
+        output = run(network, np.clip(sample["depth"].astype(np.float32), -1.0, 1.0))
+        made.append(refinement_examples.scene(output, sample))
+    return made
+
+
+def plot(rows: list[dict], path: Path) -> None:
+    """Draws the curves."""
+    import matplotlib.figure
+
+    figure = matplotlib.figure.Figure(figsize=(9, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    steps = [r["step"] for r in rows]
+    for name in ("training", "validation", "place", "angle", "depth", "tilt"):
+        left.plot(steps, [r[name] for r in rows], label=name)
+    left.set(xlabel="step", ylabel="loss", yscale="log")
+    left.legend()
+    right.plot(steps, [r["miss"] for r in rows])
+    right.set(xlabel="step", ylabel="median miss on held-out episodes [px]", ylim=(0, None))
+    figure.savefig(path, dpi=110)
+
+
+def prepared(named: list[episode_files.Named]) -> list[refinement_examples.Example]:
+    """Returns the examples of all frames that have one."""
+    found = [refinement_examples.example(f, n.episode.held) for n in named for f in n.episode.frames()]
+    return [e for e in found if e is not None]
+
+
+def parse() -> argparse.Namespace:
+    default = Settings()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path, help="folder of the episodes")
+    parser.add_argument("run", type=Path, help="folder of the run; a checkpoint in it is gone on from")
+    for name, value in asdict(default).items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=type(value), default=value, help=f"default: {value}")
+    parser.add_argument("--episodes", type=int, default=10**6, help="most episodes to train on")
+    parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="train on none of these")
+    parser.add_argument(
+        "--scenes",
+        nargs=2,
+        type=Path,
+        metavar=("SHARDS", "WEIGHTS"),
+        help="mix in synthetic scenes of make_dataset.py, seen through GGCNN's weights",
+    )
+    parser.add_argument("--scene-count", type=int, default=300, help="how many of them, default 300")
+    parser.add_argument("--every", type=int, default=100, help="steps between validations and checkpoints")
+    parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
+    arguments = parser.parse_args()
+    for name in ("steps", "count", "features", "patience", "episodes", "scene_count", "every", "threads"):
+        if getattr(arguments, name) < 1:
+            parser.error(f"--{name.replace('_', '-')} is {getattr(arguments, name)}, but must be at least 1.")
+    torch.set_num_threads(arguments.threads)
+    try:
+        named = episode_files.read(arguments.data, without=arguments.without)
+        arguments.training = [n for n in named if not episode_files.is_held_out(n.name)][: arguments.episodes]
+        arguments.validation = [n for n in named if episode_files.is_held_out(n.name)]
+        for part in (arguments.training, arguments.validation):
+            if not any(n.episode.held for n in part):
+                raise RigError(f"Of {len(named)} episodes, too few show a grasp that held to train on some of them.")
+        arguments.mixed = scenes(*arguments.scenes, arguments.scene_count) if arguments.scenes else []
+    except (RigError, OSError) as error:
+        parser.error(str(error))
+    return arguments
+
+
+def main() -> None:
+    arguments = parse()
+    settings = Settings(**{name: getattr(arguments, name) for name in asdict(Settings())})
+    arguments.run.mkdir(parents=True, exist_ok=True)
+    offset = refinement_examples.constant_offset(
+        [f for n in arguments.training if n.episode.held for f in n.episode.frames()]
+    )
+    examples, validation = prepared(arguments.training), prepared(arguments.validation)
+    trainer, rows, recent = Trainer(settings, offset), [], []
+    checkpoint = arguments.run / "checkpoint.pt"
+    if checkpoint.exists():
+        saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        trainer.resume(saved["trainer"])
+        rows = saved["rows"]
+    about = {**asdict(settings), "episodes": len(arguments.training), "frames": len(examples), **offset._asdict()}
+    (arguments.run / "settings.json").write_text(json.dumps(about, indent=2) + "\n")
+    bar = tqdm(total=settings.steps, initial=trainer.step, unit="step", mininterval=10.0)
+    while trainer.step < settings.steps and not is_over(rows, settings.patience):
+        recent.append(trainer.train(examples, arguments.mixed))
+        bar.update()
+        if trainer.step % arguments.every and trainer.step < settings.steps:
+            continue
+        found = trainer.validate(validation)
+        if all(found["validation"] < r["validation"] for r in rows):
+            save(trainer.mean.state_dict(), arguments.run / "weights.pt")
+        rows.append({"step": trainer.step, "training": float(np.mean(recent)), **found})
+        recent = []
+        bar.set_postfix_str(f"loss {found['validation']:.3f}, miss {found['miss']:.1f} px")
+        save({"trainer": trainer.state(), "rows": rows}, checkpoint)
+        with (arguments.run / "curves.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+        plot(rows, arguments.run / "curves.png")
+
+
+def is_over(rows: list[dict], patience: int) -> bool:
+    """Returns whether the last `patience` validations were no better than the best one before them."""
+    found = [r["validation"] for r in rows]
+    return len(found) > patience and min(found[-patience:]) >= min(found[:-patience])

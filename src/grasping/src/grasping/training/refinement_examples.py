@@ -1,0 +1,158 @@
+"""What the second network learns from: frames of a person's episodes, and labelled synthetic scenes beside them.
+
+All pictures are at the second network's scale, a `SHRINK`th of the first one's. Positions are in its pixels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from grasping.dataset.episode import Frame
+from grasping.dataset.labels import RelativeLabel, map_pixel, relative_label, tilt_and_angle
+from grasping.depth_image import NETWORK_SIDE, Crop, prepare
+from grasping.refinement import SHRINK
+
+SIDE = NETWORK_SIDE // SHRINK
+SAME_PLACE_M = 0.04
+"""A person's grasp further from GGCNN's was not meant to be the same."""
+
+
+class Example(NamedTuple):
+    """A frame of a person's episode.
+
+    Attributes:
+        maps: GGCNN's quality, cos, sin and width, and the depth less its mean [m], shape (5, SIDE, SIDE), float16.
+        row: of the person's grasp; may lie outside.
+        column: likewise.
+        depth: of the grasp less the picture's mean [m].
+        angle: in the picture, anticlockwise [rad].
+        tilt: of the approach about the camera's x and y axes, shape (2,) [rad].
+        held: whether the grasp held.
+        mean: of the picture's depth [m].
+    """
+
+    maps: np.ndarray
+    row: float
+    column: float
+    depth: float
+    angle: float
+    tilt: np.ndarray
+    held: bool
+    mean: float
+
+
+class Scene(NamedTuple):
+    """A labelled synthetic scene.
+
+    Attributes:
+        maps: as in `Example`.
+        quality: of the labels, 0 to 1, shape (SIDE, SIDE).
+        angle: [rad].
+        width: in units of `WIDTH_SCALE_PX`.
+    """
+
+    maps: np.ndarray
+    quality: np.ndarray
+    angle: np.ndarray
+    width: np.ndarray
+
+
+class Offset(NamedTuple):
+    """What a person adds to GGCNN's grasp wherever it is.
+
+    Attributes:
+        x: to the right, and
+        y: down [px of the network's picture x m: divided by the distance it is a shift].
+        depth: along the optical axis [m].
+        angle: in the picture, anticlockwise [rad].
+        tilt_x: of the approach [rad].
+        tilt_y: likewise.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    depth: float = 0.0
+    angle: float = 0.0
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+
+
+def example(frame: Frame, held: bool) -> Example | None:
+    """Returns the example of a frame; None where the grasp cannot be seen by its camera, or the frame holds nothing."""
+    T = frame.T_camera_grasp
+    if T[2, 3] <= 0.0:
+        return None
+    try:
+        picture = prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
+        tilt, angle = tilt_and_angle(T[:3, :3])
+    except ValueError:
+        return None
+    row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, SIDE)
+    maps = np.concatenate([[shrunk(m.astype(np.float32)) for m in frame.maps], [shrunk(picture.input)]])
+    depth = float(T[2, 3] - picture.mean)
+    return Example(maps.astype(np.float16), row, column, depth, angle, tilt, held, picture.mean)
+
+
+def scene(output: np.ndarray, sample) -> Scene:
+    """Returns the example of a synthetic sample.
+
+    Args:
+        output: of the first network, shape (4, 300, 300).
+        sample: its arrays `depth`, `quality`, `angle`, `width`, as `synthetic.samples.Sample` has them.
+    """
+    maps = np.concatenate([output, np.clip(sample["depth"].astype(np.float32), -1.0, 1.0)[None]])
+    every = (slice(SHRINK // 2, None, SHRINK),) * 2
+    return Scene(
+        np.stack([shrunk(m) for m in maps]).astype(np.float16),
+        sample["quality"][every].astype(np.float32) / 255.0,
+        sample["angle"][every].astype(np.float32) * np.float32(np.pi / 256.0),
+        sample["width"][every].astype(np.float32) / 255.0,
+    )
+
+
+def shrunk(picture: np.ndarray) -> np.ndarray:
+    """Returns the mean of each block of pixels, shape (SIDE, SIDE)."""
+    return picture if len(picture) == SIDE else cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+
+
+def constant_offset(frames: list[Frame]) -> Offset:
+    """Returns the median of what the person added to GGCNN's grasps, where both meant about the same place.
+
+    Args:
+        frames: of grasps that held.
+    """
+    shifts, turns = [], []
+    for frame in frames:
+        label = relative_label(frame)
+        if label is None:
+            continue
+        scale = NETWORK_SIDE / frame.maps.shape[-1]
+        distance = frame.T_camera_grasp[2, 3]
+        metres = np.hypot(label.row_shift, label.column_shift) * metres_per_pixel(frame)
+        turns.append(label.tilt)
+        if metres < SAME_PLACE_M:
+            x, y = scale * distance * label.column_shift, scale * distance * label.row_shift
+            shifts.append((x, y, label.depth, label.angle))
+    if not shifts:
+        return Offset()
+    return Offset(*np.median(shifts, axis=0).tolist(), *np.median(turns, axis=0).tolist())
+
+
+def metres_per_pixel(frame: Frame) -> float:
+    """Returns how much a pixel of the frame's maps is at the person's grasp [m]."""
+    return float(frame.T_camera_grasp[2, 3] * frame.crop.side / frame.maps.shape[-1] / frame.camera.K[0, 0])
+
+
+def offset_label(frame: Frame, offset: Offset) -> RelativeLabel:
+    """Returns GGCNN's grasp with the constant offset, as a label that `dataset.labels.pose_from_label` reads."""
+    side = frame.maps.shape[-1]
+    scale, distance = side / NETWORK_SIDE, float(np.median(frame.depth_m[frame.depth > 0]))
+    row_shift, column_shift = scale * offset.y / distance, scale * offset.x / distance
+    row, column = ((i + 0.5) * scale - 0.5 for i in (frame.peak.row, frame.peak.column))
+    tilt = np.array([offset.tilt_x, offset.tilt_y])
+    return RelativeLabel(
+        row + row_shift, column + column_shift, row_shift, column_shift, offset.depth, offset.angle, tilt
+    )
