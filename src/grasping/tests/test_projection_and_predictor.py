@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.camera_model import pinhole
-from grasping.depth_image import Crop, Picture
+from common.poses import check_pose
+from grasping.depth_image import Crop
 from grasping.maps import Peak
 from grasping.predictor import Predictor, PredictorSettings
-from grasping.projection import camera_pixel, depth_between_fingers, grasp
+from grasping.projection import along, camera_pixel, depth_between_fingers, grasp, seen_by
 
 F = 570.3
 CAMERA = pinhole("test", 640, 480, [[F, 0.0, 319.5], [0.0, F, 239.5], [0.0, 0.0, 1.0]])
@@ -47,12 +48,48 @@ def test_depth_is_the_median_of_the_readings_near():
     assert grasp(Peak(150, 150, 1.0, 0.0, 30.0), CROP, 300, depth, CAMERA).T_camera_grasp[2, 3] == pytest.approx(0.61)
 
 
-def test_depth_between_the_fingers_is_the_mean_of_the_ten_nearest():
-    depth = np.full((300, 300), 0.5)
-    depth[110, 135:145] = 0.2 + 0.01 * np.arange(10)
-    depth[0, 0] = 0.05
-    picture = Picture(CROP, depth, depth, depth > 0.0, 0.5)
-    assert depth_between_fingers(picture) == pytest.approx(0.245)
+def test_depth_between_the_fingers_is_the_mean_of_the_ten_nearest_readings():
+    depth = np.full((480, 640), np.nan)
+    assert np.isnan(depth_between_fingers(depth, CROP))
+    depth[180:230, 300:340] = 0.5
+    depth[200, 300:310] = 0.2 + 0.01 * np.arange(10)
+    depth[60, 130] = 0.05  # outside of the fingers' window
+    depth[201, 300:330] = 0.0
+    assert depth_between_fingers(depth, CROP) == pytest.approx(0.245)
+
+
+directions = st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)).map(lambda t: np.array([*t, 1.0]))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(20, 280), st.integers(20, 280), st.floats(-1.57, 1.57), directions, st.floats(5.0, 60.0))
+def test_another_approach_leaves_the_fingers_on_their_line_in_the_picture(row, column, angle, direction, width):
+    first = grasp(Peak(row, column, 0.8, angle, width), CROP, 300, np.full((480, 640), 0.8), CAMERA)
+    n = direction / np.linalg.norm(direction)
+    turned = along(first, n, CAMERA)
+    T = check_pose(turned.T_camera_grasp)
+    np.testing.assert_allclose(T[:3, 2], n, atol=1e-9)
+    np.testing.assert_allclose(T[:3, 3], first.T_camera_grasp[:3, 3])
+    found, pixel, _ = seen_by(CAMERA, T, 1e-6)
+    np.testing.assert_allclose(pixel, first.pixel, atol=1e-6)
+    assert abs(np.sin(found - angle)) < 1e-4  # modulo half a turn
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(20, 280), st.integers(20, 280), st.floats(-1.5, 1.5), st.floats(1.0, 60.0))
+def test_a_grasp_along_the_axis_is_seen_as_the_network_saw_it(row, column, angle, width):
+    first = grasp(Peak(row, column, 0.8, angle, width), CROP, 300, np.full((480, 640), 0.8), CAMERA)
+    for one in (first, along(first, np.array([0.0, 0.0, 1.0]), CAMERA)):
+        found, pixel, px = seen_by(CAMERA, one.T_camera_grasp, one.width)
+        np.testing.assert_allclose((*pixel, found, px), (*first.pixel, angle, width * 400 / 300), atol=1e-6)
+
+
+def test_the_opening_across_a_slope_is_measured_on_the_slope():
+    slope = np.radians(40.0)
+    first = grasp(Peak(150, 150, 0.8, 0.0, 30.0), CROP, 300, np.full((480, 640), 0.8), CAMERA)
+    turned = along(first, np.array([np.sin(slope), 0.0, np.cos(slope)]), CAMERA)
+    assert turned.width == pytest.approx(first.width / np.cos(slope), rel=0.01)
+    assert along(first, np.array([1.0, 0.0, 0.0]), CAMERA) is None
 
 
 class Nearest(torch.nn.Module):

@@ -14,6 +14,7 @@ from common.camera_model import CameraModel
 from grasping.depth_image import CROP_SIDE, NETWORK_SIDE, Picture, centre_crop, prepare
 from grasping.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
 from grasping.projection import Grasp, grasp
+from grasping.refinement import Refined, Refinement, refined_grasp
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,12 @@ class Prediction(NamedTuple):
 
 
 class Predictor:
-    """A network and how to use it."""
+    """A network, a second one behind it where there is one, and how to use them."""
 
-    def __init__(self, network: nn.Module, settings: PredictorSettings) -> None:
+    def __init__(self, network: nn.Module, settings: PredictorSettings, refinement: Refinement | None = None) -> None:
         self.settings = settings
         self._network = frozen(network)
+        self._refinement = refinement
 
     def predict(self, depth: np.ndarray, camera: CameraModel) -> Prediction:
         """Returns the grasps in a depth picture.
@@ -72,9 +74,22 @@ class Predictor:
         """
         s = self.settings
         picture = prepare(depth, centre_crop(depth.shape, s.crop_side, s.crop_rows_up))
-        maps = smoothed(run(self._network, picture.input), picture.valid, s.smoothing)
+        output = self.output(picture)
+        refined = self.refined(output, picture)
+        maps = smoothed(output if refined is None else refined.output, picture.valid, s.smoothing)
         found = [highest(maps)] if s.count == 1 else peaks(maps, s.count, s.distance, s.threshold)
-        return Prediction(picture, maps, found, [grasp(p, picture.crop, NETWORK_SIDE, depth, camera) for p in found])
+        grasps = [grasp(p, picture.crop, NETWORK_SIDE, depth, camera) for p in found]
+        if refined is not None:
+            grasps = [None if g is None else refined_grasp(g, refined, p) for g, p in zip(grasps, found)]
+        return Prediction(picture, maps, found, grasps)
+
+    def output(self, picture: Picture) -> np.ndarray:
+        """Returns the network's maps before they are smoothed, shape (4, h, w)."""
+        return run(self._network, picture.input)
+
+    def refined(self, output: np.ndarray, picture: Picture) -> Refined | None:
+        """Returns what the second network makes of the maps, None where there is none."""
+        return None if self._refinement is None else self._refinement.apply(output, picture)
 
 
 def run(network, picture: np.ndarray) -> np.ndarray:

@@ -1,0 +1,46 @@
+"""Where the camera stood when it took a picture, from tf."""
+
+from __future__ import annotations
+
+import numpy as np
+import rospy
+import tf2_ros
+
+from common.ros.conversions import pose_from_transform
+from grasping.ros.ggcnn_messages import BASE
+
+PATIENCE_S = 0.1
+"""The place of the camera at the moment of a picture may come so much later than the picture."""
+
+
+class CameraPlace:
+    """Looks frames up; what is missing or stale has a reason."""
+
+    def __init__(self) -> None:
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer)
+
+    def in_base(self, frame: str, stamp: rospy.Time) -> tuple[np.ndarray | None, str]:
+        """Returns T_base_camera, shape (4, 4) [m], at a moment, or None and why, a clause."""
+        try:
+            return self._look_up(BASE, frame, stamp), ""
+        except tf2_ros.ExtrapolationException:
+            return None, f"the camera's place is stale: tf does not know {frame} in {BASE} at the picture's moment"
+        except tf2_ros.TransformException:
+            return None, f"the camera's place is unknown: tf has no way from {frame} to {BASE}; calibrate the camera"
+        except ValueError as error:
+            return None, f"the camera's place in tf is wrong: {error}"
+
+    def fixed(self, parent: str, child: str) -> np.ndarray | None:
+        """Returns the pose of a frame in another one to which it is fixed, shape (4, 4) [m]; None if tf has it not."""
+        try:
+            return pose_from_transform(self._buffer.lookup_transform(parent, child, rospy.Time(0)).transform)
+        except (tf2_ros.TransformException, ValueError):
+            return None
+
+    def _look_up(self, parent: str, child: str, stamp: rospy.Time) -> np.ndarray:
+        try:
+            found = self._buffer.lookup_transform(parent, child, stamp)
+        except tf2_ros.ExtrapolationException:
+            found = self._buffer.lookup_transform(parent, child, stamp, rospy.Duration(PATIENCE_S))
+        return pose_from_transform(found.transform)

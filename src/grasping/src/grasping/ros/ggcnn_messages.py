@@ -1,0 +1,90 @@
+"""Grasps as messages."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import Point, PoseStamped
+from grasp_msgs.msg import Grasp, GraspList
+from std_msgs.msg import ColorRGBA, Float32MultiArray, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from common.ros.conversions import message_from_pose, stamped_pose
+from grasping.live import Proposal
+from grasping.reach import Reach
+
+BASE = "kuka/base_frame"
+COMMAND_SIZE = 6
+FINGER_M, LINE_M, BEST_LINE_M, TEXT_M = 0.05, 0.003, 0.006, 0.02
+MARKER_LIFE_S = 1.0
+"""Markers of a node that is gone go too."""
+
+
+def grasp_list(header: Header, proposals: list[tuple[Proposal, Reach]], reason: str) -> GraspList:
+    """Returns the message of all grasps; `reason` says why there is none."""
+    return GraspList(header, [_grasp(header, proposal, reach) for proposal, reach in proposals], reason)
+
+
+def _grasp(header: Header, proposal: Proposal, reach: Reach) -> Grasp:
+    known = proposal.T_base_grasp is not None
+    return Grasp(
+        id=proposal.id,
+        pose_camera=message_from_pose(proposal.T_camera_grasp),
+        pose_base=stamped_pose(proposal.T_base_grasp, BASE, header.stamp) if known else PoseStamped(),
+        width=proposal.width,
+        quality=proposal.quality,
+        angle=proposal.angle,
+        pixel=proposal.pixel,
+        reachable=reach.reachable,
+        reason=reach.reason,
+    )
+
+
+def command(proposal: Proposal, between: float) -> Float32MultiArray:
+    """Returns the published node's six numbers: x, y, z before the camera [m], angle [rad], opening [px of the
+    camera's picture], and how far away the nearest thing between the fingers is [mm].
+
+    Args:
+        proposal: the best grasp.
+        between: the last of these [m].
+    """
+    x, y, z = proposal.T_camera_grasp[:3, 3]
+    return Float32MultiArray(data=[x, y, z, proposal.angle, proposal.width_px, 1e3 * between])
+
+
+def markers(header: Header, proposals: list[tuple[Proposal, Reach]]) -> MarkerArray:
+    """Returns one gripper a grasp, red for the quality 0 to green for 1, grey where the arm does not get there."""
+    array = MarkerArray([Marker(header=header, ns="grasps", action=Marker.DELETEALL)])
+    for i, (proposal, reach) in enumerate(proposals):
+        colour = _grey() if reach.refused else _colour(proposal.quality)
+        shape = Marker(header=header, ns="grasps", id=proposal.id, type=Marker.LINE_LIST, color=colour)
+        shape.pose = message_from_pose(proposal.T_camera_grasp)
+        shape.scale.x = LINE_M if i else BEST_LINE_M
+        shape.points = _gripper(proposal.width)
+        text = Marker(header=header, ns="labels", id=proposal.id, type=Marker.TEXT_VIEW_FACING, color=colour)
+        text.pose.position = Point(*(proposal.T_camera_grasp @ (0.0, 0.0, -1.8 * FINGER_M, 1.0))[:3])
+        text.pose.orientation.w = 1.0
+        text.scale.z = TEXT_M
+        text.text = f"{proposal.id}: {proposal.quality:.2f}"
+        for marker in (shape, text):
+            marker.lifetime = rospy.Duration(MARKER_LIFE_S)
+            array.markers.append(marker)
+    return array
+
+
+def _gripper(width: float) -> list[Point]:
+    """Returns pairs of points: stem, bar, and two fingers that end at the grasp, in its frame."""
+    half, up = 0.5 * max(0.0, width), -FINGER_M
+    corners = np.array([[0, 2 * up], [0, up], [-half, up], [half, up], [-half, up], [-half, 0], [half, up], [half, 0]])
+    return [Point(x, 0.0, z) for x, z in corners]
+
+
+def _colour(quality: float) -> ColorRGBA:
+    share = min(1.0, max(0.0, quality)) if math.isfinite(quality) else 0.0
+    return ColorRGBA(min(1.0, 2.0 - 2.0 * share), min(1.0, 2.0 * share), 0.1, 1.0)
+
+
+def _grey() -> ColorRGBA:
+    return ColorRGBA(0.5, 0.5, 0.5, 0.8)

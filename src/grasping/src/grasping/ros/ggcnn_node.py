@@ -1,0 +1,221 @@
+"""The node ggcnn: depth pictures in, grasps out.
+
+Topics, below ggcnn/: img/grasp, img/grasp_plain, img/depth, img/ang, out/command and out/target_pose as the original
+has them; out/grasps with all grasps or the reason why there is none; img/heat_map and markers for people. In tf
+camera_target_frame below camera_depth_frame, and, with a view of the table, ggcnn/view below the camera.
+"""
+
+from __future__ import annotations
+
+import time
+
+import cv2
+import numpy as np
+import rospy
+import tf2_ros
+import torch
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from grasp_msgs.msg import GraspList
+from sensor_msgs.msg import Image
+from std_msgs.msg import Float32MultiArray, Header
+from visualization_msgs.msg import MarkerArray
+
+from common.errors import RigError
+from common.mounting import rotation_of_mounting
+from common.ros.conversions import stamped_pose, stamped_transform
+from common.ros.diagnostics import Diagnostics
+from common.ros.images import image_message
+from common.ros.node import run
+from common.ros.stage_times import StageTimes
+from grasping import drawing
+from grasping.depth_image import NETWORK_SIDE, Crop, centre_crop, prepare
+from grasping.live import Finder, Findings, Proposal
+from grasping.predictor import Predictor, PredictorSettings
+from grasping.projection import depth_between_fingers
+from grasping.reach import Reach
+from grasping.ros import ggcnn_messages as messages
+from grasping.ros.camera_place import CameraPlace
+from grasping.ros.depth_stream import DepthPicture, DepthStream
+from grasping.ros.reach_client import ReachClient
+from grasping.ros.reasons import ReasonLog
+from grasping.ros.weight_files import load_network, load_refinement, own_yaml
+from grasping.settings import TABLE, GgcnnSettings, overlaid, sentences, settings_from
+
+VIEW_FRAME, TARGET_PARENT, TARGET_FRAME = "ggcnn/view", "camera_depth_frame", "camera_target_frame"
+WAIT_S = 0.2
+SILENT_PERIOD_S = 0.5
+WARM_UP = 5
+RATE_WEIGHT = 0.1
+"""Weight of the newest value in the times that diagnostics show."""
+
+
+class GgcnnNode:
+    """Looks for grasps in the newest depth picture, again and again.
+
+    Args:
+        settings: the whole configuration.
+        finder: the chain from picture to grasps.
+        about: the network, for diagnostics.
+    """
+
+    def __init__(self, settings: GgcnnSettings, finder: Finder, about: dict[str, str]) -> None:
+        self._settings, self._finder, self._about = settings, finder, about
+        self._milliseconds: dict[str, float] = {}
+        self._grasps = self._pictures = self._normals_missing = 0
+        self._reasons = ReasonLog()
+        self._images = {
+            name: rospy.Publisher(f"ggcnn/img/{name}", Image, queue_size=1)
+            for name in ("grasp", "grasp_plain", "depth", "ang", "heat_map")
+        }
+        self._command = rospy.Publisher("ggcnn/out/command", Float32MultiArray, queue_size=1, tcp_nodelay=True)
+        self._target = rospy.Publisher("ggcnn/out/target_pose", PoseStamped, queue_size=1, tcp_nodelay=True)
+        self._list = rospy.Publisher("ggcnn/out/grasps", GraspList, queue_size=1, tcp_nodelay=True)
+        self._markers = rospy.Publisher("ggcnn/markers", MarkerArray, queue_size=1)
+        self._broadcaster = tf2_ros.TransformBroadcaster()
+        self._times = StageTimes("ggcnn")
+        self._place = CameraPlace()
+        self._reach = ReachClient(settings.reach, settings.tool)
+        self._stream = DepthStream(settings.input)
+        Diagnostics("ggcnn", self._diagnose)
+
+    def run(self) -> None:
+        """Works until ROS shuts down."""
+        told_silence = 0.0
+        while not rospy.is_shutdown():
+            picture = self._stream.newest(WAIT_S)
+            if picture is not None:
+                self._take(picture)
+                continue
+            silence = self._stream.silence()
+            if silence and time.monotonic() - told_silence >= SILENT_PERIOD_S:
+                told_silence = time.monotonic()
+                self._finder.reset()
+                self._tell(Header(stamp=rospy.Time.now()), [], silence)
+
+    def _take(self, picture: DepthPicture) -> None:
+        if picture.reason:
+            self._tell(picture.header, [], picture.reason)
+            return
+        started, header = time.perf_counter(), picture.header
+        T_base_camera, unknown = self._place.in_base(header.frame_id, header.stamp)
+        found = self._finder.step(picture.depth, picture.camera, T_base_camera, header.stamp.to_sec())
+        proposals = self._reach.look_up(found.proposals)
+        if unknown:
+            proposals = [(p, Reach(False, unknown)) for p, _ in proposals]
+        self._tell(header, proposals, found.reason)
+        best = proposals[0][0] if proposals and not proposals[0][1].refused else None
+        if best is not None:
+            self._tell_best(picture, best)
+        self._times.done(header.stamp)
+        published = time.perf_counter()
+        self._draw(header, found, proposals, best)
+        self._pictures += 1
+        self._normals_missing += found.normals_missing
+        latency = (rospy.Time.now() - header.stamp).to_sec()
+        stages = {**found.seconds, "draw": time.perf_counter() - published, "all": published - started}
+        self._time({**stages, "latency": latency})
+
+    def _tell(self, header: Header, proposals: list[tuple[Proposal, Reach]], reason: str) -> None:
+        self._grasps = len(proposals)
+        self._list.publish(messages.grasp_list(header, proposals, reason))
+        self._markers.publish(messages.markers(header, proposals))
+        self._reasons.tell(reason or proposals[0][1].reason)
+
+    def _tell_best(self, picture: DepthPicture, best: Proposal) -> None:
+        header, crop = picture.header, self._settings.crop
+        window = centre_crop(picture.depth.shape, crop.side, crop.rows_up)
+        self._command.publish(messages.command(best, depth_between_fingers(picture.depth, window)))
+        known = best.T_base_grasp is not None
+        T, frame = (best.T_base_grasp, messages.BASE) if known else (best.T_camera_grasp, header.frame_id)
+        self._target.publish(stamped_pose(T, frame, header.stamp))
+        T_depth_optical = self._place.fixed(TARGET_PARENT, header.frame_id)
+        if T_depth_optical is not None:
+            T = T_depth_optical @ best.T_camera_grasp
+            self._broadcaster.sendTransform(stamped_transform(T, TARGET_PARENT, TARGET_FRAME, header.stamp))
+
+    def _draw(self, header: Header, found: Findings, proposals: list, best: Proposal | None) -> None:
+        if found.view is None or found.maps is None:
+            return
+        frame = header.frame_id
+        if self._settings.main.view == TABLE:
+            T = found.view.T_camera_view
+            self._broadcaster.sendTransform(stamped_transform(T, header.frame_id, VIEW_FRAME, header.stamp))
+            frame = VIEW_FRAME
+        plain = drawing.plain(found.maps) if self._wanted("grasp") or self._wanted("grasp_plain") else None
+        refused = {p.id for p, reach in proposals if reach.refused}
+        reason = found.reason or proposals[0][1].reason
+        pictures = {
+            "grasp": ("bgr8", lambda: drawing.with_disc(plain, best)),
+            "grasp_plain": ("bgr8", lambda: plain),
+            "depth": ("32FC1", lambda: np.asarray(found.view.picture.input, np.float32)),
+            "ang": ("32FC1", lambda: np.asarray(found.maps.angle, np.float32)),
+            "heat_map": ("bgr8", lambda: drawing.heat_map(found, refused, reason)),
+        }
+        for name, (encoding, draw) in pictures.items():
+            if self._wanted(name):
+                self._images[name].publish(image_message(draw(), encoding, frame, header.stamp))
+
+    def _wanted(self, name: str) -> bool:
+        return self._images[name].get_num_connections() > 0
+
+    def _time(self, seconds: dict[str, float]) -> None:
+        for name, value in seconds.items():
+            before = self._milliseconds.get(name, 1e3 * value)
+            self._milliseconds[name] = before + RATE_WEIGHT * (1e3 * value - before)
+
+    def _diagnose(self) -> tuple[int, str, dict[str, object]]:
+        values = {
+            "pictures": self._pictures,
+            "received": self._stream.received,
+            "skipped": self._stream.skipped,
+            "grasps": self._grasps,
+            "normals_missing": self._normals_missing,
+            "reach_answers": self._reach.answers,
+            **{f"ms_{name}": f"{value:.1f}" for name, value in self._milliseconds.copy().items()},
+            **self._about,
+        }
+        reason = self._reasons.present
+        return (DiagnosticStatus.WARN if reason else DiagnosticStatus.OK), reason or "There are grasps.", values
+
+
+def _measured(predictor: Predictor) -> float:
+    """Returns how long the network takes for one picture [s], after the first ones, which take longer."""
+    picture = prepare(np.ones((NETWORK_SIDE, NETWORK_SIDE), np.float32), Crop(0, 0, NETWORK_SIDE))
+    seconds = []
+    for _ in range(WARM_UP):
+        begin = time.perf_counter()
+        predictor.output(picture)
+        seconds.append(time.perf_counter() - begin)
+    return min(seconds)
+
+
+def _run() -> None:
+    values = overlaid({**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}, rospy.get_param("~", {}))
+    settings = settings_from(values, prefix="~")
+    for sentence in sentences(settings):
+        rospy.loginfo("%s", sentence)
+    loaded = load_network(settings.network)
+    torch.set_num_threads(settings.network.threads)
+    cv2.setNumThreads(settings.network.threads)
+    second = load_refinement(settings.main.refinement_weights) if settings.main.refine else None
+    predictor = Predictor(loaded.network, PredictorSettings(), second)
+    try:
+        up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
+    except (TypeError, ValueError) as error:
+        raise RigError(f"The parameter kuka/mounting is no roll, pitch and yaw: {error}.") from None
+    finder = Finder(settings.views(), predictor, settings.live(up), time.perf_counter)
+    rospy.loginfo(
+        "%s (%s, SHA-256 %s...) takes %.0f ms a picture on %d threads.",
+        settings.network.weights,
+        loaded.name,
+        loaded.sha256[:12],
+        1e3 * _measured(predictor),
+        settings.network.threads,
+    )
+    GgcnnNode(settings, finder, {"network": loaded.name, "weights": loaded.sha256[:12]}).run()
+
+
+def main() -> None:
+    """Runs the node until ROS shuts down."""
+    run("ggcnn", _run)

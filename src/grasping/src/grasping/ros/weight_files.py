@@ -1,0 +1,62 @@
+"""Weight files and the node's own yaml files, read from this package or from where the parameters say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import rospkg
+import yaml
+
+from common.errors import RigError
+from grasping import refinement, weights
+from grasping.settings import ANY, LISTED, NetworkConfig
+from grasping.weights import Loaded, WeightsError, listed_sha256
+
+SUMS = "SHA256SUMS"
+
+
+def package_folder() -> Path:
+    """Returns where this package's config and weights are."""
+    return Path(rospkg.RosPack().get_path("grasping"))
+
+
+def own_yaml(name: str) -> dict[str, Any]:
+    """Returns the mapping in a file of this package's folder config."""
+    return yaml.safe_load((package_folder() / "config" / name).read_text(encoding="utf-8"))
+
+
+def load_network(config: NetworkConfig) -> Loaded:
+    """Returns the network of the configured weight file.
+
+    Raises:
+        RigError: the file is missing, has another hash, or holds another kind of network.
+    """
+    path = _path(config.weights)
+    data, expected = _content(path), config.sha256
+    if expected == LISTED:
+        expected = listed_sha256(_content(path.parent / SUMS).decode("utf-8", "replace"), path.name)
+    loaded = weights.load(data, None if expected == ANY else expected)
+    if config.kind not in (ANY, loaded.name):
+        raise WeightsError(f"{path} holds weights of {loaded.name}, but network/kind is {config.kind}.")
+    return loaded
+
+
+def load_refinement(name: str) -> refinement.Refinement:
+    """Returns the second network of a weight file.
+
+    Raises:
+        RigError: the file is missing, or holds something else.
+    """
+    return refinement.load(_content(_path(name)))
+
+
+def _path(name: str) -> Path:
+    return Path(name) if name.startswith("/") else package_folder() / "weights" / name
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise RigError(f"The file {path} cannot be read: {error.strerror}.") from None

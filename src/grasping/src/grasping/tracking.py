@@ -1,0 +1,285 @@
+"""Grasps that stay the same from picture to picture: maps averaged over time, grasps recognised again, poses filtered.
+
+Settings as in the table of filters of the reference (ggcnn, 6.5). Poses are those of the grasp in a frame that does
+not move: the arm's base where the camera's place in it is known, else the camera.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from common.config import integer, number
+from common.poses import pose, read_only
+from common.rotations import unit
+
+EDGE = np.ones((3, 3), np.uint8)
+ALIGNED = 0.9
+"""An approach that is along an axis of the frame by more than this cosine needs another axis to count turns from."""
+
+
+@dataclass(frozen=True)
+class AveragingConfig:
+    """How maps are averaged over time."""
+
+    weight: float = number(above=0.0, high=1.0, doc="of the newest maps; 1 = no averaging")
+    step: float = number("m", above=0.0, high=1.0, doc="depth that changed by more is something that moved")
+    share: float = number(low=0.0, high=1.0, doc="of the picture that may move before the average starts anew")
+
+
+class MapAverage:
+    """The network's maps, averaged for as long as camera and scene stand still."""
+
+    def __init__(self, config: AveragingConfig) -> None:
+        self._config = config
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets all maps."""
+        self._output: np.ndarray | None = None
+        self._depth: np.ndarray | None = None
+
+    def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Takes the newest maps in.
+
+        Args:
+            output: the network's, shape (4, h, w): all four may be averaged, as the angle is a sine and a cosine.
+            depth: that it saw, without holes, shape (h, w) [m].
+
+        Returns:
+            The average, shape (4, h, w), and whether it began anew with these maps.
+        """
+        anew = self._output is None or self._output.shape != output.shape or self._moved(depth)
+        if anew:
+            self._output, self._depth = output.copy(), depth.copy()
+        else:
+            for average, newest in ((self._output, output), (self._depth, depth)):
+                average += np.float32(self._config.weight) * (newest - average)
+        return self._output.copy(), anew
+
+    def _moved(self, depth: np.ndarray) -> bool:
+        """Returns whether more than edges, which flicker, differ from the averaged depth."""
+        differs = (np.abs(depth - self._depth) > self._config.step).astype(np.uint8)
+        return float(np.mean(cv2.erode(differs, EDGE))) > self._config.share
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """How grasps are followed from picture to picture."""
+
+    same_distance: float = number("m", above=0.0, high=0.5, doc="a grasp this near to an earlier one is the same")
+    keep: float = number("s", low=0.0, high=10.0, doc="a grasp not seen for longer is forgotten")
+    better: float = number(low=0.0, high=1.0, doc="quality by which a rival must lead")
+    frames: int = integer(low=1, high=100, doc="pictures in a row in which it must, to become the best")
+    lost: float = number(low=0.0, high=1.0, doc="quality below which the best is given up at once")
+    median: int = integer(low=1, high=25, doc="newest poses whose median is taken")
+    time_constant: float = number("s", low=0.0, high=1.0, doc="of the exponential filter behind it; 0 = none")
+    gate_distance: float = number("m", above=0.0, high=0.5, doc="a pose farther from the median is not believed, and")
+    gate_angle: float = number("deg", above=0.0, high=90.0, doc="one turned by more is not either")
+    gate_frames: int = integer(low=1, high=25, doc="until so many in a row agree with each other")
+
+
+class Sighting(NamedTuple):
+    """A grasp in one picture.
+
+    Attributes:
+        T: its pose in the frame that does not move, shape (4, 4) [m].
+        width: opening [m].
+        quality: about 0 to 1.
+    """
+
+    T: np.ndarray
+    width: float
+    quality: float
+
+
+class Tracked(NamedTuple):
+    """A grasp that was recognised.
+
+    Attributes:
+        id: stays while the same grasp is seen again.
+        sighting: its number among the picture's.
+        T: filtered pose, shape (4, 4) [m].
+        width: filtered opening [m].
+        held: whether the newest pose was not believed.
+    """
+
+    id: int
+    sighting: int
+    T: np.ndarray
+    width: float
+    held: bool
+
+
+class GraspTracker:
+    """Recognises grasps and keeps to the best one until a rival has been better for a while."""
+
+    def __init__(self, config: TrackingConfig) -> None:
+        self._config = config
+        self._next_id = 1
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets all grasps; their numbers are not used again."""
+        self._tracks: list[_Track] = []
+        self._best: _Track | None = None
+        self._rival: tuple[int, int] = (0, 0)
+
+    def step(self, sightings: Sequence[Sighting], now: float) -> list[Tracked]:
+        """Returns the grasps of the newest picture, the best first, the others by their quality.
+
+        Args:
+            sightings: in the picture.
+            now: time of the picture [s].
+        """
+        owners = self._owners(sightings)
+        for i, track in owners.items():
+            track.see(sightings[i], i, now)
+        self._tracks = [t for t in self._tracks if now - t.last <= self._config.keep]
+        seen = sorted(owners.values(), key=lambda t: -t.quality)
+        self._choose(seen)
+        return [t.tracked() for t in sorted(seen, key=lambda t: t is not self._best)]
+
+    def _owners(self, sightings: Sequence[Sighting]) -> dict[int, _Track]:
+        """Returns the track of each sighting: the nearest pairs first, a new track where none is near."""
+        pairs = sorted(
+            (float(np.linalg.norm(s.T[:3, 3] - t.position)), i, k)
+            for i, s in enumerate(sightings)
+            for k, t in enumerate(self._tracks)
+        )
+        owners: dict[int, _Track] = {}
+        taken: set[int] = set()
+        for distance, i, k in pairs:
+            if distance <= self._config.same_distance and i not in owners and k not in taken:
+                owners[i] = self._tracks[k]
+                taken.add(k)
+        for i in range(len(sightings)):
+            if i not in owners:
+                owners[i] = _Track(self._next_id, self._config)
+                self._tracks.append(owners[i])
+                self._next_id += 1
+        return owners
+
+    def _choose(self, seen: list[_Track]) -> None:
+        """Lets the best grasp stay or change; a best one that is out of sight keeps its place until it is forgotten."""
+        if self._best not in self._tracks:
+            self._best = None
+        if not seen:
+            return
+        first = seen[0]
+        if self._best is None or (self._best in seen and self._best.quality < self._config.lost):
+            self._best, self._rival = first, (0, 0)
+        elif (
+            first is not self._best and self._best in seen and first.quality > self._best.quality + self._config.better
+        ):
+            count = self._rival[1] + 1 if self._rival[0] == first.id else 1
+            self._rival = (first.id, count)
+            if count >= self._config.frames:
+                self._best, self._rival = first, (0, 0)
+        else:
+            self._rival = (0, 0)
+
+
+class PoseFilter:
+    """Median, then exponential filter, of position, finger line, approach and opening; jumps are not believed at once.
+
+    The finger line turns about the approach and has no direction, so cosine and sine of twice its angle are filtered.
+    """
+
+    def __init__(self, config: TrackingConfig) -> None:
+        self._config = config
+        self._accepted: deque[np.ndarray] = deque(maxlen=config.median)
+        self._doubted: deque[np.ndarray] = deque(maxlen=config.gate_frames)
+        self._state: np.ndarray | None = None
+        self._time = 0.0
+        self._axis = 0
+        self.held = False
+
+    def step(self, T: np.ndarray, width: float, now: float) -> tuple[np.ndarray, float]:
+        """Takes a pose in and returns the filtered pose, shape (4, 4) [m], and opening [m].
+
+        Args:
+            T: shape (4, 4) [m].
+            width: opening [m].
+            now: time of the picture [s].
+        """
+        if self._state is None or abs(T[self._axis, 2]) > ALIGNED:
+            self._accepted.clear()
+            self._doubted.clear()
+            self._state, self._axis = None, int(np.argmin(np.abs(T[:3, 2])))
+        values = self._values(T, width)
+        self.held = bool(self._accepted) and not self._near(values, self._accepted)
+        if not self.held:
+            self._doubted.clear()
+            self._accepted.append(values)
+        else:
+            self._doubted.append(values)
+            agree = all(self._near(v, self._doubted) for v in self._doubted)
+            if len(self._doubted) == self._config.gate_frames and agree:
+                self._accepted.clear()
+                self._accepted.extend(self._doubted)
+                self._doubted.clear()
+                self._state, self.held = None, False
+        median = np.median(self._accepted, axis=0)
+        if self._state is None:
+            self._state = median
+        else:
+            past = max(0.0, now - self._time)
+            tau = self._config.time_constant
+            self._state = self._state + (1.0 - math.exp(-past / tau) if tau > 0.0 else 1.0) * (median - self._state)
+        self._time = now
+        return self._pose(self._state)
+
+    def _values(self, T: np.ndarray, width: float) -> np.ndarray:
+        """Returns x, y, z, cos 2 theta, sin 2 theta, approach, opening, shape (9,)."""
+        e1, e2 = self._across(T[:3, 2])
+        theta = math.atan2(T[:3, 0] @ e2, T[:3, 0] @ e1)
+        return np.concatenate([T[:3, 3], (math.cos(2 * theta), math.sin(2 * theta)), T[:3, 2], (width,)])
+
+    def _pose(self, values: np.ndarray) -> tuple[np.ndarray, float]:
+        z = unit(values[5:8])
+        e1, e2 = self._across(z)
+        theta = 0.5 * math.atan2(values[4], values[3])
+        x = math.cos(theta) * e1 + math.sin(theta) * e2
+        return read_only(pose(np.column_stack([x, np.cross(z, x), z]), values[:3])), float(values[8])
+
+    def _across(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns two directions across the approach; the first is as near as it can be to an axis of the frame."""
+        e1 = unit(np.eye(3)[self._axis] - z[self._axis] * z)
+        return e1, np.cross(z, e1)
+
+    def _near(self, values: np.ndarray, others) -> bool:
+        """Returns whether a pose is within the gate of the median of others."""
+        median = np.median(others, axis=0)
+        far = np.linalg.norm(values[:3] - median[:3])
+        turned = 0.5 * _between(values[3:5], median[3:5])
+        tilted = _between(values[5:8], median[5:8])
+        return bool(far <= self._config.gate_distance and max(turned, tilted) <= math.radians(self._config.gate_angle))
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> float:
+    """Returns the angle between two vectors [rad]; a quarter turn where one of them has no direction."""
+    norms = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return math.acos(max(-1.0, min(1.0, float(a @ b) / norms))) if norms > 1e-9 else 0.5 * math.pi
+
+
+class _Track:
+    """One grasp and its filter."""
+
+    def __init__(self, number: int, config: TrackingConfig) -> None:
+        self.id = number
+        self._filter = PoseFilter(config)
+
+    def see(self, sighting: Sighting, index: int, now: float) -> None:
+        self._T, self._width = self._filter.step(sighting.T, sighting.width, now)
+        self.position = sighting.T[:3, 3]
+        self.quality, self.last, self._index = sighting.quality, now, index
+
+    def tracked(self) -> Tracked:
+        return Tracked(self.id, self._index, self._T, self._width, self._filter.held)
