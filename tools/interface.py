@@ -81,8 +81,8 @@ def page(graph: Graph, package: str, file: str) -> str:
         markdown.table(
             ["topic", "type", "published by", "subscribed by"],
             [
-                [f"`{topic}`", graph.types.get(topic, ""), *map(_nodes, (graph.publishers[topic], graph.subscribers[topic]))]
-                for topic in topics
+                [f"`{t}`", graph.types.get(t, ""), _nodes(graph.publishers, t), _nodes(graph.subscribers, t)]
+                for t in topics
             ],
         ),
         "## Services\n",
@@ -202,8 +202,8 @@ def main() -> None:
         PAGE.write_text(text)
 
 
-def _nodes(names: set[str]) -> str:
-    return ", ".join(sorted(names))
+def _nodes(of: dict[str, set[str]], topic: str) -> str:
+    return ", ".join(sorted(of.get(topic, ())))
 
 
 if __name__ == "__main__":
