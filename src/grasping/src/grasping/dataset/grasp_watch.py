@@ -111,6 +111,16 @@ class GraspWatch:
             self._closed = (now, np.array(T_base_tool))
         return None
 
+    def give_up(self, reason: str) -> SeenGrasp | None:
+        """Returns the grasp whose fate is not known yet as one that was not held; None if the fingers are not closed.
+
+        Args:
+            reason: one sentence.
+        """
+        closed = self._closed
+        self.reset()
+        return None if closed is None else SeenGrasp(*closed, False, reason)
+
     def _at_rest(self, hand: HandState, now: float) -> bool:
         """Takes the angles in and returns whether they rest."""
         self._recent.append((now, hand.angles))

@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Lets the arm wait above a proposed grasp for a person's hand."""
+
+from grasping.ros.execution_node import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""The node grasp_execution: lets the arm wait above a proposed grasp for a person's hand, and tells what became of it.
+
+Services: grasping/execute and grasping/cancel (std_srvs/Trigger). Out: grasping/state, grasping/outcome,
+grasping/proposal_marker. In: see execution_inputs.py. It asks kuka/check_tool_pose and leap_kuka/hold_tool, and moves
+nothing itself.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Pose, PoseStamped
+from std_srvs.srv import Trigger, TriggerResponse
+
+from common.config import parse, required, vector
+from common.errors import DeviceError
+from common.mounting import directions, mounting_field
+from common.ros.calls import call
+from common.ros.conversions import stamped_pose
+from common.ros.diagnostics import Diagnostics
+from common.ros.node import run, while_running
+from common.ros.params import wait_for_param
+from common.tool import ToolConfig
+from grasping.dataset.grasp_watch import GraspWatchConfig
+from grasping.execution import HELD, Execution, ExecutionConfig, Outcome
+from grasping.execution_request import Refusal, Way, choose, way_to
+from grasping.ros.execution_display import NO_GRASP, ExecutionDisplay
+from grasping.ros.execution_inputs import BASE, ExecutionInputs, proposals_from
+from grasping.tool_pose import ToolPoseConfig
+from rig_msgs.srv import CheckToolPose, HoldTool
+
+SECTIONS = {"watch": GraspWatchConfig, "tool_pose": ToolPoseConfig}
+PERIOD_S = 0.05
+
+
+@dataclass(frozen=True)
+class ArmConfig(ToolConfig):
+    """What the parameters under kuka/ tell of the arm."""
+
+    center_line: np.ndarray = vector(3, doc="middle of the workspace seen from above")
+    mounting: np.ndarray = mounting_field()
+
+    def faults(self) -> list[str]:
+        """Returns what no single value can be blamed for."""
+        return self.tool_faults() + ([] if np.any(self.center_line) else ["center_line is the zero vector."])
+
+
+class ExecutionNode:
+    """Answers the services and runs the execution.
+
+    Args:
+        config: times and tolerances.
+        watch: how a grasp is seen.
+        tool: the hand on the tool.
+        arm: the arm.
+    """
+
+    def __init__(self, config: ExecutionConfig, watch: GraspWatchConfig, tool: ToolPoseConfig, arm: ArmConfig) -> None:
+        self._config, self._tool = config, tool
+        self._home = directions(arm.center_line, arm.mounting)
+        self._execution = Execution(config, watch, self._home.up)
+        self._lock = threading.Lock()
+        self._asking = threading.Lock()
+        self._grasp, self._way = NO_GRASP, None
+        self._counts = {"executed": 0, "refused": 0, "held": 0, "not_held": 0}
+        self._inputs = ExecutionInputs(arm.T_flange_tool, config.silence)
+        self._display = ExecutionDisplay()
+        Diagnostics("grasp_execution", self._diagnose)
+        rospy.Service("grasping/execute", Trigger, self._on_execute)
+        rospy.Service("grasping/cancel", Trigger, self._on_cancel)
+        rospy.on_shutdown(lambda: self._end("The node grasp_execution ended."))
+
+    def spin(self) -> None:
+        """Runs the execution until ROS shuts down."""
+        while not rospy.is_shutdown():
+            with while_running(), self._lock:
+                outcome = self._execution.step(self._inputs.observe(), time.monotonic())
+                self._tell(outcome)
+            self._release(outcome)
+            time.sleep(PERIOD_S)
+
+    def _on_execute(self, _) -> TriggerResponse:
+        if not self._asking.acquire(blocking=False):
+            return TriggerResponse(False, "Another execution is being asked for.")
+        try:
+            refusal = self._refusal()
+        finally:
+            self._asking.release()
+        if refusal is None:
+            sentence = f"The arm goes above the grasp {self._grasp.id} and waits there for a hand."
+            rospy.loginfo(sentence)
+            return TriggerResponse(True, sentence)
+        self._counts["refused"] += 1
+        rospy.logwarn("No grasp is executed: %s", refusal)
+        return TriggerResponse(False, refusal)
+
+    def _refusal(self) -> str | None:
+        """Begins an execution, or returns why not, one sentence."""
+        if self._execution.running:
+            return f"The grasp {self._grasp.id} is being executed; cancel it first."
+        inputs, message = self._inputs, self._inputs.grasps
+        proposals = None if message is None else proposals_from(message, rospy.Time.now())
+        chosen = choose(proposals, inputs.controller, inputs.hand_followed, self._config.fresh)
+        if isinstance(chosen, Refusal):
+            return chosen.sentence
+        way = way_to(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
+        if isinstance(way, Refusal):
+            return way.sentence
+        hindrance = self._not_held(way)
+        if hindrance is not None:
+            return hindrance
+        with self._lock:
+            self._grasp, self._way = next(g for g in message.grasps if g.id == chosen.id), way
+            self._counts["executed"] += 1
+            self._execution.start(way.T_base_above, time.monotonic())
+            self._display.show(self._execution, self._grasp, way)
+        return None
+
+    def _check(self, T_base_tool: np.ndarray) -> tuple[Pose, str | None]:
+        """Returns what the desired tool frame has to be, and why the arm does not get there."""
+        tool = stamped_pose(T_base_tool, BASE, rospy.Time.now())
+        try:
+            answer = call("kuka/check_tool_pose", CheckToolPose, tool, timeout=self._config.answer_time)
+        except DeviceError as error:
+            return Pose(), f"It is unknown whether the arm gets there: {error}."
+        return answer.desired, None if answer.success else answer.message
+
+    def _not_held(self, way: Way) -> str | None:
+        """Has the tool held above the grasp; returns why it is not, one sentence, or None."""
+        for T_base_tool in (way.T_base_tool, way.T_base_above):
+            desired, hindrance = self._check(T_base_tool)
+            if hindrance is not None:
+                return hindrance
+        tool = PoseStamped(pose=desired)
+        tool.header.frame_id = BASE
+        config = self._config
+        try:
+            answer = call("leap_kuka/hold_tool", HoldTool, tool, config.wait_for_hand, timeout=config.answer_time)
+        except DeviceError as error:
+            self._let_go()
+            return f"The tool is not held: {error}."
+        return None if answer.success else answer.message
+
+    def _on_cancel(self, _) -> TriggerResponse:
+        with self._asking:
+            if not self._end("The person cancelled it."):
+                if self._inputs.observe().hold == HELD:
+                    self._let_go()
+                return TriggerResponse(True, "No grasp is being executed.")
+        return TriggerResponse(True, "The execution is over; a hand that steers the arm goes on.")
+
+    def _end(self, sentence: str) -> bool:
+        """Ends the execution; returns whether there was one."""
+        with while_running(), self._lock:
+            if not self._execution.running:
+                return False
+            outcome = self._execution.end(sentence)
+            self._tell(outcome)
+        self._release(outcome)
+        return True
+
+    def _tell(self, outcome: Outcome | None) -> None:
+        if outcome is not None:
+            self._counts["held" if outcome.held else "not_held"] += 1
+            self._display.tell(outcome, self._grasp)
+        self._display.show(self._execution, self._grasp, self._way)
+
+    def _release(self, outcome: Outcome | None) -> None:
+        if outcome is not None and outcome.release:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        """Ends the hold; without an answer it ends by itself when its time is over."""
+        try:
+            call("leap_kuka/hold_tool", HoldTool, PoseStamped(), 0.0, timeout=self._config.answer_time)
+        except DeviceError as error:
+            rospy.logwarn("The tool may still be held, for %g s at most: %s.", self._config.wait_for_hand, error)
+
+    def _diagnose(self) -> tuple[int, str, dict[str, object]]:
+        execution = self._execution
+        values = {"state": execution.state, "episode": execution.episode, **self._counts}
+        return DiagnosticStatus.OK, execution.reason, values
+
+
+def _run() -> None:
+    values = rospy.get_param("~", {})
+    config = parse(ExecutionConfig, values, prefix="~", others=SECTIONS)
+    sections = {name: parse(schema, values.get(name, {}), f"~{name}/") for name, schema in SECTIONS.items()}
+    rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in sections.values()))
+    for name in required(ArmConfig):
+        wait_for_param(f"kuka/{name}")
+    given = rospy.get_param("kuka")
+    arm = parse(ArmConfig, given, "kuka/", others=given)
+    ExecutionNode(config, sections["watch"], sections["tool_pose"], arm).spin()
+
+
+def main() -> None:
+    """Runs the node until ROS shuts down."""
+    run("grasp_execution", _run)

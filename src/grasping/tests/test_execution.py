@@ -1,0 +1,256 @@
+"""The execution of a proposed grasp: what is refused, how each execution ends, and that it ends once."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.config import parse
+from common.poses import pose, translation
+from common.rotations import rotation_about
+from grasping.dataset.grasp_watch import GraspWatchConfig, HandState
+from grasping.execution import (
+    APPROACHING,
+    HELD,
+    IDLE,
+    NONE,
+    OVER,
+    PERSON,
+    TAKEN,
+    WAITING_FOR_HAND,
+    Execution,
+    ExecutionConfig,
+    Observation,
+)
+from grasping.execution_request import Controller, Proposal, Proposals, Refusal, choose, way_to
+from grasping.tool_pose import ToolPoseConfig
+
+FOLDER = Path(__file__).parents[1] / "config"
+VALUES = yaml.safe_load((FOLDER / "execution.yaml").read_text())
+CONFIG = parse(ExecutionConfig, VALUES, "~", others=("watch",))
+WATCH = parse(GraspWatchConfig, VALUES["watch"], "~watch/")
+TOOL = parse(ToolPoseConfig, yaml.safe_load((FOLDER / "tool_pose.yaml").read_text()), "~tool_pose/")
+UP = np.array([0.0, 0.0, 1.0])
+DOWN = np.diag([-1.0, 1.0, -1.0])
+ABOVE = pose(DOWN, (0.5, 0.0, 0.4))
+GRASP = Proposal(7, pose(DOWN, (0.5, 0.0, 0.2)))
+HOME, SERVO = Controller(True, "home", "The arm is at home."), Controller(True, "servo", "It follows.")
+DT = 0.05
+
+
+def hand(angle=0.0, touched=False, load=0.0):
+    return HandState(np.full(3, angle), (touched,) * 3, (load,) * 3)
+
+
+OPEN, EMPTY, FULL = hand(), hand(1.6), hand(1.2, touched=True)
+
+
+class Trial:
+    """An execution, and what its node would hear."""
+
+    def __init__(self):
+        self.execution = Execution(CONFIG, WATCH, UP)
+        self.now = 100.0
+        self.seen = Observation(1.7e9, HOME, NONE, "no hand is seen", translation(0.4, 0.0, 0.5), OPEN)
+        self.outcomes = []
+
+    def start(self):
+        self.execution.start(ABOVE, self.now)
+        return self
+
+    def run(self, seconds, **changes):
+        self.seen = dataclasses.replace(self.seen, **changes)
+        for _ in range(max(1, round(seconds / DT))):
+            self.now += DT
+            self.seen = dataclasses.replace(self.seen, clock=self.seen.clock + DT)
+            outcome = self.execution.step(self.seen, self.now)
+            if outcome is not None:
+                self.outcomes.append(outcome)
+        return self
+
+    def waiting(self):
+        self.start().run(0.1).run(0.5, hold=HELD, controller=SERVO).run(0.1, T_base_tool=ABOVE)
+        assert self.execution.state == WAITING_FOR_HAND
+        return self
+
+    def with_person(self):
+        self.waiting().run(1.0, hold=TAKEN)
+        assert self.execution.state == PERSON
+        return self
+
+    def lift(self, height):
+        return self.run(0.1, T_base_tool=translation(0.0, 0.0, height) @ self.seen.T_base_tool)
+
+    @property
+    def outcome(self):
+        assert len(self.outcomes) == 1 and self.execution.state == OVER
+        assert self.execution.reason == self.outcomes[0].reason
+        return self.outcomes[0]
+
+
+def test_a_grasp_that_is_held_and_lifted():
+    trial = Trial()
+    assert trial.execution.state == IDLE
+    trial.start()
+    assert trial.execution.state == APPROACHING
+    trial = Trial().with_person().lift(-0.1).run(1.0, hand=FULL)
+    closed_at = trial.seen.T_base_tool
+    outcome = trial.lift(0.06).run(2.0).outcome
+    assert (outcome.held, outcome.release, outcome.episode) == (True, False, 1)
+    assert outcome.reason == "The thumb and a finger felt something when the tool was 60 mm higher."
+    np.testing.assert_array_equal(outcome.closed.T_base_tool, closed_at)
+    assert trial.seen.clock - 4.0 < outcome.closed.time < trial.seen.clock - 2.0
+
+
+@pytest.mark.parametrize(
+    "goes_on, held, closed, reason",
+    [
+        (lambda t: t.run(1.0, hand=EMPTY).lift(0.06).run(2.0), False, True, "did not both feel something"),
+        (lambda t: t.run(1.0, hand=hand(1.6, load=300.0)).lift(0.06).run(2.0), True, True, "felt something"),
+        (lambda t: t.run(1.0, hand=FULL).run(0.5, hand=OPEN), False, True, "opened before the tool was lifted"),
+        (lambda t: t.run(1.0, hand=FULL).lift(0.06).run(0.5).run(0.5, hand=OPEN), False, True, "held long enough"),
+        (lambda t: t.run(1.0, hand=FULL).lift(0.04).run(21.0), False, True, "not lifted by 50 mm in 20 s"),
+        (lambda t: t.run(1.0, hand=FULL).run(0.1, hold=NONE, hold_reason="it was lost"), False, True, "it was lost"),
+        (lambda t: t.run(0.1, hold=NONE, hold_reason="it was lost"), False, False, "followed no more: it was lost."),
+        (lambda t: t.run(1.0, hand=FULL).run(0.1, hand=None), False, True, "state of the robot hand is unknown"),
+        (lambda t: t.run(0.1, T_base_tool=None), False, False, "place of the tool is unknown"),
+        (lambda t: t.run(0.1, controller=None), False, False, "controller is silent"),
+        (lambda t: t.run(181.0), False, False, "Nothing was decided within 180 s"),
+    ],
+)
+def test_how_the_grasp_of_a_person_ends(goes_on, held, closed, reason):
+    trial = Trial().with_person()
+    goes_on(trial)
+    assert (trial.outcome.held, trial.outcome.closed is not None, trial.outcome.release) == (held, closed, False)
+    assert reason in trial.outcome.reason
+
+
+@pytest.mark.parametrize(
+    "changes, seconds, reason",
+    [
+        ({}, 2.1, "The tool was not held for a hand: no hand is seen."),
+        ({"hold": HELD}, 30.1, "The tool was not above the grasp after 30 s."),
+        ({"hold": HELD, "controller": dataclasses.replace(HOME, control_on=False)}, 0.1, "Control of the arm was sw"),
+        ({"hold": HELD, "controller": Controller(True, "stopped", "It hit.")}, 0.1, "The arm stopped: It hit."),
+        ({"hold": HELD, "controller": None}, 0.1, "The arm's controller is silent."),
+        ({"hold": HELD, "T_base_tool": None}, 0.1, "The place of the tool is unknown."),
+    ],
+)
+def test_how_an_approach_ends(changes, seconds, reason):
+    trial = Trial().start().run(seconds, **changes)
+    assert reason in trial.outcome.reason and trial.outcome.release
+    assert (trial.outcome.held, trial.outcome.closed) == (False, None)
+
+
+@pytest.mark.parametrize(
+    "changes, seconds, reason",
+    [
+        ({"hold": NONE, "hold_reason": "the tool is held no longer"}, 0.1, "for a hand: the tool is held no longer."),
+        ({"controller": Controller(True, "returning", "Home.")}, 0.1, "The arm did not stay above the grasp: Home."),
+        ({}, 63.0, "No hand took over in time."),
+    ],
+)
+def test_how_waiting_for_a_hand_ends(changes, seconds, reason):
+    assert reason in Trial().waiting().run(seconds, **changes).outcome.reason
+
+
+def test_a_hand_that_comes_early_takes_over_on_the_way():
+    trial = Trial().start().run(0.2, hold=HELD).run(0.1, hold=TAKEN)
+    assert trial.execution.state == PERSON
+
+
+def test_an_arm_on_its_way_home_may_be_asked():
+    trial = Trial().start().run(1.0, hold=HELD, controller=Controller(True, "returning", "Home."))
+    assert trial.execution.state == APPROACHING
+
+
+def test_each_execution_has_its_number_and_its_outcome():
+    trial = Trial().waiting()
+    with pytest.raises(ValueError, match="1 is not over"):
+        trial.start()
+    assert trial.execution.end("The person cancelled it.").release
+    trial.with_person().run(1.0, hand=FULL)
+    outcome = trial.execution.end("The node ended.")
+    assert (outcome.episode, outcome.closed is not None, outcome.release) == (2, True, False)
+    assert trial.run(1.0).outcomes == []
+
+
+controllers = st.sampled_from([HOME, SERVO, None, Controller(False, "home", "."), Controller(True, "stopped", ".")])
+moments = st.tuples(
+    controllers,
+    st.sampled_from([NONE, HELD, HELD, TAKEN, TAKEN]),
+    st.sampled_from([ABOVE, None, translation(0.0, 0.0, 0.1) @ ABOVE]),
+    st.sampled_from([OPEN, EMPTY, FULL, None]),
+    st.floats(0.05, 40.0),
+)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(moments, max_size=12))
+def test_whatever_comes_an_execution_ends_once(moments):
+    trial = Trial().start()
+    for controller, hold, T_base_tool, fingers, seconds in moments:
+        trial.run(seconds, controller=controller, hold=hold, T_base_tool=T_base_tool, hand=fingers)
+        assert len(trial.outcomes) <= 1
+        assert trial.execution.running == (not trial.outcomes)
+    trial.run(CONFIG.person_time + WATCH.patience + CONFIG.wait_for_hand)
+    assert len(trial.outcomes) == 1
+
+
+def test_the_best_grasp_that_the_arm_reaches_is_executed():
+    near = Proposal(8, GRASP.T_base_grasp)
+    far = Proposal(6, GRASP.T_base_grasp, False, "The outer sphere would move it.")
+    assert choose(Proposals(0.3, [far, near, GRASP]), HOME, False, CONFIG.fresh) is near
+
+
+@pytest.mark.parametrize(
+    "proposals, controller, followed, sentence",
+    [
+        (Proposals(0.1, [GRASP]), None, False, "The arm's controller is silent."),
+        (Proposals(0.1, [GRASP]), Controller(False, "home", "."), False, "Control of the arm is off."),
+        (Proposals(0.1, [GRASP]), Controller(True, "stopped", "It hit."), False, "The arm cannot go there: It hit."),
+        (Proposals(0.1, [GRASP]), SERVO, True, "The arm follows a hand; take it away first."),
+        (None, HOME, False, "No grasp was proposed yet."),
+        (Proposals(2.5, [GRASP]), HOME, False, "The newest proposal is 2.5 s old."),
+        (Proposals(-9.0, [GRASP]), HOME, False, "The newest proposal is -9.0 s old."),
+        (Proposals(float("nan"), [GRASP]), HOME, False, "The newest proposal is nan s old."),
+        (Proposals(0.1, [], "no peak"), HOME, False, "No grasp is proposed: no peak."),
+        (
+            Proposals(0.1, [Proposal(1, None)]),
+            HOME,
+            False,
+            "The camera's place is unknown, and so is that of the grasp.",
+        ),
+        (
+            Proposals(0.1, [Proposal(1, GRASP.T_base_grasp, False, "Too far.")]),
+            HOME,
+            False,
+            "The arm does not reach the grasp: Too far.",
+        ),
+    ],
+)
+def test_what_is_refused(proposals, controller, followed, sentence):
+    assert choose(proposals, controller, followed, CONFIG.fresh) == Refusal(sentence)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-0.5, 0.5))
+def test_the_tool_waits_upright_above_the_grasp_turned_as_near_to_home_as_it_can(angle, tilt):
+    T_base_grasp = pose(rotation_about(2, angle) @ DOWN @ rotation_about(1, tilt), (0.5, 0.1, 0.2))
+    way = way_to(T_base_grasp, TOOL, DOWN, UP)
+    np.testing.assert_allclose(way.T_base_above[:3, 2], -UP, atol=1e-9)
+    np.testing.assert_allclose((way.T_base_above - way.T_base_tool)[:3, 3], TOOL.clearance * UP, atol=1e-9)
+    np.testing.assert_allclose(way.T_base_grip[:3, 3], T_base_grasp[:3, 3], atol=1e-9)
+    assert way.T_base_tool[:3, 0] @ DOWN[:, 0] >= -1e-9
+    level = T_base_grasp[:2, 0] / np.linalg.norm(T_base_grasp[:2, 0])
+    assert abs(way.T_base_grip[:2, 0] @ level) == pytest.approx(1.0)
+
+
+def test_fingers_one_above_the_other_are_refused():
+    upright = pose(rotation_about(1, np.pi / 2.0), (0.5, 0.0, 0.2))
+    assert "The hand cannot take the grasp" in way_to(upright, TOOL, DOWN, UP).sentence
