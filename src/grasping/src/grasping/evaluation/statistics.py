@@ -1,4 +1,4 @@
-"""Shares with their confidence intervals."""
+"""Shares and medians with their confidence intervals."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 Z_95 = 1.959964
 """Of the normal distribution, two-sided 95 %."""
+RESAMPLES = 2000
 
 
 class Share(NamedTuple):
@@ -37,3 +38,25 @@ def share(outcomes) -> Share:
     middle = (k + 0.5 * Z_95**2) / (n + Z_95**2)
     half = Z_95 / (n + Z_95**2) * np.sqrt(k * (n - k) / n + 0.25 * Z_95**2)
     return Share(k, n, float(max(0.0, middle - half)), float(min(1.0, middle + half)))
+
+
+class Median(NamedTuple):
+    """A median and its 95 % bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def median(values, seed: int = 0) -> Median:
+    """Returns the median of values that are independent of each other.
+
+    Raises:
+        ValueError: there are no values.
+    """
+    values = np.asarray(values, dtype=float)
+    if not len(values):
+        raise ValueError("no values have no median")
+    rng = np.random.default_rng(seed)
+    found = np.median(rng.choice(values, (RESAMPLES, len(values))), axis=1)
+    return Median(float(np.median(values)), *(float(v) for v in np.percentile(found, (2.5, 97.5))))
