@@ -1,4 +1,4 @@
-"""What judges grasps: intervals, rectangles, heuristics and the lifting."""
+"""What judges grasps: rectangles, heuristics and the lifting."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from grasping.depth_image import Crop, Picture
 from grasping.evaluation import heuristics
 from grasping.evaluation.lifting import lift
 from grasping.evaluation.rectangles import angle_between, is_right, overlap
-from grasping.evaluation.statistics import share
 from grasping.evaluation.trials import judge, oracle, situation
 from grasping.maps import Peak
 from grasping.programs.evaluate import calibration, table
@@ -22,19 +21,6 @@ from grasping.synthetic.scene import Scene, world_xml
 from grasping.synthetic.shapes import Geom
 
 DOWN = np.diag([1.0, -1.0, -1.0])
-
-
-@pytest.mark.parametrize(
-    ("k", "n", "low", "high"), [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (95, 100, 0.8882, 0.9785)]
-)
-def test_wilson_interval(k, n, low, high):
-    s = share([True] * k + [False] * (n - k))
-    assert (s.low, s.high) == pytest.approx((low, high), abs=5e-4)
-
-
-def test_a_share_of_nothing_is_refused():
-    with pytest.raises(ValueError, match="no trials"):
-        share([])
 
 
 @given(st.floats(-10.0, 10.0), st.floats(-10.0, 10.0))

@@ -14,7 +14,7 @@ from common.camera_model import pinhole
 from grasping.depth_image import NETWORK_SIDE, centre_crop, prepare
 from grasping.maps import Peak
 from grasping.projection import grasp
-from grasping.refinement import INPUT_TURN, OUTPUT_TURN, Refinement, RefinementNetwork, load, refined_grasp
+from grasping.refinement import COARSE, INPUT_TURN, OUTPUT_TURN, Refinement, RefinementNetwork, load, refined_grasp
 from grasping.weights import WeightsError
 
 CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
@@ -67,15 +67,16 @@ def test_a_turned_picture_gives_turned_changes(quarters, seed):
 
 
 @settings(max_examples=12, deadline=None)
-@given(st.integers(-6, 6), st.integers(-6, 6))
+@given(st.integers(-3, 3), st.integers(-3, 3))
 def test_a_shifted_picture_gives_shifted_changes(rows, columns):
-    network, x = trained(), torch.zeros(1, 5, 60, 60)
-    x[:, :, 22:38, 22:38] = torch.from_numpy(np.random.default_rng(0).standard_normal((5, 16, 16), np.float32))
+    network, x = trained(), torch.zeros(1, 5, 100, 100)
+    x[:, :, 42:58, 42:58] = torch.from_numpy(np.random.default_rng(0).standard_normal((5, 16, 16), np.float32))
+    shift = COARSE * rows, COARSE * columns
     with torch.no_grad():
-        found = network(x.roll((rows, columns), (2, 3)))
-        wanted = network(x).roll((rows, columns), (2, 3))
-    # The border's zeros are felt as far as the layers reach: 1 + 2 + 4 + 8 pixels, and the shift.
-    inner = (..., slice(21, 39), slice(21, 39))
+        found = network(x.roll(shift, (2, 3)))
+        wanted = network(x).roll(shift, (2, 3))
+    # The border's zeros are felt as far as the layers reach, 1 + 2 (1 + 2 + 4 + 8 + 1) pixels, and the shift.
+    inner = (..., slice(40, 60), slice(40, 60))
     torch.testing.assert_close(found[inner], wanted[inner], rtol=1e-4, atol=1e-5 * float(wanted.abs().max()))
 
 

@@ -18,9 +18,9 @@ import torch
 from tqdm import tqdm
 
 from common.errors import RigError
+from common.statistics import share
 from grasping import maps, weights
 from grasping.evaluation import heuristics, trials
-from grasping.evaluation.statistics import share
 from grasping.predictor import frozen, run
 from grasping.programs.make_dataset import ignore_warning
 
@@ -91,10 +91,7 @@ def calibration(rows: list[dict], methods) -> str:
 
 
 def _cell(outcomes: list[bool]) -> str:
-    if not outcomes:
-        return "-"
-    s = share(outcomes)
-    return f"{100 * s.value:.0f} ({100 * s.low:.0f} to {100 * s.high:.0f}), n = {s.trials}"
+    return str(share(outcomes)) if outcomes else "-"
 
 
 def main() -> None:

@@ -20,10 +20,10 @@ import torch
 from tqdm import tqdm
 
 from common.errors import RigError
+from common.statistics import median, share
 from grasping import refinement, weights
 from grasping.dataset.labels import own_grasp, pose_from_label, windowed
 from grasping.evaluation.person_errors import Neighbours, miss
-from grasping.evaluation.statistics import median, share
 from grasping.predictor import Predictor, PredictorSettings
 from grasping.programs import episode_files
 from grasping.programs.make_dataset import ignore_warning
@@ -97,24 +97,17 @@ def table(rows: list[dict], names) -> str:
     ]
     for name in names:
         own = [r for r in rows if r["method"] == name]
-        cells = [_median([float(r[c]) for r in own if r[c] != ""]) for c in ("position_mm", "rotation_deg")]
-        cells += [_share([str(r[c]) == "True" for r in own if r[c] != ""]) for c in ("near", "lifted")]
+        cells = []
+        for column in COLUMNS[3:]:
+            values = [str(r[column]) for r in own if r[column] != ""]
+            if not values:
+                cells.append("-")
+            elif column in ("near", "lifted"):
+                cells.append(str(share([v == "True" for v in values])))
+            else:
+                cells.append(str(median([float(v) for v in values])))
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
-
-
-def _median(values: list[float]) -> str:
-    if not values:
-        return "-"
-    m = median(values)
-    return f"{m.value:.1f} ({m.low:.1f} to {m.high:.1f})"
-
-
-def _share(outcomes: list[bool]) -> str:
-    if not outcomes:
-        return "-"
-    s = share(outcomes)
-    return f"{100 * s.value:.0f} ({100 * s.low:.0f} to {100 * s.high:.0f}), n = {s.trials}"
 
 
 def main() -> None:

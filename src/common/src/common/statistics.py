@@ -24,6 +24,10 @@ class Share(NamedTuple):
         """The share itself."""
         return self.successes / self.trials
 
+    def __str__(self) -> str:
+        """Returns share and interval in percent, and the number of trials."""
+        return f"{100 * self.value:.0f} ({100 * self.low:.0f} to {100 * self.high:.0f}), n = {self.trials}"
+
 
 def share(outcomes) -> Share:
     """Returns the share of true outcomes.
@@ -46,6 +50,10 @@ class Median(NamedTuple):
     value: float
     low: float
     high: float
+
+    def __str__(self) -> str:
+        """Returns median and interval."""
+        return f"{self.value:.1f} ({self.low:.1f} to {self.high:.1f})"
 
 
 def median(values, seed: int = 0) -> Median:
