@@ -99,7 +99,10 @@ def test_a_grasp_that_is_held_and_lifted():
     assert trial.execution.state == IDLE
     trial.start()
     assert trial.execution.state == APPROACHING
-    trial = Trial().with_person().lift(-0.1).run(1.0, hand=FULL)
+    trial = Trial().with_person().lift(-0.1)
+    assert "close the fingers" in trial.execution.reason
+    trial.run(1.0, hand=FULL)
+    assert trial.execution.reason == "The fingers have closed; now lift."
     closed_at = trial.seen.T_base_tool
     outcome = trial.lift(0.06).run(2.0).outcome
     assert (outcome.held, outcome.release, outcome.episode) == (True, False, 1)

@@ -143,7 +143,10 @@ class Execution:
             return self.end(f"{why}.")
         if self.state == PERSON:
             grasp = self._watch.step(seen.hand, seen.T_base_tool, seen.clock)
-            return None if grasp is None else self._over(grasp, grasp.held, grasp.reason)
+            if grasp is not None:
+                return self._over(grasp, grasp.held, grasp.reason)
+            if self._watch.closed:
+                self.reason = "The fingers have closed; now lift."
         if self.state == APPROACHING and self._arrived(seen.T_base_tool):
             self._enter(WAITING_FOR_HAND, "The tool waits above the grasp for a person's hand.", now)
         return None

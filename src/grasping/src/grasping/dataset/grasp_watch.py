@@ -93,6 +93,11 @@ class GraspWatch:
         """Whether the hand was open and has not closed since: nothing that it could grasp is in it."""
         return self._open_seen and self._closed is None
 
+    @property
+    def closed(self) -> bool:
+        """Whether the fingers have closed, and it is not known yet what became of it."""
+        return self._closed is not None
+
     def step(self, hand: HandState, T_base_tool: np.ndarray, now: float) -> SeenGrasp | None:
         """Takes a state of the hand in and returns the grasp whose fate it decides, or None.
 

@@ -30,19 +30,20 @@ class ExecutionDisplay:
         self._state = rospy.Publisher("grasping/state", DiagnosticStatus, queue_size=10, latch=True)
         self._outcome = rospy.Publisher("grasping/outcome", GraspOutcome, queue_size=10)
         self._marker = rospy.Publisher("grasping/proposal_marker", MarkerArray, queue_size=10, latch=True)
-        self._shown: tuple[str, int] | None = None
+        self._shown: tuple[int, str, str] | None = None
 
     def show(self, execution: Execution, grasp: Grasp, way: Way | None) -> None:
-        """Publishes the state if it changed.
+        """Publishes the state if it or its reason changed.
 
         Args:
             execution: whose state it is.
             grasp: that is executed.
             way: where the tool goes for it; None before the first execution.
         """
-        if self._shown == (execution.state, execution.episode):
+        shown = execution.episode, execution.state, execution.reason
+        if self._shown == shown:
             return
-        self._shown = execution.state, execution.episode
+        self._shown = shown
         rospy.loginfo("Execution %d is %s: %s", execution.episode, execution.state, execution.reason)
         values = {
             "state": execution.state,

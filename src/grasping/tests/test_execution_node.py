@@ -1,0 +1,311 @@
+"""The node grasp_execution between a controller, a teleoperation and a robot hand that are made up."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from common.poses import pose, translation
+
+pytestmark = pytest.mark.ros
+
+FOLDER = Path(__file__).parents[1]
+CONFIG = yaml.safe_load((FOLDER / "config" / "execution.yaml").read_text())
+TOOL_POSE = yaml.safe_load((FOLDER / "config" / "tool_pose.yaml").read_text())
+ARM = {"center_line": [1.0, 0.0, 0.0], "tool_length": 0.1}
+DOWN = np.diag([-1.0, 1.0, -1.0])
+GRASP = pose(DOWN, (0.5, 0.1, 0.2))
+ABOVE = pose(DOWN, (0.5 - 0.0152, 0.1, 0.2 + 0.07 + 0.12))
+HOME = pose(DOWN, (0.5, 0.0, 0.5))
+STATES = {"state": "", "proposal": "", "episode": "", "reason": ""}
+
+
+class Rig:
+    """Publishes what it is told, 20 times a second; the arm is at once where the tool is held."""
+
+    def __init__(self):
+        import rospy
+        from diagnostic_msgs.msg import DiagnosticStatus
+        from grasp_msgs.msg import GraspList
+        from tf2_msgs.msg import TFMessage
+
+        from reflex_msgs.msg import Hand
+        from rig_msgs.msg import KukaStatus
+        from rig_msgs.srv import CheckToolPose, HoldTool
+
+        def publisher(topic, kind, latch=False):
+            return rospy.Publisher(topic, kind, queue_size=10, latch=latch)
+
+        self._tf, self._hand = publisher("/tf", TFMessage), publisher("reflex_takktile/hand_state", Hand)
+        self._status, self._grasps = publisher("kuka/status", KukaStatus), publisher("ggcnn/out/grasps", GraspList)
+        self._stream = publisher("leap_kuka/stream", DiagnosticStatus, latch=True)
+        self.tool, self.fingers, self.control_on, self.mode = HOME, (0.0, False), True, "home"
+        self.grasps, self.why_none, self.hold = [self.grasp(7)], "", "none"
+        self.out_of_reach, self.not_held = "", ""
+        self.checked, self.held = [], []
+        self.answers = threading.Event()
+        self.answers.set()
+        self._services = [
+            rospy.Service("kuka/check_tool_pose", CheckToolPose, self._check),
+            rospy.Service("leap_kuka/hold_tool", HoldTool, self._hold),
+        ]
+        self.say_hold("none")
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    @staticmethod
+    def grasp(number, T=GRASP, reachable=True):
+        import rospy
+        from grasp_msgs.msg import Grasp
+
+        from common.ros.conversions import stamped_pose
+
+        return Grasp(
+            id=number, pose_base=stamped_pose(T, "kuka/base_frame", rospy.Time.now()), width=0.06, reachable=reachable
+        )
+
+    def say_hold(self, hold, reason="no hand is seen"):
+        from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+        self.hold = hold
+        state = "running" if hold == "taken" else "waiting"
+        values = [KeyValue("state", state), KeyValue("hold", hold)]
+        self._stream.publish(DiagnosticStatus(name="leap_kuka", message=reason, values=values))
+
+    def end(self):
+        self.answers.set()
+        self._stop.set()
+        self._thread.join()
+        for service in self._services:
+            service.shutdown()
+        for topic in (self._tf, self._hand, self._status, self._grasps, self._stream):
+            topic.unregister()
+
+    def _check(self, request):
+        from common.ros.conversions import message_from_pose, pose_from_message
+        from rig_msgs.srv import CheckToolPoseResponse
+
+        self.answers.wait(30.0)
+        T = pose_from_message(request.tool.pose)
+        self.checked.append(T)
+        if self.out_of_reach:
+            return CheckToolPoseResponse(success=False, message=self.out_of_reach)
+        return CheckToolPoseResponse(True, "", message_from_pose(translation(0.0, 0.01, 0.0) @ T))
+
+    def _hold(self, request):
+        from common.ros.conversions import pose_in
+
+        if request.duration == 0.0:
+            self.held.append(None)
+            self.say_hold("none", "the tool is held no longer: it was ended")
+            return True, "The hold has ended."
+        self.held.append((pose_in("kuka/base_frame", request.tool), request.duration))
+        if self.not_held:
+            return False, self.not_held
+        self.say_hold("held")
+        return True, "The tool is held."
+
+    def _loop(self):
+        import rospy
+        from grasp_msgs.msg import GraspList
+        from tf2_msgs.msg import TFMessage
+
+        from common.ros.conversions import stamped_transform
+        from reflex_msgs.msg import Hand
+        from rig_msgs.msg import KukaStatus
+
+        while not self._stop.wait(0.05):
+            now = rospy.Time.now()
+            T = self.tool @ translation(0.0, 0.0, -0.1)
+            self._tf.publish(TFMessage([stamped_transform(T, "kuka/base_frame", "kuka/flange_frame/measured", now)]))
+            hand = Hand()
+            for i in range(3):
+                hand.motor[i].joint_angle, hand.finger[i].contact[3] = self.fingers
+            self._hand.publish(hand)
+            self._status.publish(KukaStatus(control_on=self.control_on, mode=self.mode, reason="So it is."))
+            grasps = GraspList(grasps=self.grasps, reason=self.why_none)
+            grasps.header.stamp = now
+            self._grasps.publish(grasps)
+
+
+@pytest.fixture
+def rig(ros):
+    rig = Rig()
+    yield rig
+    rig.end()
+
+
+@pytest.fixture
+def node(ros, wait_until):
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from grasp_msgs.msg import GraspOutcome
+    from std_srvs.srv import Trigger
+    from visualization_msgs.msg import MarkerArray
+
+    class Node:
+        states = ros.record("grasping/state", DiagnosticStatus)
+        outcomes = ros.record("grasping/outcome", GraspOutcome)
+        markers = ros.record("grasping/proposal_marker", MarkerArray)
+
+        def start(self, arm=ARM, **changes):
+            rospy.set_param("kuka", arm)
+            rospy.set_param("grasp_execution", {**CONFIG, "tool_pose": TOOL_POSE, **changes})
+            self.process = ros.run("grasping", "grasp_execution.py")
+            return self
+
+        def ready(self):
+            rospy.wait_for_service("grasping/cancel", 60.0)
+            wait_until(lambda: self.ask("execute") != "The arm's controller is silent.", 20.0, "the controller's state")
+            return self
+
+        def ask(self, what):
+            answer = rospy.ServiceProxy(f"grasping/{what}", Trigger)()
+            return True if answer.success else answer.message
+
+        def wait_for(self, state):
+            wait_until(lambda: self.now["state"] == state, 20.0, f"the state {state}, not {self.now}")
+
+        @property
+        def now(self):
+            return {v.key: v.value for v in self.states[-1].values} if self.states else STATES
+
+        @property
+        def log(self):
+            return self.process.log_path.read_text()
+
+    return Node()
+
+
+@pytest.fixture
+def asked(rig, node, wait_until):
+    """A node that has refused once: control was off."""
+    rig.control_on = False
+    node.start().ready()
+    rig.control_on = True
+    wait_until(lambda: node.ask("execute") is True, 20.0, "an execution")
+    return node
+
+
+def test_a_grasp_from_the_proposal_to_the_label(rig, asked, wait_until):
+    import rospy
+
+    node = asked
+    assert node.now["state"] == "approaching" and (node.now["proposal"], node.now["episode"]) == ("7", "1")
+    np.testing.assert_allclose(rig.checked[-2], translation(0.0, 0.0, -0.12) @ ABOVE, atol=1e-6)
+    np.testing.assert_allclose(rig.checked[-1], ABOVE, atol=1e-6)
+    desired, duration = rig.held[-1]
+    np.testing.assert_allclose(desired, translation(0.0, 0.01, 0.0) @ ABOVE, atol=1e-6)
+    assert duration == CONFIG["wait_for_hand"]
+    assert "7 is being executed; cancel it first" in node.ask("execute")
+    assert len(node.markers[-1].markers) == 6
+
+    rig.tool, rig.mode = ABOVE, "servo"
+    node.wait_for("waiting_for_hand")
+    rig.say_hold("taken", "right hand 12 is followed")
+    node.wait_for("person")
+    rig.tool = translation(0.0, 0.0, -0.12) @ ABOVE
+    rig.fingers = 1.2, True
+    closed_at = rig.tool
+    wait_until(lambda: node.now["reason"] == "The fingers have closed; now lift.", 20.0, "closed fingers")
+    rig.tool = translation(0.0, 0.0, 0.08) @ closed_at
+    node.wait_for("over")
+    outcome = node.outcomes.wait()[0]
+    assert outcome.held and outcome.reason == "The thumb and a finger felt something when the tool was 80 mm higher."
+    assert (outcome.episode, outcome.proposal.id, outcome.tool.header.frame_id) == (1, 7, "kuka/base_frame")
+    assert outcome.tool.pose.position.z == pytest.approx(closed_at[2, 3], abs=1e-6)
+    assert 1.0 < (rospy.Time.now() - outcome.header.stamp).to_sec() < 60.0
+    assert len(node.markers[-1].markers) == 1 and rig.held[-1] is not None
+
+    rig.say_hold("none", "right hand 12 was lost")
+    rig.tool = HOME
+    wait_until(lambda: node.ask("execute") is True, 20.0, "another execution")
+    assert node.ask("cancel") is True
+    node.wait_for("over")
+    assert len(node.outcomes.wait(2)) == 2 and node.outcomes[1].episode == 2
+    assert not node.outcomes[1].held and node.outcomes[1].tool.header.frame_id == ""
+    wait_until(lambda: rig.held[-1] is None, 20.0, "the end of the hold")
+    assert node.ask("cancel") is True and len(node.outcomes) == 2
+
+
+def test_what_is_refused(rig, node, wait_until):
+    rig.control_on = False
+    node.start(answer_time=0.5).ready()
+
+    def refused(sentence):
+        wait_until(lambda: sentence in str(node.ask("execute")), 20.0, f"{sentence!r}, not {node.ask('execute')!r}")
+
+    refused("Control of the arm is off.")
+    rig.control_on, rig.grasps, rig.why_none = True, [], "no peak"
+    refused("No grasp is proposed: no peak.")
+    rig.grasps = [rig.grasp(3, reachable=False)]
+    refused("The arm does not reach the grasp")
+    rig.grasps, rig.out_of_reach = [rig.grasp(3)], "The outer sphere would move it."
+    refused("The outer sphere would move it.")
+    rig.out_of_reach, rig.not_held = "", "The tool is not held: a hand is followed."
+    refused("The tool is not held: a hand is followed.")
+    rig.answers.clear()
+    refused("It is unknown whether the arm gets there: the service kuka/check_tool_pose did not answer within 0.5 s.")
+    rig.answers.set()
+    rig.say_hold("taken")
+    refused("The arm follows a hand; take it away first.")
+    assert not node.outcomes and node.now["state"] == "idle"
+
+
+def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(rig, asked, wait_until):
+    asked.process.send_signal(signal.SIGINT)
+    wait_until(lambda: asked.process.poll() is not None, 20.0, "the end of the node")
+    assert asked.process.returncode == 0, asked.log
+    assert asked.outcomes.wait()[0].reason == "The node grasp_execution ended."
+    assert rig.held[-1] is None and "Traceback" not in asked.log
+
+
+def test_a_silent_controller_ends_the_execution(rig, asked):
+    rig._stop.set()
+    asked.wait_for("over")
+    assert asked.outcomes.wait()[0].reason in ("The arm's controller is silent.", "The place of the tool is unknown.")
+
+
+@pytest.mark.parametrize(
+    "changes, arm, sentence",
+    [
+        ({"silence": -1.0}, ARM, "~silence is -1"),
+        ({"speed": 1.0}, ARM, "~speed"),
+        ({"watch": {**CONFIG["watch"], "lift": "high"}}, ARM, "~watch/lift"),
+        ({"tool_pose": {}}, ARM, "~tool_pose/"),
+        ({}, {**ARM, "center_line": [0.0, 0.0, 0.0]}, "center_line is the zero vector"),
+    ],
+)
+def test_a_bad_parameter_ends_the_node_with_a_sentence(node, wait_until, changes, arm, sentence):
+    node.start(arm, **changes)
+    wait_until(lambda: node.process.poll() is not None, 30.0, "the end of the node")
+    assert node.process.returncode == 1
+    assert sentence in node.log and "Traceback" not in node.log
+
+
+def test_without_an_arm_it_waits_and_says_so(node, wait_until):
+    import rospy
+
+    rospy.set_param("grasp_execution", {**CONFIG, "tool_pose": TOOL_POSE})
+    node.start(arm={"robot": "LBR7R800"})
+    wait_until(lambda: "Waiting for the parameter /kuka/" in node.log, 20.0, "what it waits for")
+    node.process.send_signal(signal.SIGINT)
+    wait_until(lambda: node.process.poll() is not None, 20.0, "the end of the node")
+    assert node.process.returncode == 0
+
+
+def test_the_launch_file_runs_and_every_argument_is_described(ros, rig, wait_until):
+    import rospy
+
+    tree = ElementTree.parse(FOLDER / "launch" / "execution.launch")
+    assert all(arg.get("doc") for arg in tree.iter("arg"))
+    rospy.set_param("kuka", ARM)
+    ros.launch("grasping", "execution.launch")
+    rospy.wait_for_service("grasping/execute", 60.0)
