@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from common.poses import pose
 from grasping.dataset.episode import Episode
-from grasping.dataset.store import LAYOUT, DatasetError, decode, encode
+from grasping.dataset.store import LAYOUT, DatasetError, decode, encode, file_name, grasp_time, unfinished
 from grasping.depth_image import Crop
 
 GOLDEN = Path(__file__).parent / "golden" / "episode_schema_1.npz"
@@ -98,6 +98,18 @@ def test_the_format_is_what_the_handbook_says():
     ]  # fmt: skip
     assert meta["fingerprint"] == "03c786713fa56c63299c07782ef80d24ac301089a5b215ba02ffd94976f66e64"
     assert_equal(decode(GOLDEN.read_bytes()), TINY)
+
+
+@given(st.floats(0.0, 4e9))
+def test_the_name_of_a_file_tells_when_its_grasp_was(t_grasp):
+    name = file_name(replace(TINY, t_grasp=t_grasp))
+    assert abs(t_grasp - grasp_time(name)) < 1.1e-3
+    assert unfinished(f".{name}abcdefgh") and not unfinished(name)
+    assert grasp_time(f"{name}.discarded") is None
+
+
+def test_the_name_of_a_file_sorts_by_time():
+    assert file_name(replace(TINY, t_grasp=1.6e9 + 2.8127)) == "episode_20200913T122642_812.npz"
 
 
 def test_the_fingerprint_is_that_of_the_configuration_alone():

@@ -11,6 +11,7 @@ import json
 import zipfile
 import zlib
 from dataclasses import asdict, fields
+from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from grasping.depth_image import NETWORK_SIDE, Crop
 
 SCHEMA = 1
 PREFIX, SUFFIX = "episode_", ".npz"
+NAME = PREFIX + "%Y%m%dT%H%M%S_%f"
 LAYOUT = {
     "meta": ("U", ()),
     "camera_K": ("f8", (3, 3)),
@@ -59,9 +61,17 @@ class DatasetError(RigError):
 
 
 def file_name(episode: Episode) -> str:
-    """Returns the name of the file of an episode: the moment of its grasp, to the millisecond."""
-    date = "".join(c for c in episode.metadata.date if c.isalnum())
-    return f"{PREFIX}{date[:-1]}_{int(1e3 * episode.t_grasp) % 1000:03d}{SUFFIX}"
+    """Returns the name of the file of an episode: the moment of its grasp, UTC, to the millisecond."""
+    moment = datetime.fromtimestamp(episode.t_grasp, timezone.utc)
+    return f"{moment.strftime(NAME)[:-3]}{SUFFIX}"
+
+
+def grasp_time(name: str) -> float | None:
+    """Returns the moment of the grasp [s] of a file of that name; None if it is not named by `file_name`."""
+    try:
+        return datetime.strptime(name, NAME + SUFFIX).replace(tzinfo=timezone.utc).timestamp()
+    except ValueError:
+        return None
 
 
 def unfinished(name: str) -> bool:

@@ -11,8 +11,9 @@ from pathlib import Path
 import rospy
 
 from common.ros.files import write_bytes_whole
+from grasping.dataset.collector import SAME_GRASP_S
 from grasping.dataset.episode import Episode
-from grasping.dataset.store import DatasetError, encode, file_name, unfinished
+from grasping.dataset.store import SUFFIX, DatasetError, encode, file_name, grasp_time, unfinished
 
 WAITING = 2
 """Episodes that may wait for the disk; each is up to half a megabyte a frame."""
@@ -86,8 +87,9 @@ class EpisodeFiles:
     def _write(self, episode: Episode) -> None:
         file = self._folder / file_name(episode)
         with self._lock:
-            if file.exists() or file.with_name(file.name + ASIDE).exists():
-                self._lose(f"{file} is there already.")
+            there = self._same_grasp(episode.t_grasp)
+            if there is not None:
+                self._lose(f"{there} holds that grasp already.")
                 return
             try:
                 content = encode(episode)
@@ -100,6 +102,14 @@ class EpisodeFiles:
                 return
             self._last, self._aside, self.fault = file, False, ""
         self._on_written(episode, file, len(content))
+
+    def _same_grasp(self, t_grasp: float) -> Path | None:
+        """Returns the file of that grasp, as where a recording is played again; it may be set aside."""
+        for file in self._folder.glob(f"*{SUFFIX}*"):
+            time = grasp_time(file.name[: -len(ASIDE)] if file.name.endswith(ASIDE) else file.name)
+            if time is not None and abs(time - t_grasp) < SAME_GRASP_S:
+                return file
+        return None
 
     def _lose(self, why: str) -> None:
         self.lost += 1

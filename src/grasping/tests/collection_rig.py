@@ -1,0 +1,168 @@
+"""A rig for grasp_collection without arm, hand or camera: what it would publish while a person grasps, tick by tick."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import yaml
+from episodes import CAMERA, DOWN
+
+from common.poses import pose, translation
+from common.rotations import rotation_about
+
+CONFIG = Path(__file__).parents[1] / "config"
+KUKA = Path(__file__).parents[2] / "kuka_control" / "config" / "kuka_params_rt.yaml"
+CAMERA_FRAME = "camera_depth_optical_frame"
+TICK_S = 0.05
+TOOL_LENGTH_M = yaml.safe_load(KUKA.read_text())["tool_length"]
+OPEN, FIST = 0.0, 1.8
+GRASP_Z = 0.4
+
+
+def tool(z: float) -> np.ndarray:
+    """The tool points down, below the camera."""
+    return pose(rotation_about(0, np.pi), (0.52, -0.4, z))
+
+
+def grasp(touched: bool = True) -> list[tuple]:
+    """What the person does: (seconds, bend of the fingers, touched, height of the tool before, and after)."""
+    return [
+        (0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z + 0.1),
+        (2.0, OPEN, False, GRASP_Z + 0.1, GRASP_Z),
+        (1.5, FIST, touched, GRASP_Z, GRASP_Z),
+        (1.0, FIST, touched, GRASP_Z, GRASP_Z + 0.1),
+        (1.0, FIST, touched, GRASP_Z + 0.1, GRASP_Z + 0.1),
+        (1.0, OPEN, False, GRASP_Z + 0.1, GRASP_Z + 0.1),
+    ]
+
+
+def ticks(phases):
+    """Yields bend, touched and height for each tick."""
+    for seconds, bend, touched, before, after in phases:
+        count = round(seconds / TICK_S)
+        for i in range(count):
+            yield bend, touched, before + (after - before) * (i + 1) / count
+
+
+def hand_message(bend: float, touched: bool):
+    from reflex_msgs.msg import Hand
+
+    message = Hand()
+    for i in range(3):
+        message.motor[i].joint_angle = bend
+        message.finger[i].contact = [touched] + [False] * 8
+    return message
+
+
+def picture() -> np.ndarray:
+    """A box on a table, in millimetres."""
+    depth = np.full((480, 640), 900, np.uint16)
+    depth[220:260, 300:340] = 850
+    depth[:, :3] = 0
+    return depth
+
+
+def messages(stamp, bend, touched, z, depth=None) -> list[tuple]:
+    """Returns topics and messages of a tick; the picture comes last."""
+    from sensor_msgs.msg import CameraInfo  # noqa: F401 - the graph knows the type
+    from tf2_msgs.msg import TFMessage
+
+    from common.ros.conversions import stamped_transform
+    from common.ros.images import camera_info_message, image_message
+
+    depth = picture() if depth is None else depth
+    flange = tool(z) @ translation(0.0, 0.0, -TOOL_LENGTH_M)
+    return [
+        (
+            "/tf",
+            TFMessage(
+                [
+                    stamped_transform(flange, "kuka/base_frame", "kuka/flange_frame/measured", stamp),
+                    stamped_transform(tool(z - 0.001), "kuka/base_frame", "kuka/tool_frame/desired", stamp),
+                ]
+            ),
+        ),
+        ("/reflex_takktile/hand_state", hand_message(bend, touched)),
+        ("/camera/depth/camera_info", camera_info_message(CAMERA, CAMERA_FRAME, stamp)),
+        ("/camera/depth/image_raw", image_message(depth, "16UC1", CAMERA_FRAME, stamp)),
+    ]
+
+
+def camera_place(stamp):
+    """The message of /tf_static."""
+    from tf2_msgs.msg import TFMessage
+
+    from common.ros.conversions import stamped_transform
+
+    return TFMessage([stamped_transform(DOWN, "kuka/base_frame", CAMERA_FRAME, stamp)])
+
+
+def stream(active: bool):
+    """The message of leap_kuka/stream."""
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    return DiagnosticStatus(level=DiagnosticStatus.OK if active else DiagnosticStatus.WARN, name="stream")
+
+
+class PuppetRig:
+    """Publishes the tick that it is told, again and again, until it is told another."""
+
+    def __init__(self):
+        import rospy
+        from diagnostic_msgs.msg import DiagnosticStatus
+        from grasp_msgs.msg import GraspOutcome
+        from sensor_msgs.msg import CameraInfo, Image
+        from tf2_msgs.msg import TFMessage
+
+        from reflex_msgs.msg import Hand
+
+        kinds = {
+            "/tf": TFMessage,
+            "/reflex_takktile/hand_state": Hand,
+            "/camera/depth/camera_info": CameraInfo,
+            "/camera/depth/image_raw": Image,
+            "/grasping/outcome": GraspOutcome,
+        }
+        latched = {
+            "/tf_static": TFMessage,
+            "/leap_kuka/stream": DiagnosticStatus,
+            "/grasping/state": DiagnosticStatus,
+        }
+        self.publishers = {name: rospy.Publisher(name, kind, queue_size=10) for name, kind in kinds.items()}
+        self.publishers.update(
+            {name: rospy.Publisher(name, kind, queue_size=1, latch=True) for name, kind in latched.items()}
+        )
+        self.publishers["/tf_static"].publish(camera_place(rospy.Time.now()))
+        self.say("/leap_kuka/stream", stream(False))
+        self.depth = picture()
+        self.silent: set[str] = set()
+        self._tick = (OPEN, False, GRASP_Z + 0.1)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def say(self, topic, message) -> None:
+        self.publishers[topic].publish(message)
+
+    def perform(self, phases) -> None:
+        """Does what the person does, in its time."""
+        for tick in ticks(phases):
+            self._tick = tick
+            time.sleep(TICK_S)
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join(5.0)
+        for publisher in self.publishers.values():
+            publisher.unregister()
+
+    def _loop(self) -> None:
+        import rospy
+
+        while not self._ended.wait(TICK_S):
+            for topic, message in messages(rospy.Time.now(), *self._tick, self.depth):
+                if topic not in self.silent:
+                    self.say(topic, message)
