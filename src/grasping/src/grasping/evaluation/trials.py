@@ -68,6 +68,20 @@ class Outcome(NamedTuple):
     quality: float
 
 
+class Executed(NamedTuple):
+    """A grasp with the arm's error.
+
+    Attributes:
+        T_world_grasp: shape (4, 4) [m].
+        width: opening [m].
+        friction: of the scene.
+    """
+
+    T_world_grasp: np.ndarray
+    width: float
+    friction: float
+
+
 def situation(number: int, count: int) -> Situation:
     """Returns the test scene `number` with `count` objects of the held-out families."""
     seen = view("test", number, count)
@@ -94,17 +108,25 @@ def oracle(of: Situation) -> Peak | None:
     return Peak(row, column, quality, float(of.best.angle[row, column]), float(of.best.opening[row, column]))
 
 
-def judge(of: Situation, chosen: Peak | None) -> Outcome:
-    """Returns what comes of a grasp; friction and the arm's error depend on the scene alone."""
+def executed(of: Situation, chosen: Peak | None) -> Executed | None:
+    """Returns a grasp as the arm takes it, None where there is none; friction and error depend on the scene alone."""
     rng = np.random.default_rng([99, of.number])
     friction = float(rng.uniform(*FRICTION))
     error = rng.normal(0.0, POSITION_ERROR_M, 2), rng.normal(0.0, ANGLE_ERROR_RAD)
     where = None if chosen is None else grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, camera())
     if where is None:
-        return Outcome(False, False, False, False, 0.0)
+        return None
     miss = pose(rotation_about(2, error[1]), (*error[0], 0.0))
     T_world_camera = pose(of.view.camera.R, of.view.camera.position)
-    trial = lift(of.view.scene, T_world_camera @ where.T_camera_grasp @ miss, where.width, GRIPPER, friction)
+    return Executed(T_world_camera @ where.T_camera_grasp @ miss, where.width, friction)
+
+
+def judge(of: Situation, chosen: Peak | None) -> Outcome:
+    """Returns what comes of a grasp."""
+    tried = executed(of, chosen)
+    if tried is None:
+        return Outcome(False, False, False, False, 0.0)
+    trial = lift(of.view.scene, tried.T_world_grasp, tried.width, GRIPPER, tried.friction)
     return Outcome(True, trial.lifted, trial.reached, is_right(chosen, of.rectangles), chosen.quality)
 
 

@@ -1,12 +1,15 @@
 """Compares grasp methods on held-out objects, by lifting in MuJoCo and by the rectangle metric; resumable.
 
-Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md.
+Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md. With
+--export scenes and grasps go to a file instead, for whoever lifts with another hand (rosrun rig_simulation
+lift_grasps.py).
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
 import multiprocessing
 from functools import lru_cache
 from pathlib import Path
@@ -23,8 +26,10 @@ from grasping import maps, weights
 from grasping.evaluation import heuristics, trials
 from grasping.predictor import frozen, run
 from grasping.programs.make_dataset import ignore_warning
+from grasping.synthetic.scene import world_xml
 
 COLUMNS = ("scene", "objects", "method", *trials.Outcome._fields)
+EXPORT_SCHEMA = 1
 QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
 """As the reference experiments smooth; the node's wider blur is for the moving camera."""
@@ -44,20 +49,47 @@ def network_method(path: Path):
 def try_scene(task) -> list[dict]:
     """Returns the rows of all methods that are still missing for one scene."""
     number, missing, files = task
+    of, chosen = chosen_grasps(number, missing, files)
+    row = {"scene": number, "objects": len(of.view.scene.objects)}
+    return [{**row, "method": name, **trials.judge(of, peak)._asdict()} for name, peak in chosen.items()]
+
+
+def export_scene(task) -> dict:
+    """Returns one scene and all methods' grasps in it, as the file of --export has them."""
+    number, names, files = task
+    of, chosen = chosen_grasps(number, names, files)
+    tried = {name: trials.executed(of, peak) for name, peak in chosen.items()}
+    friction = next((t.friction for t in tried.values() if t is not None), trials.FRICTION[0])
+    return {
+        "scene": number,
+        "objects": len(of.view.scene.objects),
+        "mjcf": world_xml(of.view.scene.objects, friction),
+        "qpos": of.view.scene.state.tolist(),
+        "grasps": [
+            {
+                "method": name,
+                "T_world_grasp": None if t is None else t.T_world_grasp.tolist(),
+                "width": None if t is None else t.width,
+            }
+            for name, t in tried.items()
+        ],
+    }
+
+
+def chosen_grasps(number: int, names, files) -> tuple[trials.Situation, dict]:
+    """Returns a scene and what each method chooses in it."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    count = 1 if number % 2 == 0 else 3 + number // 2 % 3
-    of = trials.situation(number, count)
-    rows = []
-    for name in missing:
+    of = trials.situation(number, 1 if number % 2 == 0 else 3 + number // 2 % 3)
+    chosen = {}
+    for name in names:
         if name == "oracle":
-            chosen = trials.oracle(of)
+            chosen[name] = trials.oracle(of)
         else:
             find = heuristics.HEURISTICS.get(name) or network_method(files[name])
-            chosen = find(of.picture, of.widest, np.random.default_rng([7, number]))
-        rows.append({"scene": number, "objects": count, "method": name, **trials.judge(of, chosen)._asdict()})
-    return rows
+            chosen[name] = find(of.picture, of.widest, np.random.default_rng([7, number]))
+    return of, chosen
 
 
 def table(rows: list[dict], methods) -> str:
@@ -94,21 +126,34 @@ def _cell(outcomes: list[bool]) -> str:
     return str(share(outcomes)) if outcomes else "-"
 
 
+def export(path: Path, tasks, processes: int) -> None:
+    """Writes the file of --export."""
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        scenes = list(tqdm(pool.imap(export_scene, tasks), total=len(tasks), unit="scene"))
+    path.write_text(json.dumps({"schema": EXPORT_SCHEMA, "scenes": scenes}) + "\n")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="where the results go")
+    parser.add_argument("folder", type=Path, nargs="?", help="where the results go")
     parser.add_argument("--scenes", type=int, default=300, help="how many")
     parser.add_argument("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
     parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
+    parser.add_argument("--export", type=Path, metavar="FILE", help="write scenes and grasps there, lift nothing")
     arguments = parser.parse_args()
+    if (arguments.folder is None) == (arguments.export is None):
+        parser.error("Either a folder for the results is needed, or --export.")
     files = {name: Path(file) for name, file in arguments.weights}
     try:
         for file in files.values():
             weights.load(file.read_bytes())
     except (OSError, RigError) as error:
         parser.error(str(error))
-    arguments.folder.mkdir(parents=True, exist_ok=True)
     methods = ["oracle", *heuristics.HEURISTICS, *files]
+    if arguments.export is not None:
+        export(arguments.export, [(number, methods, files) for number in range(arguments.scenes)], arguments.processes)
+        return
+    arguments.folder.mkdir(parents=True, exist_ok=True)
     results = arguments.folder / "results.csv"
     rows = []
     if results.exists():

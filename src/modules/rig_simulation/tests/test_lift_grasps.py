@@ -1,0 +1,114 @@
+"""The rig's hand lifts what it can reach, and the program that tries a file of grasps with it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.poses import pose
+from common.rotations import rotation_about
+from rig_simulation.lifting.bench import GROUND_M, P_HAND_GRIP, TIPS_M, hand_pose, lift
+from rig_simulation.lifting.program import main
+
+SCENE = """<mujoco><compiler angle="radian"/><option timestep="0.004" integrator="implicitfast" cone="elliptic"/>
+<default><geom condim="6" friction="0.5 0.005 0.002" solref="0.006 1"/></default>
+<worldbody><geom name="table" type="plane" size="2 2 0.1"/><body name="object0"><freejoint/>
+<geom type="box" size="0.02 0.04 0.03" density="350"/></body></worldbody></mujoco>"""
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def grasp(x=0.0, y=0.0, angle=0.0):
+    """A grasp at the top of the box, its fingers turned about the vertical."""
+    return pose(rotation_about(2, angle) @ DOWN, (x, y, 0.06))
+
+
+def lying(angle=0.0):
+    return np.array([0.0, 0.0, 0.03, np.cos(0.5 * angle), 0.0, 0.0, np.sin(0.5 * angle)])
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, np.pi])
+def test_lifts_a_box_across_however_both_are_turned(angle):
+    found = lift(SCENE, lying(angle), grasp(angle=angle))
+    assert found.reached and found.lifted
+    assert found.rise > 0.09
+
+
+def test_a_grasp_beside_the_box_lifts_nothing():
+    found = lift(SCENE, lying(), grasp(y=0.2))
+    assert found.reached and not found.lifted
+    assert abs(found.rise) < 0.01
+
+
+def test_a_hand_that_meets_a_thing_on_its_way_stops():
+    found = lift(SCENE.replace("0.02 0.04 0.03", "0.1 0.1 0.1"), np.array([0, 0, 0.1, 1, 0, 0, 0.0]), grasp())
+    assert not found.reached and not found.lifted
+
+
+@given(st.floats(-3.1, 3.1), st.floats(0.0, 0.2), st.floats(-0.15, 0.15))
+def test_the_hand_points_down_with_the_grasp_between_its_fingers(angle, height, lean):
+    T = pose(rotation_about(2, angle) @ DOWN @ rotation_about(0, lean), (0.1, -0.2, height))
+    T_world_hand = hand_pose(T)
+    np.testing.assert_allclose(T_world_hand[:3, 2], [0.0, 0.0, -1.0], atol=1e-12)
+    np.testing.assert_allclose(T_world_hand[:3, 0], T[:3, 0] * (1.0, 1.0, 0.0), atol=1e-12)
+    grip = T_world_hand[:3, :3] @ P_HAND_GRIP + T_world_hand[:3, 3]
+    np.testing.assert_allclose(grip[:2], T[:2, 3], atol=1e-12)
+    assert grip[2] == pytest.approx(max(height, TIPS_M + GROUND_M - P_HAND_GRIP[2]))
+
+
+def test_fingers_on_a_vertical_line_are_refused():
+    with pytest.raises(ValueError, match="nearly vertical"):
+        hand_pose(pose(rotation_about(1, 0.5 * np.pi)))
+
+
+def test_positions_of_another_scene_are_refused():
+    with pytest.raises(ValueError, match="do not go with"):
+        lift(SCENE, np.zeros(14), grasp())
+
+
+def content(**more):
+    tried = [{"method": "good", "T_world_grasp": grasp().tolist(), "width": 0.05}]
+    tried.append({"method": "none", "T_world_grasp": None, "width": None})
+    scene = {"scene": 3, "objects": 1, "mjcf": SCENE, "qpos": lying().tolist(), "grasps": tried}
+    return {"schema": 1, "scenes": [{**scene, **more}]}
+
+
+def test_the_program_tries_each_grasp_once(tmp_path, capsys):
+    file, results = tmp_path / "grasps.json", tmp_path / "results.json"
+    file.write_text(json.dumps(content()))
+    assert main([str(file), "--results", str(results)]) == 0
+    text = capsys.readouterr().out
+    assert "| good | 100 (21 to 100), n = 1 | - |" in text
+    assert "| none | 0 (0 to 79), n = 1 | - |" in text
+    kept = json.loads(results.read_text())
+    kept[0]["rise"] = 7.0
+    results.write_text(json.dumps(kept))
+    assert main([str(file), "--results", str(results)]) == 0
+    assert json.loads(results.read_text()) == kept
+    assert capsys.readouterr().out == text
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (None, "cannot be read: No such file"),
+        ("{", "is no file of grasps"),
+        (json.dumps({"schema": 2, "scenes": []}), "has the schema 2"),
+        (json.dumps({"schema": 1, "scenes": []}), "holds no scene"),
+        (json.dumps(content(qpos=[float("nan")] * 7)), "not finite"),
+        (json.dumps(content(mjcf="<mujoco>")), "is no XML"),
+        (json.dumps(content(grasps=[{"method": "a", "T_world_grasp": [[1.0]]}])), "a pose needs 4 x 4"),
+        (json.dumps(content(grasps=[{"method": "a"}])), "T_world_grasp"),
+    ],
+)
+def test_bad_files_are_refused(tmp_path, capsys, text, sentence):
+    file = tmp_path / "grasps.json"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(SystemExit) as end:
+        main([str(file)])
+    assert end.value.code == 2
+    assert sentence in capsys.readouterr().err
