@@ -1,6 +1,7 @@
 """The node grasp_collection: episodes from live topics and from a recording, and what is wrong with either."""
 
 import os
+import re
 import signal
 import sys
 from pathlib import Path
@@ -24,14 +25,13 @@ from collection_rig import (
 )
 from episodes import CAMERA, DOWN, episode
 
+from common.errors import RigError
 from grasping.dataset.episode import EXECUTION, TELEOPERATION
 from grasping.dataset.labels import relative_label
 from grasping.dataset.store import decode, encode, file_name
 
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
-
-WEIGHTS = str(Path(__file__).parents[1] / "weights" / "ggcnn2.pt")
 
 
 @pytest.fixture
@@ -40,25 +40,32 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def start(ros, folder):
-    """Starts the node with the package's parameters and changes to them."""
-    import rospy
+def parameters(folder):
+    """The package's parameters with changes to them."""
 
-    def run(*arguments, command=(), **changes):
+    def changed(**changes):
         values = {
             **yaml.safe_load((CONFIG / "collection.yaml").read_text()),
             "tool_pose": yaml.safe_load((CONFIG / "tool_pose.yaml").read_text()),
-            "folder": str(folder), "weights": WEIGHTS, "object": "cup", "operator": "puppet", "from_bag": False,
+            "folder": str(folder), "object": "cup", "operator": "puppet", "from_bag": False, "tf_wait": 2.0,
         }  # fmt: skip
-        values["tf_wait"] = 2.0
         for key, value in changes.items():
             section, _, name = key.partition("__")
             (values[section] if name else values).__setitem__(name or section, value)
-        rospy.set_param("grasp_collection", values)
+        return values
+
+    return changed
+
+
+@pytest.fixture
+def start(ros, processes, parameters):
+    """Starts the node with the parameters."""
+    import rospy
+
+    def run(command=("rosrun", "grasping", "collect.py"), **changes):
+        rospy.set_param("grasp_collection", parameters(**changes))
         rospy.set_param("kuka", yaml.safe_load(KUKA.read_text()))
-        if command:
-            return ros._processes.start(*command)
-        return ros.run("grasping", "collect.py", *arguments)
+        return processes.start(*command)
 
     return run
 
@@ -254,26 +261,41 @@ def test_a_grasp_without_frames_is_no_episode(rig, start, status, folder, wait_u
     assert not files(folder)
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"frames__rate": 0.0}, "~frames/rate is 0.0"),
-        ({"watch__open_angle": 2.0}, "~watch/open_angle is 2 and must not be above closed_angle"),
-        ({"tool_pose__approach": "sideways"}, "~tool_pose/approach is 'sideways'"),
-        ({"crop": 300}, "~crop is not a known key"),
-        ({"object": ""}, "~object is ''"),
-        ({"folder": "grasps"}, "~folder is 'grasps'"),
-        ({"weights": ""}, "~weights is empty"),
-        ({"weights": "/nowhere/ggcnn.pt"}, "/nowhere/ggcnn.pt cannot be read: No such file or directory"),
-        ({"weights": str(CONFIG / "collection.yaml")}, "neither a torch file nor a Keras"),
-    ],
-)
+FAULTS = [
+    ({"crop": 300}, "~crop is not a known key"),
+    ({"network__weights": "/nowhere/ggcnn.pt"}, "/nowhere/ggcnn.pt cannot be read: No such file or directory"),
+]
+
+
+@pytest.mark.parametrize(("change", "sentence"), FAULTS)
 def test_it_ends_with_a_sentence(start, change, sentence):
     process = start(**change)
     assert process.wait(120.0) == 1
     log = process.log_path.read_text()
     assert sentence in log
     assert "Traceback" not in log
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"frames__rate": 0.0}, "~frames/rate is 0.0"),
+        ({"watch__open_angle": 2.0}, "~watch/open_angle is 2 and must not be above closed_angle"),
+        ({"tool_pose__approach": "sideways"}, "~tool_pose/approach is 'sideways'"),
+        ({"object": ""}, "~object is ''"),
+        ({"folder": "grasps"}, "~folder is 'grasps'"),
+        ({"network__weights": str(CONFIG / "collection.yaml"), "network__sha256": "any"}, "neither a torch file nor"),
+    ],
+)
+def test_a_wrong_parameter_is_refused(ros, parameters, change, sentence):
+    """In this process: a node of its own takes many seconds to import all that it needs."""
+    import rospy
+
+    from grasping.ros.collection_setup import read_setup
+
+    rospy.set_param(rospy.get_name(), parameters(**change))
+    with pytest.raises(RigError, match=re.escape(sentence)):
+        read_setup()
 
 
 def test_a_recording_without_the_topics_ends_with_a_sentence(start):

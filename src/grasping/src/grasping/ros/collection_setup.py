@@ -13,18 +13,23 @@ import rospy
 import torch
 
 from common.config import flag, integer, number, parse, path, required, text
-from common.errors import RigError
 from common.mounting import mounting_field, rotation_of_mounting
 from common.ros.params import wait_for_param
 from common.tool import ToolConfig
-from grasping import weights
 from grasping.dataset.configuration import grasp_in_tool
 from grasping.dataset.frame_buffer import FrameBufferConfig
 from grasping.dataset.grasp_watch import GraspWatchConfig
 from grasping.predictor import frozen
+from grasping.ros.weight_files import load_network
+from grasping.settings import NetworkConfig
 from grasping.tool_pose import ToolPoseConfig
 
-SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig, "tool_pose": ToolPoseConfig}
+SECTIONS = {
+    "network": NetworkConfig,
+    "frames": FrameBufferConfig,
+    "watch": GraspWatchConfig,
+    "tool_pose": ToolPoseConfig,
+}
 GIT_S = 5.0
 
 
@@ -33,17 +38,12 @@ class CollectionConfig:
     """Private parameters beside the SECTIONS."""
 
     folder: str = path(doc="folder of the episodes; empty: leap_rig/grasps in ROS's home, ~/.ros")
-    weights: str = path(doc="weight file of the grasp network")
     object: str = text(doc="what is grasped; may be set anew while the node runs")
     operator: str = text(doc="who teleoperates")
     crop_side: int = integer("px", low=32, high=4096, doc="window in the middle of the depth picture")
     crop_rows_up: int = integer("px", low=-2048, high=2048, doc="how far the window stands above the middle")
     tf_wait: float = number("s", above=0.0, high=5.0, doc="how long the places at a picture's time are waited for")
     from_bag: bool = flag(doc="start the recording that collection_bag is about to play")
-
-    def faults(self) -> list[str]:
-        """Returns what no type can tell."""
-        return [] if self.weights else ["weights is empty, but must name a weight file."]
 
 
 @dataclass(frozen=True)
@@ -102,11 +102,8 @@ def read_setup() -> CollectionSetup:
     config = parse(CollectionConfig, values, prefix="~", others=SECTIONS)
     sections = {name: parse(schema, values.get(name, {}), f"~{name}/") for name, schema in SECTIONS.items()}
     rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in sections.values()))
-    try:
-        loaded = weights.load(Path(config.weights).read_bytes())
-    except OSError as error:
-        raise RigError(f"The weight file {config.weights} cannot be read: {error.strerror}.") from None
-    torch.set_num_threads(1)
+    loaded = load_network(sections["network"])
+    torch.set_num_threads(sections["network"].threads)
     for name in required(KukaConfig):
         wait_for_param(f"kuka/{name}")
     given = rospy.get_param("kuka")
