@@ -51,7 +51,7 @@ def scene(ros, arm, tmp_path):
 
     views = {"count": 9, "tries": 300}
     values = parameters(tmp_path / "store", **views)
-    values["limits"].update(pictures=4)
+    values["limits"].update(pictures=4, photometric=False)
     rospy.set_param("camera_calibration", values)
     scene = PanelScene(T_BASE_CAMERA, T_FLANGE_PANEL, arm.flange, measured=False)
     yield scene
@@ -130,9 +130,20 @@ def test_by_hand_with_nobody_moving_the_arm(processes, scene):
     program = processes.start("bash", "-c", "printf '\\n\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
     assert program.wait(90.0) == 1
     log = program.log_path.read_text()
-    assert "taken, 4 pictures" in log
+    assert "taken, 4 pictures, by the corners" in log
     assert "not taken: the arm was here before: 0.0 mm and 0.0 deg" in log
     assert "1 views are too few" in log
+
+
+def test_poses_cannot_be_refined_without_the_pictures(processes, scene):
+    import rospy
+
+    scene.measured = True
+    rospy.set_param("camera_calibration/limits/photometric", True)
+    program = processes.start("bash", "-c", "printf '\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
+    assert program.wait(90.0) == 1
+    sentence = "taken, 4 pictures, by the corners: their pictures did not come on /camera/rgb/image_raw"
+    assert sentence in program.log_path.read_text()
 
 
 def test_by_hand_without_a_controller(processes, scene):

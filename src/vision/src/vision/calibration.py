@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from common.config import integer, number
+from common.config import flag, integer, number
 from common.poses import inverse, pose
 from common.rotations import rotation_angle
 from vision.hand_eye import Degenerate, HandEye, View, leave_one_out, point_sd, scales, solve
@@ -22,6 +22,7 @@ class CalibrationConfig:
     """The schema of camera_calibration.yaml."""
 
     pictures: int = integer(low=1, high=100, doc="poses of the panel that make a view")
+    photometric: bool = flag("refine these poses by all grey values of the tags, not their corners alone")
     still_mm: float = number("mm", above=0.0, high=100.0, doc="farthest a pose of a view may be from their mean")
     still_deg: float = number("deg", above=0.0, high=30.0, doc="likewise, turned")
     new_mm: float = number("mm", low=0.0, high=1000.0, doc="a view nearer to an earlier one, and")

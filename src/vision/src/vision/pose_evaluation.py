@@ -61,7 +61,7 @@ def trial(distance: float, tilt: float, T_truth: np.ndarray, poses: DepthPose | 
         T_truth: pose of the panel in the colour camera, shape (4, 4) [m].
     """
     found = {} if poses is None else {name: getattr(poses, name) for name in METHODS}
-    return Trial(distance, tilt, {name: _errors(T_truth, e) for name, e in found.items() if e is not None})
+    return Trial(distance, tilt, {name: errors_of(T_truth, e) for name, e in found.items() if e is not None})
 
 
 def cells(trials: list[Trial]) -> list[tuple[float, float]]:
@@ -80,14 +80,14 @@ def values(trials: list[Trial], method: str, quantity: str, distance=None, tilt=
     )
 
 
-def markdown(trials: list[Trial]) -> list[str]:
+def markdown(trials: list[Trial], methods: tuple[str, ...] = METHODS) -> list[str]:
     """Returns a table: for each distance and tilt, and for each method, the median | 95 % of position, turn, reach."""
-    titles = [f"{method} {unit}" for method in METHODS for unit in ("mm", "deg", f"mm at {REACH_M:g} m")]
+    titles = [f"{method} {unit}" for method in methods for unit in ("mm", "deg", f"mm at {REACH_M:g} m")]
     lines = ["| distance, tilt | " + " | ".join(titles) + " |", "|" + "---|" * (len(titles) + 1)]
     for distance, tilt in [*cells(trials), (None, None)]:
         name = "all" if distance is None else f"{distance:g} m, {tilt:g} deg"
         texts = []
-        for method in METHODS:
+        for method in methods:
             for quantity, digits in (("position", 1), ("rotation", 2), ("reach", 1)):
                 found = values(trials, method, quantity, distance, tilt)
                 texts.append(
@@ -115,7 +115,8 @@ def csv(variant: str, trials: list[Trial]) -> list[str]:
     return lines
 
 
-def _errors(T: np.ndarray, estimate: Estimate) -> Errors:
+def errors_of(T: np.ndarray, estimate: Estimate) -> Errors:
+    """Returns the errors of an estimate where the truth is T, shape (4, 4) [m]."""
     seen = estimate.T_camera_panel
     shift = seen[:3, 3] - T[:3, 3]
     turn = pin.log3(seen[:3, :3] @ T[:3, :3].T)

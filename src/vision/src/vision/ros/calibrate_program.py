@@ -14,13 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import rospy
-from sensor_msgs.msg import CameraInfo
 from std_srvs.srv import Trigger
 
 from common.errors import ConfigError, DeviceError, RigError
 from common.mounting import rotation_of_mounting
 from common.poses import inverse
-from common.ros.images import camera_model_from_info
 from common.ros.params import wait_for_config
 from common.rotations import rotation_angle
 from rig_description.urdf import urdf
@@ -34,13 +32,12 @@ from vision.ros.calibration_store import read
 from vision.ros.comparison import Comparison
 from vision.ros.frames import Frames
 from vision.ros.panel_sights import PanelSights
+from vision.ros.panel_viewer import VIEW_TIMEOUT_S, PanelViewer
 from vision.ros.visiting_arm import VisitingArm, robot_address
 
 NODE = "calibrate_camera"
 DETECTOR = "apriltag_ros_continuous_node"
-CAMERA_INFO = "camera/rgb/camera_info"
 SETTLE_S = 0.6
-VIEW_TIMEOUT_S = 6.0
 FIRST_PLACES = 6
 FLANGE_WAIT_S = 3.0
 STILL_M = 5e-4
@@ -78,7 +75,7 @@ def _run(options: argparse.Namespace) -> None:
         record = read(options.again)
         views, frame = list(record.views), record.camera_frame
     elif options.by_hand:
-        views = _views_by_hand(setup, sights)
+        views = _views_by_hand(setup, PanelViewer(setup, sights, DETECTOR))
         frame = sights.frame
     else:
         views = _views_by_arm(options, setup, sights)
@@ -86,7 +83,7 @@ def _run(options: argparse.Namespace) -> None:
     _conclude(options, setup, views, frame)
 
 
-def _views_by_hand(setup: CalibrationSetup, sights: PanelSights) -> list[View]:
+def _views_by_hand(setup: CalibrationSetup, viewer: PanelViewer) -> list[View]:
     """Returns the views at which the person pressed Enter; somebody else moves the arm."""
     frames, views = Frames(), []
     frames.flange(rospy.Time(0), FLANGE_WAIT_S)
@@ -96,12 +93,12 @@ def _views_by_hand(setup: CalibrationSetup, sights: PanelSights) -> list[View]:
     while _answer(f"View {len(views) + 1}: ") not in ("q", None):
         try:
             before = frames.flange(rospy.Time.now(), FLANGE_WAIT_S)
-            seen = sights.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
+            seen, how = viewer.look()
             T_base_flange = frames.flange(rospy.Time.now(), FLANGE_WAIT_S)
             if np.linalg.norm(T_base_flange[:3, 3] - before[:3, 3]) > STILL_M:
                 raise ValueError("the arm moved")
             views.append(view_from(seen, T_base_flange, views, setup.limits))
-            print(f"  taken, {len(seen)} pictures")
+            print(f"  taken, {len(seen)} pictures, {how}")
         except (ValueError, DeviceError) as error:
             print(f"  not taken: {error}")
     return views
@@ -114,13 +111,10 @@ def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: 
     model = ArmModel(urdf(address.robot, address.flange))
     R_world_base = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))
     points = np.concatenate([tag.corners for tag in setup.target.tags])
-    try:
-        camera = camera_model_from_info(rospy.wait_for_message(CAMERA_INFO, CameraInfo, 10.0))
-    except rospy.ROSException:
-        raise DeviceError(f"There is no {rospy.resolve_name(CAMERA_INFO)}: is the camera running?") from None
-    except ValueError as error:
-        raise DeviceError(f"The camera's description is of no use: {error}.") from None
-    planner = ViewPlanner(config, model, camera, points, setup.panel.plate, setup.panel.T_flange_tag, R_world_base)
+    viewer = PanelViewer(setup, sights, DETECTOR)
+    planner = ViewPlanner(
+        config, model, viewer.camera, points, setup.panel.plate, setup.panel.T_flange_tag, R_world_base
+    )
     rng = np.random.default_rng(options.seed)
     if not options.yes and not sys.stdin.isatty():
         raise Refused("There is no terminal to ask on whether the arm may move; use --yes.")
@@ -140,7 +134,7 @@ def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: 
                 "the distances and min_height in calibration_views.yaml."
             )
         _agree(options, f"Visit {len(legs)} views, about {_duration(legs, here, options.velocity):.0f} s?")
-        views = _visit(arm, legs, setup, sights)
+        views = _visit(arm, legs, setup, viewer)
         for q in planner.way_back(here, legs, guess):
             arm.go(q, print)
         return views
@@ -189,17 +183,17 @@ def _sighted_guess(arm, setup, sights, planner: ViewPlanner, guess, start, rng) 
     )
 
 
-def _visit(arm: VisitingArm, legs: list[Leg], setup: CalibrationSetup, sights: PanelSights) -> list[View]:
+def _visit(arm: VisitingArm, legs: list[Leg], setup: CalibrationSetup, viewer: PanelViewer) -> list[View]:
     views: list[View] = []
     for i, leg in enumerate(legs, start=1):
         for q in leg.way:
             arm.go(q, print)
         time.sleep(SETTLE_S)
-        seen = sights.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
+        seen, how = viewer.look()
         try:
             views.append(view_from(seen, arm.flange(), views, setup.limits))
             distance = np.linalg.norm(views[-1].T_camera_panel[:3, 3])
-            print(f"View {i} of {len(legs)}: panel at {distance:.2f} m, {len(seen)} pictures.")
+            print(f"View {i} of {len(legs)}: panel at {distance:.2f} m, {len(seen)} pictures, {how}.")
         except ValueError as error:
             print(f"View {i} of {len(legs)} does not count: {error}.")
     return views

@@ -8,80 +8,26 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
-import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
-import rospkg
-import yaml
 
-from apriltag_ros.settings import TAG_KEYS, detector_settings, targets
-from common.camera_model import CameraModel, from_calibration
+from apriltag_ros.settings import detector_settings
 from common.config import parse
-from common.errors import DeviceError, RigError
-from common.poses import check_pose, read_only
-from common.ros.images import metres_from_millimetres
+from common.errors import RigError
+from common.poses import read_only
 from vision.depth_detection import DepthTagDetector
 from vision.plane_fit import PlanePoseConfig
 from vision.pose_evaluation import CSV_HEAD, METHODS, Trial, csv, markdown, trial, values
+from vision.ros.panel_picture_folder import TAGS, Pictures, panel_target, read_pictures, take_pictures
+from vision.ros.panel_picture_folder import config as config_yaml
 from vision.ros.pose_figures import draw
 
 NAME = "evaluate_tag_pose"
-INDEX = "pictures.json"
-TAGS = {"bundle": "tags.yaml", "single": "tags_single.yaml"}
-TIMEOUT_S = 1800.0
-"""The taking of the pictures ends within this."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Pair:
-    """A colour and a depth picture of the panel with the truth."""
-
-    grey: np.ndarray
-    depth: np.ndarray
-    distance: float
-    tilt: float
-    T_rgb_panel: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Pictures:
-    """A folder of pictures.
-
-    Attributes:
-        folder: where they are.
-        entries: what each shows.
-        plate: edge of the panel [m].
-        rgb, depth: the cameras.
-        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
-    """
-
-    folder: Path
-    entries: list[dict]
-    plate: float
-    rgb: CameraModel
-    depth: CameraModel
-    T_rgb_depth: np.ndarray
-
-    def pairs(self) -> Iterator[Pair]:
-        """Reads one pair after the other.
-
-        Raises:
-            DeviceError: a file is missing or no picture.
-        """
-        for entry in self.entries:
-            grey = cv2.imread(str(self.folder / entry["colour"]), cv2.IMREAD_GRAYSCALE)
-            depth = cv2.imread(str(self.folder / entry["depth"]), cv2.IMREAD_UNCHANGED)
-            if grey is None or depth is None or depth.dtype != np.uint16:
-                raise DeviceError(f"{entry['colour']} and {entry['depth']} in {self.folder} are no pair of pictures.")
-            T = check_pose(entry["T_rgb_panel"])
-            yield Pair(grey, metres_from_millimetres(depth), float(entry["distance"]), float(entry["tilt"]), T)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -93,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         if options.pictures is not None:
             return _evaluate(options, options.pictures)
         with tempfile.TemporaryDirectory(prefix=NAME) as folder:
-            _take_pictures(Path(folder), options)
+            take_pictures(Path(folder), options.panel, "--units", str(options.units), "--seed", str(options.seed))
             return _evaluate(options, Path(folder))
     except (RigError, OSError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
@@ -101,8 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _evaluate(options: argparse.Namespace, folder: Path) -> int:
-    pictures = _read(folder)
-    config = parse(PlanePoseConfig, _yaml("plane_pose.yaml"), prefix="plane_pose/")
+    pictures = read_pictures(folder)
+    config = parse(PlanePoseConfig, config_yaml("plane_pose.yaml"), prefix="plane_pose/")
     focal, bias = options.focal_error, options.depth_bias
     told = dataclasses.replace(config, focal_sd=abs(focal))
     variants = {
@@ -135,63 +81,17 @@ def _trials(
 ) -> list[Trial]:
     """Returns the errors in all pictures, with a colour camera whose focal length is told wrongly, and depth that is
     farther by so much [m]."""
-    settings = detector_settings({**_yaml("settings.yaml"), "rectified": False})
-    (target,) = targets({key: _yaml(TAGS[panel]).get(key) for key in TAG_KEYS})
+    settings = detector_settings({**config_yaml("settings.yaml"), "rectified": False})
     K = pictures.rgb.K.copy()
     K[[0, 1], [0, 1]] *= 1.0 + focal_error
     rgb = dataclasses.replace(pictures.rgb, K=read_only(K))
     found = []
-    detector = DepthTagDetector(settings, target, pictures.plate, config)
+    detector = DepthTagDetector(settings, panel_target(panel), pictures.plate, config)
     for moment, pair in enumerate(pictures.pairs()):  # a second apart: no pose is known from the picture before
         depth = pair.depth + np.float32(depth_bias)
         seen = detector.detect(pair.grey, rgb, depth, pictures.depth, pictures.T_rgb_depth, float(moment))
         found.append(trial(pair.distance, pair.tilt, pair.T_rgb_panel, None if seen is None else seen.depth))
     return found
-
-
-def _read(folder: Path) -> Pictures:
-    """Raises DeviceError for a folder that holds no pictures."""
-    try:
-        index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        return Pictures(
-            folder,
-            list(index["pictures"]),
-            float(max(index["panel"]["size"])),
-            from_calibration(index["rgb"]),
-            from_calibration(index["depth"]),
-            check_pose(index["T_rgb_depth"]),
-        )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DeviceError(
-            f"{folder / INDEX} does not say what pictures show: {type(error).__name__}: {error}."
-        ) from None
-
-
-def _take_pictures(folder: Path, options: argparse.Namespace) -> None:
-    """Raises DeviceError if the simulation takes none."""
-    command = ["rosrun", "rig_simulation", "panel_pictures.py", str(folder), "--panel", options.panel]
-    command += ["--rgb", str(_config("xtion_rgb.yaml")), "--depth", str(_config("xtion_depth.yaml"))]
-    command += ["--units", str(options.units), "--seed", str(options.seed)]
-    try:
-        code = subprocess.run(command, timeout=TIMEOUT_S, check=False).returncode
-    except FileNotFoundError:
-        raise DeviceError("There is no rosrun: source devel/setup.bash, or say where pictures are.") from None
-    except subprocess.TimeoutExpired:
-        raise DeviceError(f"The pictures were not taken within {TIMEOUT_S:g} s.") from None
-    if code != 0:
-        raise DeviceError(f"The pictures were not taken: {' '.join(command[:3])} ended with exit code {code}.")
-
-
-def _config(name: str) -> Path:
-    """Raises DeviceError where ROS does not know this package."""
-    try:
-        return Path(rospkg.RosPack().get_path("vision")) / "config" / name
-    except rospkg.ResourceNotFound:
-        raise DeviceError("ROS does not know the package vision: source devel/setup.bash.") from None
-
-
-def _yaml(name: str) -> dict:
-    return yaml.safe_load(_config(name).read_text(encoding="utf-8"))
 
 
 def _share(text: str) -> float:

@@ -50,13 +50,17 @@ class PanelSights:
         self._on_sight = on_sight
         self._lock = threading.Lock()
         self._after = rospy.Time(0)
-        self._sights: list[Sight] = []
+        self._sights: list[tuple[rospy.Time, Sight]] = []
         self.frame = ""
         self.last_picture: float | None = None
         rospy.Subscriber("tag_detections", AprilTagDetectionArray, self._on_detections, queue_size=1, tcp_nodelay=True)
 
     def collect(self, count: int, timeout: float) -> list[Sight]:
         """Returns up to `count` sights in pictures that are taken from now on; fewer if the time [s] runs out."""
+        return [sight for _, sight in self.collect_stamped(count, timeout)]
+
+    def collect_stamped(self, count: int, timeout: float) -> list[tuple[rospy.Time, Sight]]:
+        """Returns what `collect` does, each with the stamp of its picture."""
         with self._lock:
             self._after, self._sights = rospy.Time.now(), []
         deadline = time.monotonic() + timeout
@@ -81,7 +85,7 @@ class PanelSights:
             with self._lock:
                 self.frame = message.header.frame_id
                 if message.header.stamp > self._after:
-                    self._sights.append(sight)
+                    self._sights.append((message.header.stamp, sight))
             if self._on_sight is not None:
                 self._on_sight(message.header.stamp, message.header.frame_id, sight)
 

@@ -1,0 +1,8 @@
+#!/usr/bin/env python3
+"""What the photometric refinement gains for the camera's calibration; see --help."""
+
+import sys
+
+from vision.ros.evaluate_calibration_program import main
+
+sys.exit(main())
