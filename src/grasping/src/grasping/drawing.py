@@ -12,6 +12,8 @@ SCALE = 2
 """Pixels of the heat map to one of the network's, in rows and columns."""
 BEST, OTHER, REFUSED, DISC = (255, 255, 255), (170, 170, 170), (80, 80, 255), (0, 255, 0)
 DISC_RADIUS = 5
+DARK = 60
+"""Grey of what is farthest away."""
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 
 
@@ -40,7 +42,7 @@ def heat_map(findings: Findings, refused: set[int], reason: str) -> np.ndarray:
         reason: written below where there is one.
     """
     depth, quality = findings.view.picture.depth, findings.maps.quality
-    grey = np.uint8(200.0 * (depth.max() - depth) / max(1e-6, float(np.ptp(depth))))
+    grey = DARK + np.uint8((255 - DARK) * (depth.max() - depth) / max(1e-6, float(np.ptp(depth))))
     colours = cv2.applyColorMap(np.uint8(255.0 * np.clip(quality, 0.0, 1.0)), cv2.COLORMAP_JET)
     share = np.clip(1.5 * quality, 0.0, 0.6)[..., None]
     picture = np.uint8((1.0 - share) * grey[..., None] + share * colours)

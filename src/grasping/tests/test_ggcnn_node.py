@@ -1,0 +1,354 @@
+"""The node ggcnn: what it publishes, what it says where there is no grasp, and how it ends."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from table_scene import CAMERA, depth_picture, looking_at
+
+from common.camera_model import DEPTH_FRAME
+from common.config import parse
+from common.errors import RigError
+from common.poses import inverse, pose
+from grasping.settings import NetworkConfig
+
+pytest.importorskip("rospy")
+pytestmark = pytest.mark.ros
+
+BOX = (0.03, -0.02, 0.3, (0.06, 0.08, 0.08))
+ASIDE = looking_at((0.45, 0.1, 0.65), (0.0, 0.0, 0.0))
+PATIENCE_S = 60.0
+R_LINK_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+TYPES = {
+    "out/grasps": "grasp_msgs/GraspList",
+    "out/command": "std_msgs/Float32MultiArray",
+    "out/target_pose": "geometry_msgs/PoseStamped",
+    "img/grasp": "sensor_msgs/Image",
+    "img/grasp_plain": "sensor_msgs/Image",
+    "img/depth": "sensor_msgs/Image",
+    "img/ang": "sensor_msgs/Image",
+    "img/heat_map": "sensor_msgs/Image",
+    "markers": "visualization_msgs/MarkerArray",
+}
+
+
+class Camera:
+    """Publishes a depth picture ten times a second, with a new stamp each time.
+
+    Attributes:
+        depth: the picture; None: nothing is published.
+        late: how much earlier than now its stamp is [s].
+        info: whether camera_info comes too.
+    """
+
+    def __init__(self, depth):
+        import rospy
+        from sensor_msgs.msg import CameraInfo, Image
+
+        self.depth, self.late, self.info = depth, 0.0, True
+        self._image = rospy.Publisher("camera/depth/image", Image, queue_size=1)
+        self._info = rospy.Publisher("camera/depth/camera_info", CameraInfo, queue_size=1)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def close(self):
+        self._ended.set()
+        self._thread.join(5.0)
+        self._image.unregister()
+        self._info.unregister()
+
+    def _loop(self):
+        import rospy
+
+        from common.ros.images import camera_info_message, image_message
+
+        while not self._ended.wait(0.1):
+            depth = self.depth
+            if depth is None:
+                continue
+            stamp = rospy.Time.now() - rospy.Duration(self.late)
+            if self.info:
+                self._info.publish(camera_info_message(CAMERA, DEPTH_FRAME, stamp))
+            encoding = "16UC1" if depth.dtype == np.uint16 else "32FC1"
+            self._image.publish(image_message(depth, encoding, DEPTH_FRAME, stamp))
+
+
+@pytest.fixture(scope="module")
+def depth():
+    return depth_picture(ASIDE, [BOX])
+
+
+@pytest.fixture
+def camera(ros, depth):
+    made = Camera(depth)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def calibrated(ros):
+    """The camera's place in the base, and its own frames, as vision's nodes publish them."""
+    import rospy
+    import tf2_ros
+
+    from common.ros.conversions import stamped_transform
+
+    broadcaster, now = tf2_ros.StaticTransformBroadcaster(), rospy.Time.now()
+    T_link_optical = pose(R_LINK_OPTICAL)
+    broadcaster.sendTransform([
+        stamped_transform(ASIDE @ inverse(T_link_optical), "kuka/base_frame", "camera_depth_frame", now),
+        stamped_transform(T_link_optical, "camera_depth_frame", DEPTH_FRAME, now),
+    ])  # fmt: skip
+    yield
+    broadcaster.pub_tf.unregister()
+
+
+def start(ros, **changes):
+    """Starts the node with changes to the package's parameters; a key may be section/name."""
+    import rospy
+
+    for key, value in changes.items():
+        rospy.set_param(f"ggcnn/{key.replace('__', '/')}", value)
+    return ros.run("grasping", "ggcnn.py")
+
+
+def statuses(ros):
+    """Returns a function that gives the message and the values of the node's last status."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+
+    def read() -> dict:
+        found = [s for array in arrays for s in array.status if s.name == "ggcnn"]
+        return {"message": found[-1].message, **{v.key: v.value for v in found[-1].values}} if found else {}
+
+    return read
+
+
+def newest(messages, wait_until, condition, what):
+    """Waits for a message for which the condition holds, among those that come from now on; returns it."""
+    seen = len(messages)
+    wait_until(lambda: any(condition(m) for m in messages[seen:]), PATIENCE_S, what)
+    return next(m for m in messages[seen:] if condition(m))
+
+
+def test_what_it_publishes(ros, camera, calibrated, wait_until):
+    import roslib.message
+    import rospy
+    import tf2_ros
+    from sensor_msgs.msg import TimeReference
+
+    from common.ros.conversions import pose_from_message, pose_from_transform
+    from common.ros.images import picture_from_image
+
+    classes = {name: roslib.message.get_message_class(kind) for name, kind in TYPES.items()}
+    got = {name: ros.record(f"ggcnn/{name}", kind) for name, kind in classes.items()}
+    times, status = ros.record("rig/stage_times", TimeReference), statuses(ros)
+    buffer = tf2_ros.Buffer()
+    tf2_ros.TransformListener(buffer)
+    start(ros, reach__ask=False)
+    found = newest(got["out/grasps"], wait_until, lambda m: m.grasps, "a grasp")
+    best, stamp = found.grasps[0], found.header.stamp
+    assert (found.header.frame_id, found.reason) == (DEPTH_FRAME, "")
+    assert (best.reachable, best.reason) == (True, "")
+    T_base, T_camera = pose_from_message(best.pose_base.pose), pose_from_message(best.pose_camera)
+    assert (best.pose_base.header.frame_id, best.pose_base.header.stamp) == ("kuka/base_frame", stamp)
+    np.testing.assert_allclose(ASIDE @ T_camera, T_base, atol=1e-6)
+    assert np.hypot(*(T_base[:2, 3] - BOX[:2])) < 0.03
+    assert T_base[2, 3] == pytest.approx(0.08, abs=0.01)
+    assert 0.05 < best.width < 0.12
+    np.testing.assert_allclose(CAMERA.project(T_camera[:3, 3]), best.pixel, atol=1e-2)
+
+    def with_stamp(name):
+        wait_until(lambda: any(m.header.stamp == stamp for m in got[name]), PATIENCE_S, name)
+        return next(m for m in got[name] if m.header.stamp == stamp)
+
+    np.testing.assert_allclose(pose_from_message(with_stamp("out/target_pose").pose), T_base, atol=1e-6)
+    data = got["out/command"].wait(1)[-1].data
+    assert len(data) == 6
+    np.testing.assert_allclose(data[:3], T_camera[:3, 3], atol=5e-3)
+    for name in ("img/grasp", "img/grasp_plain", "img/depth", "img/ang", "img/heat_map"):
+        message = got[name].wait(1)[-1]
+        side = 600 if name == "img/heat_map" else 300
+        assert (message.width, message.height, message.header.frame_id) == (side, side, "ggcnn/view")
+        assert np.isfinite(np.asarray(picture_from_image(message), float)).all()
+    grippers = [m for m in got["markers"].wait(1)[-1].markers if m.ns == "grasps" and m.points]
+    assert [len(m.points) for m in grippers] == [8] * len(grippers)
+    wait_until(
+        lambda: buffer.can_transform("camera_depth_frame", "camera_target_frame", rospy.Time(0)), PATIENCE_S, "tf"
+    )
+    moved = buffer.lookup_transform("kuka/base_frame", "camera_target_frame", rospy.Time(0))
+    np.testing.assert_allclose(pose_from_transform(moved.transform)[:3, 3], T_base[:3, 3], atol=5e-3)
+    assert buffer.can_transform(DEPTH_FRAME, "ggcnn/view", rospy.Time(0))
+    wait_until(lambda: "ms_network" in status(), PATIENCE_S, "diagnostics")
+    assert status()["message"] == "There are grasps."
+    assert {"ms_view", "ms_peaks", "ms_poses", "ms_latency", "weights"} <= status().keys()
+    assert {t.source for t in times} == {"ggcnn"}
+    topics = dict(rospy.get_published_topics("/ggcnn"))
+    assert {f"/ggcnn/{name}": kind for name, kind in TYPES.items()}.items() <= topics.items()
+
+
+def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
+    from geometry_msgs.msg import PoseStamped
+    from grasp_msgs.msg import GraspList
+
+    lists, targets = ros.record("ggcnn/out/grasps", GraspList), ros.record("ggcnn/out/target_pose", PoseStamped)
+    camera.info, status = False, statuses(ros)
+    process = start(ros)
+    newest(lists, wait_until, lambda m: "no camera_info has come on /camera/depth/camera_info" in m.reason, "no info")
+    camera.info = True
+    found = newest(lists, wait_until, lambda m: m.grasps, "a grasp before the camera")
+    assert found.grasps[0].pose_base.header.frame_id == ""
+    assert not found.grasps[0].reachable
+    assert "tf has no way from camera_depth_optical_frame to kuka/base_frame" in found.grasps[0].reason
+    assert targets.wait(1)[-1].header.frame_id == DEPTH_FRAME
+
+    camera.depth = np.uint16(np.nan_to_num(1000.0 * depth, posinf=0.0))
+    assert newest(lists, wait_until, lambda m: m.grasps, "a grasp in millimetres").grasps[0].width > 0.0
+
+    def says(reason):
+        message = newest(lists, wait_until, lambda m: reason in m.reason, reason)
+        assert not message.grasps
+        return message
+
+    camera.depth = np.full_like(depth, np.nan)
+    says("the depth picture holds no reading inside the crop")
+    wait_until(lambda: "no reading inside" in status()["message"], PATIENCE_S, "diagnostics")
+    camera.depth = depth_picture(ASIDE, [])
+    says("nothing stands on the table")
+    camera.depth = np.ascontiguousarray(depth[:240])
+    says("the depth picture is 640 x 240, and its camera_info says 640 x 480")
+    camera.depth, camera.late = depth, 5.0
+    says("s old")
+    camera.late = -5.0
+    says("in the future")
+    camera.late, camera.depth = 0.0, None
+    silent = says("the depth camera is silent")
+    assert silent.header.stamp.to_sec() > 0.0
+    before = len(targets)
+    says("the depth camera is silent")
+    assert len(targets) == before
+    camera.depth = depth
+    newest(lists, wait_until, lambda m: m.grasps, "the camera came back")
+    assert process.poll() is None
+    log = process.log_path.read_text()
+    assert log.count("nothing stands on the table") == 1
+    assert "Traceback" not in log
+
+
+def test_a_torn_picture_is_refused(ros, camera, wait_until):
+    import rospy
+    from grasp_msgs.msg import GraspList
+    from sensor_msgs.msg import Image
+
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    camera.depth, torn = None, rospy.Publisher("camera/depth/image", Image, queue_size=1)
+    process = start(ros)
+    newest(lists, wait_until, lambda m: "no depth picture has come on /camera/depth/image" in m.reason, "no camera")
+    camera.info = True
+    pictures = {
+        "bytes instead of": Image(height=480, width=640, encoding="32FC1", step=2560, data=b"\0" * 1000),
+        "has the encoding mono8": Image(height=480, width=640, encoding="mono8", step=640, data=b"\0" * 640 * 480),
+        "is not understood": Image(height=1, width=1, encoding="64FC3", step=24, data=b"\0" * 24),
+    }
+    camera.depth = np.full((480, 640), np.nan, np.float32)
+    newest(lists, wait_until, lambda m: "no reading" in m.reason, "the camera's description")
+    camera.depth = None
+    for reason, image in pictures.items():
+        seen = len(lists)
+
+        def told(reason=reason, image=image, seen=seen):
+            image.header.stamp, image.header.frame_id = rospy.Time.now(), DEPTH_FRAME
+            torn.publish(image)
+            return any(reason in m.reason for m in lists[seen:])
+
+        wait_until(told, PATIENCE_S, reason)
+    torn.unregister()
+    assert process.poll() is None
+
+
+def test_the_arms_controller_is_asked_and_the_way_goes_on_without_it(ros, camera, calibrated, wait_until):
+    import rospy
+    from grasp_msgs.msg import GraspList
+
+    from common.ros.conversions import pose_from_message
+    from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
+
+    lists, asked = ros.record("ggcnn/out/grasps", GraspList), []
+    answer = CheckToolPoseResponse(success=True)
+    rospy.set_param("kuka/center_line", [1.0, 0.0, 0.0])
+    start(ros, reach__keep=0.5, reach__timeout=0.5)
+    silent = "the arm's controller does not answer"
+    newest(lists, wait_until, lambda m: m.grasps and m.grasps[0].reason == silent, "a controller that is absent")
+
+    def check(request):
+        asked.append(request.tool)
+        return answer
+
+    service = rospy.Service("kuka/check_tool_pose", CheckToolPose, check)
+    found = newest(lists, wait_until, lambda m: m.grasps and m.grasps[0].reachable, "a controller that says yes")
+    T = pose_from_message(asked[-1].pose)
+    assert asked[-1].header.frame_id == "kuka/base_frame"
+    np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, -1.0), atol=1e-6)
+    grip = T @ (-0.0152, 0.0, 0.07, 1.0)
+    np.testing.assert_allclose(grip[:3], pose_from_message(found.grasps[0].pose_base.pose)[:3, 3], atol=0.01)
+    answer.success, answer.message = False, "it is outside of the workspace"
+    refused = newest(lists, wait_until, lambda m: m.grasps and "outside" in m.grasps[0].reason, "one that says no")
+    assert not refused.grasps[0].reachable
+    service.shutdown("the test is over")
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"peaks__count": 0}, "~peaks/count is 0, but must be a whole number in [1, 50]"),
+        ({"sppeed": 3}, "~sppeed is not a known key"),
+        ({"network__weights": "/nowhere/a.pt"}, "The file /nowhere/a.pt cannot be read"),
+        ({"refine": True, "view": "camera", "refinement_weights": "/nowhere/b.pt"}, "The file /nowhere/b.pt cannot"),
+    ],
+)
+def test_what_it_cannot_work_with_ends_it_with_a_sentence(ros, changes, sentence):
+    process = start(ros, **changes)
+    assert process.wait(PATIENCE_S) == 1
+    log = process.log_path.read_text()
+    assert sentence in log
+    assert "Traceback" not in log
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"weights": "/etc/passwd"}, "The file /etc/SHA256SUMS cannot be read"),
+        ({"sha256": "00" * 32}, "was expected"),
+        ({"kind": "ggcnn"}, "holds weights of ggcnn2, but network/kind is ggcnn"),
+        ({"weights": "README.md"}, "does not name README.md"),
+        ({"weights": "README.md", "sha256": "any"}, "neither a torch file nor a Keras HDF5 file"),
+    ],
+)
+def test_weight_files_are_checked(changes, sentence):
+    from grasping.ros.weight_files import load_network, own_yaml
+
+    with pytest.raises(RigError, match=sentence):
+        load_network(parse(NetworkConfig, {**own_yaml("ggcnn.yaml")["network"], **changes}))
+
+
+def test_a_wrong_mounting_ends_it_too(ros):
+    import rospy
+
+    rospy.set_param("kuka/mounting", "ceiling")
+    process = start(ros)
+    assert process.wait(PATIENCE_S) == 1
+    assert "kuka/mounting is no roll, pitch and yaw" in process.log_path.read_text()
+
+
+def test_the_launch_file_starts_the_node_with_a_file_of_changes(ros, camera, calibrated, tmp_path, wait_until):
+    from grasp_msgs.msg import GraspList
+
+    changes = tmp_path / "changes.yaml"
+    changes.write_text("peaks: {threshold: 0.95}\n")
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    ros.launch("grasping", "grasping.launch", camera="false", image_view="false", config=changes)
+    newest(lists, wait_until, lambda m: "no peak of the quality is above 0.95" in m.reason, "the launched node")

@@ -1,0 +1,277 @@
+"""The whole way from depth pictures to grasps that may be told, without ROS."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from table_scene import CAMERA, Nearest, depth_picture, looking_at
+
+from common.config import parse
+from common.errors import ConfigError
+from common.poses import check_pose, inverse, pose
+from common.rotations import rotation_about
+from grasping import drawing
+from grasping.limits import LimitsConfig, objection
+from grasping.live import Finder, Findings
+from grasping.predictor import Predictor, PredictorSettings
+from grasping.reach import Reach, ReachBook, ReachConfig
+from grasping.refinement import Refined
+from grasping.settings import overlaid, sentences, settings_from
+
+CONFIG = Path(__file__).parents[1] / "config"
+YAML = {
+    **yaml.safe_load((CONFIG / "ggcnn.yaml").read_text()),
+    "tool": yaml.safe_load((CONFIG / "tool_pose.yaml").read_text()),
+}
+UP = np.array([0.0, 0.0, 1.0])
+BOX = (0.03, -0.02, 0.3, (0.08, 0.08, 0.08))
+ABOVE = looking_at((0.0, 0.0, 0.8), (0.0, 0.0, 0.0))
+ASIDE = looking_at((0.45, 0.1, 0.65), (0.0, 0.0, 0.0))
+DT = 1.0 / 15.0
+
+
+def finder(changes=None, network=None, refinement=None) -> Finder:
+    """The whole chain; the clock advances by a second at each look."""
+    s = settings_from(overlaid(YAML, changes or {}))
+    predictor = Predictor(Nearest() if network is None else network, PredictorSettings(), refinement)
+    return Finder(s.views(), predictor, s.live(UP), itertools.count().__next__)
+
+
+def look(chain: Finder, T_base_camera, boxes=(BOX,), known=True, pictures=1) -> Findings:
+    depth = depth_picture(T_base_camera, boxes)
+    for i in range(pictures):
+        found = chain.step(depth, CAMERA, T_base_camera if known else None, DT * i)
+    return found
+
+
+@pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
+@pytest.mark.parametrize("kind", ["camera", "normal", "vertical"])
+def test_the_grasp_is_on_the_box_wherever_the_camera_is(place, kind):
+    found = look(finder({"approach": {"kind": kind}}), place)
+    assert found.reason == ""
+    best = found.proposals[0]
+    T = check_pose(best.T_base_grasp)
+    assert np.hypot(*(T[:2, 3] - BOX[:2])) < 0.045
+    assert T[2, 3] == pytest.approx(0.08, abs=0.006)
+    np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, -1.0), atol=0.08)  # the view looks down, and the box is level
+    np.testing.assert_allclose(place @ best.T_camera_grasp, T, atol=1e-9)
+    np.testing.assert_allclose(CAMERA.project(best.T_camera_grasp[:3, 3]), best.pixel, atol=1e-6)
+
+
+def test_in_the_cameras_view_the_grasp_is_what_the_network_said():
+    found = look(finder({"view": "camera", "approach": {"kind": "camera"}}), ABOVE)
+    best = found.proposals[0]
+    np.testing.assert_allclose(best.T_camera_grasp[:3, 2], (0.0, 0.0, 1.0), atol=1e-9)
+    assert best.angle == pytest.approx(np.pi / 6.0, abs=1e-3)
+    assert best.width_px == pytest.approx(45.0 * 400 / 300, rel=1e-3)
+    assert best.width == pytest.approx(best.width_px * 0.72 / 570.0, rel=0.02)
+
+
+def test_across_the_surface_means_the_surface_and_straight_down_the_worlds_vertical():
+    """From the side, in the camera's own picture: three approaches, three directions."""
+    changes = {"view": "camera", "peaks": {"threshold": 0.01}, "approach": {"radius": 0.02, "max_tilt": 70.0}}
+    directions = {}
+    for kind in ("camera", "normal", "vertical"):
+        found = look(finder(overlaid(changes, {"approach": {"kind": kind}})), ASIDE)
+        directions[kind] = ASIDE[:3, :3].T @ found.proposals[0].T_base_grasp[:3, 2]
+    np.testing.assert_allclose(directions["camera"], (0.0, 0.0, 1.0), atol=1e-9)
+    np.testing.assert_allclose(directions["vertical"], ASIDE[:3, :3].T @ -UP, atol=1e-9)
+    sides = [ASIDE[:3, :3].T @ R for R in (-UP, *(rotation_about(2, 0.3)[:, i] * s for i in (0, 1) for s in (-1, 1)))]
+    assert max(directions["normal"] @ side for side in sides) > 0.999
+
+
+def test_without_the_cameras_place_grasps_are_before_the_camera():
+    best = look(finder(), ASIDE, known=False).proposals[0]
+    assert best.T_base_grasp is None
+    assert (ASIDE @ best.T_camera_grasp)[2, 3] == pytest.approx(0.08, abs=0.006)
+    vertical = look(finder({"approach": {"kind": "vertical"}}), ASIDE, known=False)
+    assert vertical.proposals == ()
+    assert "the vertical is unknown" in vertical.reason
+
+
+def test_a_grasp_keeps_its_number_while_the_camera_moves():
+    chain = finder()
+    first = chain.step(depth_picture(ABOVE, [BOX]), CAMERA, ABOVE, 0.0).proposals[0]
+    moved = looking_at((0.1, 0.05, 0.8), (0.05, 0.0, 0.0))
+    second = chain.step(depth_picture(moved, [BOX]), CAMERA, moved, DT).proposals[0]
+    assert first.id == second.id
+    assert np.linalg.norm(first.pixel - np.array(second.pixel)) > 10.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "boxes", "reason"),
+    [
+        ({}, (), "nothing stands on the table"),
+        ({"peaks": {"threshold": 0.99}}, (BOX,), "no peak of the quality is above 0.99"),
+        ({"tool": {"max_opening": 0.04}}, (BOX,), "needs an opening of .* mm, and the hand has 40 mm"),
+        ({"limits": {"x": [0.5, 1.0]}}, (BOX,), r"its x is 0.0\d m in the base frame, and 0.50 to 1.00 m are allowed"),
+        ({"limits": {"nearest": 0.9}}, (BOX,), r"it is 0.72 m before the camera, and 0.90 to 2.00 m are allowed"),
+    ],
+)
+def test_no_grasp_has_a_reason(changes, boxes, reason):
+    found = look(finder(changes), ABOVE, boxes)
+    assert found.proposals == ()
+    assert re.search(reason, found.reason), found.reason
+
+
+def test_an_empty_picture_has_a_reason_and_the_next_one_works():
+    chain = finder()
+    nothing = chain.step(np.full((480, 640), np.nan, np.float32), CAMERA, ABOVE, 0.0)
+    assert nothing.reason == "the depth picture holds no reading inside the crop"
+    assert nothing.view is None
+    assert look(chain, ABOVE).proposals
+
+
+class Broken(torch.nn.Module):
+    side_multiple = 1
+
+    def forward(self, depth):
+        return torch.cat([depth / 0.0] * 4, dim=1)
+
+
+def test_a_network_that_says_nonsense_is_not_believed():
+    assert look(finder(network=Broken()), ABOVE).reason == "the network's maps are not finite"
+
+
+def test_stamps_that_go_back_begin_anew():
+    chain = finder()
+    depth = depth_picture(ABOVE, [BOX])
+    first = chain.step(depth, CAMERA, ABOVE, 100.0).proposals[0].id
+    assert chain.step(depth, CAMERA, ABOVE, 100.1).proposals[0].id == first
+    assert chain.step(depth, CAMERA, ABOVE, 1.0).proposals[0].id != first
+
+
+def test_each_stage_is_timed():
+    assert look(finder(), ABOVE).seconds == {"view": 1, "network": 1, "peaks": 1, "poses": 1}
+
+
+class Deeper:
+    """A second network that always says: 1 cm deeper, tilted by 0.1 rad about x."""
+
+    def apply(self, output, picture):
+        flat = np.ones(picture.input.shape, np.float32)
+        return Refined(output, 0.01 * flat, 0.1 * flat, 0.0 * flat)
+
+
+def test_the_second_network_moves_and_tilts_the_grasp():
+    changes = {"view": "camera", "approach": {"kind": "camera"}}
+    plain = look(finder(changes), ABOVE).proposals[0]
+    refined = look(finder(changes, refinement=Deeper()), ABOVE).proposals[0]
+    T = inverse(plain.T_camera_grasp) @ refined.T_camera_grasp
+    assert T[2, 3] == pytest.approx(0.01, abs=1e-6)
+    np.testing.assert_allclose(
+        refined.T_camera_grasp[:3, 2], rotation_about(0, 0.1) @ plain.T_camera_grasp[:3, 2], atol=1e-6
+    )
+
+
+def test_pictures_for_people():
+    found = look(finder(), ASIDE)
+    plain = drawing.plain(found.maps)
+    assert plain.shape == (300, 300, 3)
+    assert plain[..., :2].max() == 0
+    np.testing.assert_array_equal(plain[..., 2], np.uint8(255.0 * np.clip(found.maps.quality, 0.0, 1.0)))
+    best = found.proposals[0]
+    with_disc = drawing.with_disc(plain, best)
+    assert tuple(with_disc[best.peak.row, best.peak.column]) == drawing.DISC
+    assert plain[best.peak.row, best.peak.column, 1] == 0
+    heat = drawing.heat_map(found, {best.id}, "a reason")
+    assert heat.shape == (600, 600, 3)
+    assert (heat == drawing.REFUSED).all(axis=-1).any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"view": "sideways"}, "view is 'sideways', but must be one of camera, table"),
+        ({"peaks": {"count": 0}}, "peaks/count is 0"),
+        ({"limits": {"x": [1.0, -1.0]}}, "limits/x is"),
+        ({"refine": True}, "view must be camera"),
+        ({"unknown": 1}, "unknown is not a known key"),
+        ({"network": {"speed": 1}}, "network/speed is not a known key"),
+        ({"tracking": 7}, "tracking/ is 7"),
+    ],
+)
+def test_a_wrong_key_is_named(changes, fault):
+    with pytest.raises(ConfigError) as caught:
+        settings_from(overlaid(YAML, changes))
+    assert fault in str(caught.value)
+
+
+def test_all_faults_are_told_at_once():
+    with pytest.raises(ConfigError) as caught:
+        settings_from(overlaid(YAML, {"view": "sideways", "peaks": {"count": 0}, "reach": {"best": 0}}))
+    assert len(caught.value.faults) == 3
+
+
+def test_the_packages_file_is_whole_and_every_line_states_its_unit():
+    assert len(sentences(settings_from(YAML))) == 12
+    for name in ("ggcnn.yaml", "tool_pose.yaml"):
+        for line in (CONFIG / name).read_text().splitlines():
+            key, _, value = line.partition(": ")
+            if value and not key.lstrip().startswith("#"):
+                assert " # " in line, line
+
+
+def test_the_limits_know_no_base_before_the_calibration():
+    limits = parse(LimitsConfig, YAML["limits"])
+    far_out = pose(p=(5.0, 0.0, 0.8))
+    assert objection(far_out, None, 0.05, 0.1, limits) == ""
+    assert "its x is 5.00 m" in objection(far_out, far_out, 0.05, 0.1, limits)
+
+
+REACH = parse(ReachConfig, YAML["reach"])
+YES = Reach(True, "")
+
+
+def test_a_grasp_is_asked_for_once_while_its_pose_stays():
+    book, T = ReachBook(REACH), pose(p=(0.4, 0.0, 0.1))
+    assert book.wanted(1, T, 0.0)
+    assert book.known(1) is None
+    book.asked(1, T, 0.0)
+    assert not book.wanted(1, T, 0.5)
+    book.answered(1, YES)
+    assert book.known(1) == YES
+    assert not book.wanted(1, T @ pose(p=(0.004, 0.0, 0.0)), 1.0)
+    assert book.wanted(1, T, REACH.keep + 1.0)
+
+
+def test_another_pose_is_asked_for_and_the_old_answer_is_forgotten():
+    book, T = ReachBook(REACH), pose(p=(0.4, 0.0, 0.1))
+    book.asked(1, T, 0.0)
+    book.answered(1, YES)
+    for other in (T @ pose(p=(0.006, 0.0, 0.0)), T @ pose(rotation_about(2, 0.1))):
+        assert book.wanted(1, other, 1.0)
+    book.asked(1, other, 1.0)
+    assert book.known(1) is None
+
+
+def test_while_it_is_asked_anew_the_answer_holds():
+    book, T = ReachBook(REACH), pose()
+    book.asked(1, T, 0.0)
+    book.answered(1, YES)
+    book.asked(1, T, 11.0)
+    assert book.known(1) == YES
+
+
+@given(st.floats(0.0, 100.0))
+def test_what_was_not_answered_is_asked_again_after_a_second(now):
+    book = ReachBook(REACH)
+    book.asked(1, pose(), 0.0)
+    book.answered(1, None)
+    assert book.wanted(1, pose(), now) == (now > 1.0)
+
+
+def test_grasps_out_of_sight_are_forgotten_and_their_answers_too():
+    book = ReachBook(REACH)
+    book.asked(1, pose(), 0.0)
+    book.keep_only({2})
+    book.answered(1, YES)
+    assert book.known(1) is None
