@@ -1,0 +1,201 @@
+"""The programs about the second network, from simulated episodes to table, on a handful of them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from grasping import refinement
+from grasping.dataset import store
+from grasping.dataset.labels import relative_label
+from grasping.programs import (
+    episode_files,
+    evaluate,
+    evaluate_refinement,
+    make_dataset,
+    make_episodes,
+    train_refinement,
+)
+from grasping.synthetic import episodes
+
+WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
+NUMBERS = (0, 1, 2, 3, 4)
+
+
+def call(monkeypatch, program, *arguments):
+    monkeypatch.setattr(sys, "argv", [program.__name__, *map(str, arguments)])
+    program.main()
+
+
+@pytest.fixture(scope="module", name="data")
+def data_fixture(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("episodes")
+    with pytest.MonkeyPatch.context() as patch:
+        call(patch, make_episodes, folder, WEIGHTS, "--episodes", len(NUMBERS), "--frames", 1)
+    return folder
+
+
+def test_episodes_are_made_once_and_read_as_recorded_ones(data, monkeypatch):
+    paths = sorted(data.iterdir())
+    assert [p.stem for p in paths] == [episodes.file_name("person", n) for n in NUMBERS]
+    assert [episodes.scene_of(p.stem) for p in paths] == [("person", n) for n in NUMBERS]
+    episode = store.decode(paths[1].read_bytes())
+    frame = episode.frame(0)
+    assert episode.metadata.operator == "simulated"
+    assert frame.maps.shape == (4, 150, 150)
+    assert relative_label(frame) is not None
+    # The hand comes straight down, but for the tremor.
+    assert frame.T_base_grasp[2, 2] < -0.9
+    paths[0].unlink()
+    kept = paths[1].stat().st_mtime_ns
+    call(monkeypatch, make_episodes, data, WEIGHTS, "--episodes", len(NUMBERS), "--frames", 1)
+    assert paths[0].exists()
+    assert paths[1].stat().st_mtime_ns == kept
+
+
+def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
+    """Without bias and tremor the grasp lies on the surface that the camera sees."""
+    who = episodes.person.Person(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0)
+    network, sha256 = make_episodes.network(WEIGHTS)
+    episode = episodes.episode("person", NUMBERS[1], network, sha256, who, 1)
+    frame = episode.frame(0)
+    p = frame.T_camera_grasp[:3, 3]
+    column, row = (round(float(i)) for i in frame.camera.project(p))
+    assert frame.depth_m[row, column] == pytest.approx(p[2], abs=0.012)
+    np.testing.assert_allclose(frame.T_base_grasp[:3, 2], [0.0, 0.0, -1.0], atol=1e-9)
+    assert episode.metadata.fingerprint != store.decode(next(iter(data.iterdir())).read_bytes()).metadata.fingerprint
+
+
+@pytest.fixture(name="holdout")
+def holdout_fixture(monkeypatch):
+    """Every other episode is held out, so that few are enough."""
+    monkeypatch.setattr(episode_files, "is_held_out", lambda name: int(name[-1]) % 2 == 1)
+
+
+@pytest.fixture(scope="module", name="shards")
+def shards_fixture(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("shards")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(make_dataset, "SHARD", 2)
+        call(patch, make_dataset, folder, "--scenes", "2")
+    return folder
+
+
+def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, shards, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    options = ["--every", "1", "--count", "2", "--features", "2", "--scenes", shards, WEIGHTS, "--scene-count", "2"]
+    call(monkeypatch, train_refinement, data, run, "--steps", "2", *options)
+    call(monkeypatch, train_refinement, data, run, "--steps", "3", *options)
+    with (run / "curves.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["1", "2", "3"]
+    assert all(np.isfinite(float(v)) for row in rows for v in row.values())
+    assert (run / "curves.png").stat().st_size > 1000
+    assert json.loads((run / "settings.json").read_text())["episodes"] == 3
+    content = (run / "weights.pt").read_bytes()
+    assert len(content) < 100_000
+    refinement.load(content)
+    results = tmp_path / "results"
+    untrained = tmp_path / "untrained.pt"
+    torch.save(refinement.RefinementNetwork().state_dict(), untrained)
+    call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, results, "--refinement", "untrained", untrained)
+    first = (results / "results.csv").read_text()
+    more = ["--refinement", "untrained", untrained, "--refinement", "trained", run / "weights.pt"]
+    call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, results, *more)
+    text = (results / "results.csv").read_text()
+    assert text.startswith(first)
+    rows = list(csv.DictReader(text.splitlines()))
+    held = [n.name for n in episode_files.read(data) if n.episode.held]
+    names = {"GGCNN alone", "GGCNN + constant offset", "nearest neighbour", "the person", "untrained", "trained"}
+    assert sorted((r["episode"], r["method"]) for r in rows) == sorted((e, m) for e in held for m in names)
+    of = {m: {r["episode"]: r for r in rows if r["method"] == m} for m in names}
+    for name in held:
+        assert of["the person"][name]["near"] == of["the person"][name]["lifted"] == "True"
+        # An untrained second network is GGCNN: the same pixel, but for the float16 of the stored maps.
+        a, b = (float(of[m][name]["position_mm"]) for m in ("GGCNN alone", "untrained"))
+        assert a == pytest.approx(b, abs=4.0)
+    assert "| trained |" in (results / "table.md").read_text()
+
+
+def test_training_is_over_when_nothing_gets_better():
+    rows = [{"validation": v} for v in (3.0, 2.0, 2.5, 2.1)]
+    assert not train_refinement.is_over(rows, 3)
+    assert train_refinement.is_over(rows, 2)
+    assert not train_refinement.is_over([*rows, {"validation": 1.9}], 2)
+
+
+def test_one_episode_in_five_is_held_out():
+    held = [episode_files.is_held_out(f"episode_{i}") for i in range(1000)]
+    assert 150 < sum(held) < 250
+
+
+def test_things_are_left_out_and_chosen(data):
+    things = {n.name: n.episode.metadata.object for n in episode_files.read(data)}
+    one = next(iter(things.values())).split(", ")[0]
+    only = {n.name for n in episode_files.read(data, only=[one])}
+    without = {n.name for n in episode_files.read(data, without=[one])}
+    assert only == {name for name, what in things.items() if one in what.split(", ")}
+    assert without == things.keys() - only
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "sentence"),
+    [
+        (train_refinement, ["nowhere", "run"], "holds no episode"),
+        (train_refinement, ["nowhere", "run", "--count", "0"], "--count is 0, but must be at least 1."),
+        (evaluate_refinement, ["nowhere", "nowhere", WEIGHTS, "results"], "holds no episode"),
+        (make_episodes, ["made", "nowhere.pt"], "No such file"),
+        (make_episodes, ["made", WEIGHTS, "--frames", "0"], "--frames is 0, but must be at least 1."),
+        (evaluate, ["folder", "--export", "file"], "Either a folder for the results is needed, or --export."),
+        (evaluate, [], "Either a folder for the results is needed, or --export."),
+    ],
+)
+def test_bad_calls_are_refused(tmp_path, monkeypatch, capsys, program, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        call(monkeypatch, program, *arguments)
+    assert end.value.code == 2
+    assert sentence in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_episode_is_named(tmp_path, data, monkeypatch, capsys):
+    whole = next(iter(sorted(data.iterdir()))).read_bytes()
+    (tmp_path / "torn.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run")
+    assert "torn.npz: The file is torn or damaged" in capsys.readouterr().err
+
+
+def test_too_few_episodes_are_refused(data, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(episode_files, "is_held_out", lambda name: False)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_refinement, data, tmp_path / "run")
+    assert "too few show a grasp that held" in capsys.readouterr().err
+
+
+def test_scenes_and_grasps_are_exported(tmp_path, monkeypatch):
+    file = tmp_path / "grasps.json"
+    call(monkeypatch, evaluate, "--scenes", "2", "--export", file, "--weights", "GG-CNN2", WEIGHTS)
+    found = json.loads(file.read_text())
+    assert found["schema"] == 1
+    assert [(s["scene"], s["objects"]) for s in found["scenes"]] == [(0, 1), (1, 3)]
+    for scene in found["scenes"]:
+        assert len(scene["qpos"]) == 7 * scene["objects"]
+        assert scene["mjcf"].count("<freejoint/>") == scene["objects"]
+        assert [g["method"] for g in scene["grasps"]] == [
+            "oracle",
+            "random pixel",
+            "principal axis",
+            "edge pair",
+            "GG-CNN2",
+        ]
+        T = np.array(scene["grasps"][0]["T_world_grasp"])
+        assert T[2, 2] < -0.95
+        assert 0.0 < T[2, 3] < 0.2
