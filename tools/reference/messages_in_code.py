@@ -78,7 +78,7 @@ def _of_call(node: ast.Call) -> Iterator[ast.expr]:
             yield from node.args
     elif len(node.args) > 1 and _tells_of_trouble(node.args[0]):
         yield node.args[1]
-    elif name.endswith((".append", ".extend")) and NAMES.search(_name(node.func.value)):
+    elif name.endswith((".append", ".extend")) and NAMES.search(name.split(".")[-2]):
         yield from node.args
     yield from (k.value for k in node.keywords if k.arg and NAMES.search(k.arg))
 

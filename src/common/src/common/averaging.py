@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 class Window:
@@ -18,7 +19,7 @@ class Window:
             raise ValueError(f"a window holds at least one sample, not {size}")
         self._samples: deque[np.ndarray] = deque(maxlen=size)
 
-    def add(self, sample) -> None:
+    def add(self, sample: ArrayLike) -> None:
         """Takes a sample in; the oldest goes out when the window is full.
 
         Raises:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.errors import ConfigError
 from common.poses import read_only
@@ -46,12 +47,12 @@ class CameraModel:
     R: np.ndarray
     P: np.ndarray
 
-    def project(self, points) -> np.ndarray:
+    def project(self, points: ArrayLike) -> np.ndarray:
         """Returns the pixels, shape (..., 2) [px], of points in the optical frame, shape (..., 3), z > 0 [m]."""
         points = np.asarray(points, dtype=float)
         return self._to_pixels(self._distort(points[..., :2] / points[..., 2:]))
 
-    def rays(self, pixels) -> np.ndarray:
+    def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Returns the directions x, y, 1, shape (..., 3), that the pixels, shape (..., 2) [px], look into.
 
         Raises:
@@ -91,7 +92,7 @@ class CameraModel:
         return xy * (self.K[0, 0], self.K[1, 1]) + (self.K[0, 2], self.K[1, 2])
 
 
-def pinhole(name: str, width: int, height: int, K) -> CameraModel:
+def pinhole(name: str, width: int, height: int, K: ArrayLike) -> CameraModel:
     """Returns the camera without distortion with the matrix K, shape (3, 3) [px]."""
     K = read_only(K)
     P = np.column_stack((K, np.zeros(3)))
@@ -114,7 +115,7 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
     name = values.get("camera_name")
     if not isinstance(name, str) or not name.strip():
         faults.append(f"camera_name is {name!r}, but must be a text.")
-    size = []
+    size: list[Any] = []
     for key in ("image_width", "image_height"):
         size.append(values.get(key))
         if isinstance(size[-1], bool) or not isinstance(size[-1], int) or not 0 < size[-1] <= 16384:
@@ -128,9 +129,9 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
     for key, matrix in (("camera_matrix", K), ("projection_matrix", P)):
         if matrix is not None and not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
             faults.append(f"{key} has the focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g}, but they must be > 0.")
-    if faults:
+    if faults or K is None or D is None or R is None or P is None:
         raise ConfigError(faults)
-    return CameraModel(name, size[0], size[1], K, read_only(D[0]), R, P)
+    return CameraModel(str(name), int(size[0]), int(size[1]), K, read_only(D[0]), R, P)
 
 
 def _matrix(values: Mapping[str, Any], key: str, shape: tuple[int, int], faults: list[str]) -> np.ndarray | None:

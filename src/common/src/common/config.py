@@ -18,35 +18,55 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Optional, Protocol, TypeVar
 
 import numpy as np
 
 from common.errors import ConfigError
 
 Schema = TypeVar("Schema")
+Bound = Optional[float]
+"""An end of a range; None: there is none."""
+
 REQUIRED = object()
 """A key that must be there."""
 
 
-def number(unit: str = "", *, low=None, high=None, above=None, below=None, doc: str = "", absent=REQUIRED) -> Any:
+def number(
+    unit: str = "",
+    *,
+    low: Bound = None,
+    high: Bound = None,
+    above: Bound = None,
+    below: Bound = None,
+    doc: str = "",
+    absent: Any = REQUIRED,
+) -> Any:
     """A finite number. `low` and `high` belong to the range, `above` and `below` do not."""
     return _field(_Number(unit, low, high, above, below), doc, absent)
 
 
-def integer(unit: str = "", *, low=None, high=None, doc: str = "") -> Any:
+def integer(unit: str = "", *, low: Bound = None, high: Bound = None, doc: str = "") -> Any:
     """A whole number within [low, high]."""
     return _field(_Integer(unit, low, high, None, None), doc)
 
 
 def vector(
-    length: int, unit: str = "", *, low=None, high=None, above=None, below=None, doc: str = "", absent=REQUIRED
+    length: int,
+    unit: str = "",
+    *,
+    low: Bound = None,
+    high: Bound = None,
+    above: Bound = None,
+    below: Bound = None,
+    doc: str = "",
+    absent: Any = REQUIRED,
 ) -> Any:
     """A list of `length` finite numbers, each in the range; becomes a read-only array, shape (length,)."""
     return _field(_Vector(length, _Number(unit, low, high, above, below)), doc, absent)
 
 
-def flag(doc: str = "", absent=REQUIRED) -> Any:
+def flag(doc: str = "", absent: Any = REQUIRED) -> Any:
     """true or false."""
     return _field(_Flag(), doc, absent)
 
@@ -56,7 +76,7 @@ def text(doc: str = "") -> Any:
     return _field(_Text(), doc)
 
 
-def path(doc: str = "", absent=REQUIRED) -> Any:
+def path(doc: str = "", absent: Any = REQUIRED) -> Any:
     """The absolute path of a file, or an empty string for none."""
     return _field(_Path(), doc, absent)
 
@@ -80,7 +100,7 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     """
     if not isinstance(values, Mapping):
         raise ConfigError([f"{prefix or 'the configuration'} is {values!r}, but must be a mapping of keys to values."])
-    fields = {f.name: f for f in dataclasses.fields(schema)}
+    fields = {f.name: f for f in dataclasses.fields(schema)}  # type: ignore[arg-type]  # a TypeVar cannot say "a dataclass"
     faults = [
         f"{prefix}{key} is not a known key; known are {', '.join(fields)}."
         for key in values
@@ -118,7 +138,8 @@ class Key(NamedTuple):
 
 def keys(schema: type) -> list[Key]:
     """Returns the keys of the schema in their order."""
-    return [Key(f.name, *f.metadata["kind"].columns(), f.metadata["doc"]) for f in dataclasses.fields(schema)]
+    columns = ((f, f.metadata["kind"].columns()) for f in dataclasses.fields(schema))
+    return [Key(f.name, kind, interval, unit, f.metadata["doc"]) for f, (kind, interval, unit) in columns]
 
 
 def required(schema: type) -> tuple[str, ...]:
@@ -126,10 +147,23 @@ def required(schema: type) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(schema) if f.metadata["absent"] is REQUIRED)
 
 
-def _field(kind, doc: str, absent=REQUIRED) -> Any:
+def _field(kind: _Kind, doc: str, absent: Any = REQUIRED) -> Any:
     """Returns the field; `absent` is the value that a missing key stands for, and may be None."""
     absent = absent if absent is REQUIRED or absent is None else kind.read(absent)
     return dataclasses.field(metadata={"kind": kind, "doc": doc, "absent": absent})
+
+
+class _Kind(Protocol):
+    """What a key may hold."""
+
+    def read(self, value: Any) -> Any:
+        """Returns the value; raises ValueError where it is not allowed."""
+
+    def allowed(self) -> str:
+        """Returns what is allowed, as a part of a sentence."""
+
+    def columns(self) -> tuple[str, str, str]:
+        """Returns type, range and unit."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,7 +174,7 @@ class _Number:
     above: float | None
     below: float | None
 
-    def read(self, value):
+    def read(self, value: Any) -> Any:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise ValueError
         if (
@@ -174,7 +208,7 @@ class _Number:
 
 
 class _Integer(_Number):
-    def read(self, value):
+    def read(self, value: Any) -> Any:
         if not isinstance(value, int):
             raise ValueError
         return int(super().read(value))
@@ -191,7 +225,7 @@ class _Vector:
     length: int
     item: _Number
 
-    def read(self, value):
+    def read(self, value: Any) -> Any:
         if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != self.length:
             raise ValueError
         array = np.array([self.item.read(v) for v in value])
@@ -207,7 +241,7 @@ class _Vector:
 
 
 class _Flag:
-    def read(self, value):
+    def read(self, value: Any) -> Any:
         if not isinstance(value, bool):
             raise ValueError
         return value
@@ -220,7 +254,7 @@ class _Flag:
 
 
 class _Text:
-    def read(self, value):
+    def read(self, value: Any) -> Any:
         if not isinstance(value, str) or not value.strip():
             raise ValueError
         return value
@@ -233,7 +267,7 @@ class _Text:
 
 
 class _Path:
-    def read(self, value):
+    def read(self, value: Any) -> Any:
         if not isinstance(value, str) or (value and not value.startswith("/")):
             raise ValueError
         return value
@@ -249,7 +283,7 @@ class _Path:
 class _Choice:
     options: tuple[str, ...]
 
-    def read(self, value):
+    def read(self, value: Any) -> Any:
         if value not in self.options:
             raise ValueError
         return value

@@ -8,9 +8,22 @@ whose side changes was mistaken for another one.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
-Hand = TypeVar("Hand")
+
+class Identified(Protocol):
+    """What a hand must tell of itself."""
+
+    @property
+    def id(self) -> int:
+        """Of the hand as the tracker counts them."""
+
+    @property
+    def is_left(self) -> bool:
+        """Whether it is a left hand."""
+
+
+Hand = TypeVar("Hand", bound=Identified)
 
 
 class HandChoice:

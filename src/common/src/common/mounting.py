@@ -15,8 +15,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.config import vector
 from common.poses import read_only
@@ -27,14 +29,14 @@ EVEN = 1e-9
 """What is nearer to zero than this is rounding."""
 
 
-def mounting_field():
+def mounting_field() -> Any:
     """Returns the parameter `mounting` for a configuration."""
     return vector(
         3, "deg", low=-180.0, high=180.0, absent=(0.0, 0.0, 0.0), doc="roll, pitch, yaw of the base in an upright world"
     )
 
 
-def rotation_of_mounting(mounting) -> np.ndarray:
+def rotation_of_mounting(mounting: ArrayLike) -> np.ndarray:
     """Returns R_world_base, shape (3, 3), of roll, pitch and yaw [deg]."""
     roll, pitch, yaw = np.radians(mounting)
     return rotation_from_zyx(yaw, pitch, roll)
@@ -69,7 +71,7 @@ class Directions:
         return R_a_hand @ rotation_about(2, math.pi) if self.turned else R_a_hand
 
 
-def directions(center_line, mounting=(0.0, 0.0, 0.0)) -> Directions:
+def directions(center_line: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)) -> Directions:
     """Returns the directions that `mounting` gives.
 
     Args:

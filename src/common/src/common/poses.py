@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.rotations import check_rotation
 
 
-def pose(R=None, p=None) -> np.ndarray:
+def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> np.ndarray:
     """Returns the pose with rotation R, shape (3, 3), and position p, shape (3,) [m]; identity where left out."""
     T = np.eye(4)
     if R is not None:
@@ -28,7 +29,7 @@ def inverse(T: np.ndarray) -> np.ndarray:
     return pose(R, -R @ T[:3, 3])
 
 
-def check_pose(T, tolerance: float = 1e-6) -> np.ndarray:
+def check_pose(T: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     """Returns T as a float array, shape (4, 4).
 
     Raises:
@@ -43,7 +44,7 @@ def check_pose(T, tolerance: float = 1e-6) -> np.ndarray:
     return T
 
 
-def read_only(values) -> np.ndarray:
+def read_only(values: ArrayLike) -> np.ndarray:
     """Returns a float copy of `values` that cannot be written to, for frozen records."""
     array = np.array(values, dtype=float)
     array.setflags(write=False)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 UNIT_TOLERANCE = 1e-3
 """How far the norm of a quaternion or of an axis may be off and still be normalised (reference: faults, 20)."""
 
 
-def unit(vector) -> np.ndarray:
+def unit(vector: ArrayLike) -> np.ndarray:
     """Returns vector / |vector|, shape (n,).
 
     Raises:
@@ -35,7 +36,7 @@ def rotation_about(axis: int, angle: float) -> np.ndarray:
     return R
 
 
-def check_rotation(R, tolerance: float = 1e-6) -> np.ndarray:
+def check_rotation(R: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     """Returns R as a float array, shape (3, 3).
 
     Raises:
@@ -51,13 +52,13 @@ def check_rotation(R, tolerance: float = 1e-6) -> np.ndarray:
     return R
 
 
-def quaternion_from_rotation(R) -> np.ndarray:
+def quaternion_from_rotation(R: ArrayLike) -> np.ndarray:
     """Returns the quaternion x, y, z, w with w >= 0, shape (4,), of the rotation R, shape (3, 3)."""
     q = pin.Quaternion(np.asarray(R, dtype=float)).normalized().coeffs()
     return -q if q[3] < 0.0 else np.array(q)
 
 
-def rotation_from_quaternion(q) -> np.ndarray:
+def rotation_from_quaternion(q: ArrayLike) -> np.ndarray:
     """Returns the rotation, shape (3, 3), of the quaternion x, y, z, w, shape (4,).
 
     Raises:
@@ -77,17 +78,17 @@ def rotation_from_zyx(a: float, b: float, c: float) -> np.ndarray:
     return pin.rpy.rpyToMatrix(c, b, a)
 
 
-def zyx_from_rotation(R) -> tuple[float, float, float]:
+def zyx_from_rotation(R: ArrayLike) -> tuple[float, float, float]:
     """Returns a, b, c [rad] with R = Rz(a) Ry(b) Rx(c), b in [-pi/2, pi/2]; at |b| = pi/2 one of the many solutions."""
     c, b, a = pin.rpy.matrixToRpy(np.asarray(R, dtype=float))
     return float(a), float(b), float(c)
 
 
-def rotation_angle(R) -> float:
+def rotation_angle(R: ArrayLike) -> float:
     """Returns the angle [rad], 0 to pi, by which the rotation R, shape (3, 3), turns."""
     return float(np.linalg.norm(pin.log3(np.asarray(R, dtype=float))))
 
 
-def share_of_rotation(R, share: float) -> np.ndarray:
+def share_of_rotation(R: ArrayLike, share: float) -> np.ndarray:
     """Returns the rotation about the axis of R, shape (3, 3), by `share` of its angle, shape (3, 3)."""
     return pin.exp3(share * pin.log3(np.asarray(R, dtype=float)))

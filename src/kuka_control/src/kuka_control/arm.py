@@ -44,8 +44,16 @@ class Arm(ABC):
     state: ArmState = ArmState()
     """The newest readings."""
 
-    round_trip: float | None = None
-    """Time from the last answered command to its answer [s]."""
+    @property
+    def measured_joints(self) -> np.ndarray:
+        """The measured joints, shape (7,) [rad], which every arm reads at its start."""
+        assert self.state.joints is not None, "no joints were read yet"
+        return self.state.joints
+
+    @property
+    def round_trip(self) -> float | None:
+        """Time from the last answered command to its answer [s]; None if it is not known."""
+        return None
 
     @abstractmethod
     def read(self) -> None:
@@ -168,9 +176,10 @@ class KstArm(Arm):
 
     def servo(self, q: np.ndarray) -> None:
         kind = self._next(self.SERVO_TURN)
-        self._take(kind, self._servo_calls[kind](q))
+        value = self._servo_calls[kind](q)
+        self._take(kind, value)
         if kind == "torques_external":
-            self._take("moment", self._moment(self.state.joints, self.state.torques_external))
+            self._take("moment", self._moment(self.measured_joints, value))
 
     def stop_servo(self) -> None:
         self._client.stop_joint_servo()

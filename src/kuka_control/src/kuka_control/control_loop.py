@@ -14,8 +14,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Callable, Generic, TypeVar
 
 import numpy as np
 
@@ -73,10 +73,14 @@ class _Motion:
     deadline: float
 
 
-class ControlLoop(ABC):
+Settings = TypeVar("Settings", bound=LoopSettings)
+State = Callable[..., Command]
+
+
+class ControlLoop(ABC, Generic[Settings]):
     """The shared half; a subclass says how a new target is followed."""
 
-    def __init__(self, settings: LoopSettings, chain: TargetChain) -> None:
+    def __init__(self, settings: Settings, chain: TargetChain) -> None:
         self.counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self.stopped_because: str | None = None
         self._settings = settings
@@ -140,7 +144,7 @@ class ControlLoop(ABC):
         """No motion and no servo: at home, or where a motion ended."""
         if self._leaving(seen):
             return self._go_to_zero(seen, now)
-        if self._must_return(seen, now):
+        if self._must_return(seen, now) and self._home_at is not None:
             velocity, self._home_at = self._home_at, None
             return self._ptp(seen, "home", self._settings.q_home, velocity, "returning", self._home, now)
         if self._at_home:
@@ -153,6 +157,7 @@ class ControlLoop(ABC):
     def _moving(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
         """A PTP motion runs, which nothing can stop; transforms are disregarded."""
         motion = self._motion
+        assert motion is not None, "this state begins with a motion"
         if seen.arrived:
             if self._overdue and motion.then not in (self._home, self._zero):
                 return self._latch(f"Something held the arm on its way to {motion.name}.")
@@ -186,7 +191,9 @@ class ControlLoop(ABC):
     def _ended(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
         return End(self._leaving_because)
 
-    def _ptp(self, seen: Observation, name: str, q, velocity: float, mode: str, then, now: float) -> Command:
+    def _ptp(
+        self, seen: Observation, name: str, q: np.ndarray, velocity: float, mode: str, then: State, now: float
+    ) -> Command:
         way = np.max(np.abs(q - seen.joints) / self._settings.joint_speeds)
         self._motion = _Motion(name, q, then, now + 2.0 * float(way) / velocity + PTP_MARGIN_S)
         self._overdue = self._at_home = False
@@ -215,8 +222,10 @@ class ControlLoop(ABC):
             return Wait()
         if self._state != self._moving:
             return self._latch(f"The robot's controller has ended servo mode: {refused}.")
-        fault = f"The robot's controller refused the motion to {self._motion.name}: {refused}."
-        return self._end(fault) if self._motion.then == self._zero else self._latch(fault)
+        motion = self._motion
+        assert motion is not None, "this state begins with a motion"
+        fault = f"The robot's controller refused the motion to {motion.name}: {refused}."
+        return self._end(fault) if motion.then == self._zero else self._latch(fault)
 
     def _latch(self, fault: str) -> Command:
         self._enter("stopped", self._latched, f"{fault} The arm stays where it is until control goes off and on again.")
@@ -273,7 +282,7 @@ class ControlLoop(ABC):
         kept = self._kept if self._stream.silent_for(now) <= self._settings.time_out else None
         return self._stream.refusal(now) or kept
 
-    def _enter(self, mode: str, state, reason: str) -> None:
+    def _enter(self, mode: str, state: State, reason: str) -> None:
         """Changes the state; what it does and why is said once."""
         self._state, self._mode, self._reason, self._kept = state, mode, reason, None
         self._say("error" if mode == "stopped" and state == self._latched else "info", reason)

@@ -57,7 +57,7 @@ class Controller:
         self._watch_motion()
         refused, self._refused = self._refused, None
         observation = Observation(
-            joints=self._arm.state.joints,
+            joints=self._arm.measured_joints,
             desired=inputs.desired,
             clock=inputs.clock,
             control_on=inputs.control_on,

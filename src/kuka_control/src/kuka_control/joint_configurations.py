@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import make_dataclass
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def named_configurations(values: object, model: RobotModel) -> dict[str, np.ndar
     if faults:
         raise ConfigError(faults)
     schema = make_dataclass("JointConfigurations", [(name, np.ndarray, vector(7, "deg")) for name in values])
-    read = parse(schema, values)
+    read: Any = parse(schema, values)
     named = {name: read_only(np.radians(getattr(read, name))) for name in values}
     faults = [fault for name, q in named.items() for fault in range_faults(model, q, f"{name}: ")]
     if faults:

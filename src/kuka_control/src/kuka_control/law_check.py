@@ -73,20 +73,20 @@ class LawCheck:
         left = 1.0 - (measured[6] - self._rest[6]) / self._turn
         self._disturbed |= bool(np.max(np.abs(measured - self._rest)[:6]) > ELSEWHERE_RAD)
         if self._back_at is None:
-            return self._outwards(left, now)
+            return self._outwards(left, now - self._began, now)
         back = now - self._back_at
         if (back > 2.0 * RAMP_S and 1.0 - left <= 0.125) or back > PATIENCE_S:
             return Checked(self._rest, True, *self._answer())
         return self._at(1.0 - min(back / RAMP_S, 1.0))
 
-    def _outwards(self, left: float, now: float) -> Checked:
+    def _outwards(self, left: float, elapsed: float, now: float) -> Checked:
         if left <= 0.5 and self._half_at is None:
             self._half_at = now
         if left <= 0.125:
             self._eighth_at = now
-        if self._eighth_at is not None or now - self._began > PATIENCE_S:
+        if self._eighth_at is not None or elapsed > PATIENCE_S:
             self._back_at = now
-        return self._at(min((now - self._began) / RAMP_S, 1.0))
+        return self._at(min(elapsed / RAMP_S, 1.0))
 
     def _at(self, part: float) -> Checked:
         """Returns the goal after a part of the turn; it starts and stops smoothly."""

@@ -22,10 +22,11 @@ class PtpSettings(LoopSettings):
     joints_thresh: float
 
 
-class PtpLoop(ControlLoop):
+class PtpLoop(ControlLoop[PtpSettings]):
     """Follows the desired tool frame motion by motion."""
 
     def _follow(self, seen: Observation, target: Target, now: float) -> Command:
+        assert target.q is not None, "only what can be reached is followed"
         if np.max(np.abs(target.q - seen.joints)) <= self._settings.joints_thresh:
             return Wait()
         velocity = self._settings.velocity_home

@@ -83,7 +83,8 @@ def study_reach(
         raise ValueError(f"a study needs positions and attitudes, not {len(positions)} and {attitudes}")
     limits = np.asarray(tolerances, dtype=float)
     R_down = tool_attitude(bearings, 0.0, 0.0, 0.0)
-    down, share, failures = [], [], Counter()
+    down, share = [], []
+    failures: Counter[IkFailure] = Counter()
     for position in positions:
         straight = kinematics.inverse(pose(R_down, position), near=q_home)
         down.append(straight.failure is None)

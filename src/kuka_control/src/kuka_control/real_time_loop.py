@@ -44,7 +44,7 @@ class RealTimeSettings(LoopSettings):
     upper: np.ndarray
 
 
-class RealTimeLoop(ControlLoop):
+class RealTimeLoop(ControlLoop[RealTimeSettings]):
     """Follows the desired tool frame in servo mode."""
 
     def __init__(self, settings: RealTimeSettings, chain: TargetChain, limits: MotionLimits | Unlimited) -> None:
@@ -112,6 +112,7 @@ class RealTimeLoop(ControlLoop):
         return super()._home(seen, fresh, now)
 
     def _follow(self, seen: Observation, target: Target, now: float) -> Command:
+        assert target.q is not None, "only what can be reached is followed"
         if np.max(np.abs(target.q - seen.joints)) <= TOLERANCE_RAD:
             return self._start_servo()
         self.counts["pickups"] += 1
@@ -154,7 +155,7 @@ class RealTimeLoop(ControlLoop):
             target = self._resolve(seen, fresh, self._motion_of_target.q)
             if self._leaving(seen):
                 return self._leave_servo()
-            if target is None:
+            if target is None or target.q is None:
                 self._motion_of_target.hold()
             elif self._jumped(target.q, fresh.stamp, seen.joints):
                 self.counts["jumps"] += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 from common.config import choice, integer, number, parse, text
 from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
@@ -36,7 +37,7 @@ def robot_address(values: object, given: Mapping, prefix: str = "") -> RobotAddr
         ConfigError: with all faults.
     """
     changes = {key: value for key, value in given.items() if value is not None}
-    merged = {**values, **changes} if isinstance(values, Mapping) else values
+    merged: Any = {**values, **changes} if isinstance(values, Mapping) else values
     controllers = (ArmConfig, RealTimeConfig, PtpConfig)
     others = {field.name for schema in controllers for field in fields(schema)} | set(neighbours(ArmConfig))
     return parse(RobotAddress, merged, prefix, others=others - set(KEYS))

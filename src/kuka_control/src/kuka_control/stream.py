@@ -54,8 +54,8 @@ class DesiredStream:
     """Watches the newest desired tool frame."""
 
     def __init__(self) -> None:
-        self._seen = None
-        self._last_good = None
+        self._seen: float | None = None
+        self._last_good: float | None = None
         self._refusing = False
         self._refusal: tuple[str, float] | None = None
 

@@ -35,7 +35,7 @@ class TrackingMonitor:
 
     def reset(self) -> None:
         """Starts anew, as after a start of servo mode."""
-        self._reference = None
+        self._reference: np.ndarray | None = None
         self._still_since = self._far_since = 0.0
         self._still_samples = self._far_samples = 0
 
@@ -45,8 +45,9 @@ class TrackingMonitor:
         joint = int(np.argmax(error))
         worst = float(error[joint])
 
-        first = self._reference is None
-        moved = first or float(np.max(np.abs(measured - self._reference))) > STILL_RAD
+        reference = self._reference
+        first = reference is None
+        moved = reference is None or float(np.max(np.abs(measured - reference))) > STILL_RAD
         if moved or worst <= AWAY_RAD:
             self._reference = measured
             self._still_since, self._still_samples = now, 0

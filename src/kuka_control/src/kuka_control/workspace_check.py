@@ -48,12 +48,13 @@ def _further_faults(values: Mapping, prefix: str, known: tuple[str, ...]) -> lis
     limits = ("z_lower_limit", "z_upper_limit", "inner_sphere_limit", "outer_sphere_limit")
     try:
         height = robot_model(values["robot"], values["flange"]).base_shoulder
-        numbers = [math.radians(values["opening_angle"]), *(float(values[key]) for key in limits)]
+        angle = math.radians(values["opening_angle"])
+        z_lower, z_upper, inner, outer = (float(values[key]) for key in limits)
         line = np.array(values["center_line"], dtype=float)
     except (KeyError, TypeError, ValueError):
         return []  # without all the numbers there is no geometry to judge
-    if line.shape != (3,) or not np.all(np.isfinite([*line, *numbers])):
+    if line.shape != (3,) or not np.all(np.isfinite([*line, angle, z_lower, z_upper, inner, outer])):
         return []
-    found = workspace_faults(line, *numbers, height)
+    found = workspace_faults(line, angle, z_lower, z_upper, inner, outer, height)
     named = {fault[len(prefix) :].split()[0] for fault in known}
     return [f"{prefix}{fault}" for fault in found if fault.split()[0] not in named]

@@ -64,7 +64,7 @@ def flexion(points: HandPoints) -> np.ndarray:
     )
 
 
-def angle_between(a, b) -> float:
+def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     """Returns the angle [rad], 0 to pi, between the vectors a and b, shape (3,); exact near 0 and pi too.
 
     Raises:

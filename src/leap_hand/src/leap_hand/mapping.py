@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
-def map_angles(angles, human: np.ndarray, robot: np.ndarray) -> np.ndarray:
+def map_angles(angles: ArrayLike, human: np.ndarray, robot: np.ndarray) -> np.ndarray:
     """Returns the robot's angles, shape (n,) [rad].
 
     Args:

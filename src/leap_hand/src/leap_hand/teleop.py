@@ -119,7 +119,7 @@ class Teleop:
             return self._open("no hand is seen")
         if hand.points is None:
             return self._open(f"{_name(hand)} has not five fingers")
-        return self._follow(hand)
+        return self._follow(hand, hand.points)
 
     def silence(self, now: float) -> HandResult | None:
         """Returns the open pose, once, when no usable frame came for MAX_SILENCE_S, else None."""
@@ -129,9 +129,9 @@ class Teleop:
         self._opened_in_silence = True
         return self._open(silence)
 
-    def _follow(self, hand: TrackedHand) -> HandResult:
+    def _follow(self, hand: TrackedHand, points: HandPoints) -> HandResult:
         try:
-            angles = flexion(hand.points)
+            angles = flexion(points)
         except ValueError as error:
             self._bad_frames += 1
             if self._bad_frames >= MAX_BAD_FRAMES:

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.poses import read_only
 from common.rotations import UNIT_TOLERANCE, unit
@@ -69,7 +70,7 @@ def sample_fault(sample: HandSample) -> str | None:
     return None
 
 
-def hand_rotation(direction, normal) -> np.ndarray:
+def hand_rotation(direction: ArrayLike, normal: ArrayLike) -> np.ndarray:
     """Returns R_leap_hand, shape (3, 3), with x along `direction` and z as near to `normal` as that allows.
 
     Args:

@@ -249,7 +249,7 @@ class Teleop:
         mean = self._average.mean()
         T_virtual_hand = None if mean is None else mean.T_leap_hand
         hold_end = self._hold.news()
-        if not self._gate.running:
+        if mean is None or not self._gate.running:
             T_base_held = self._hold.T_base_tool
             return TeleopResult(
                 WAITING,

@@ -18,12 +18,12 @@ from common.poses import pose
 from common.rotations import rotation_about
 
 
-def heading(direction) -> float:
+def heading(direction: np.ndarray) -> float:
     """Returns the heading [rad] of a direction in the Leap frame, shape (3,); 0 for one that is vertical."""
     return math.atan2(direction[0], -direction[2])
 
 
-def virtual_leap_pose(bearings: Directions, ws_center, height: float, psi: float) -> np.ndarray:
+def virtual_leap_pose(bearings: Directions, ws_center: np.ndarray, height: float, psi: float) -> np.ndarray:
     """Returns T_base_virtual, shape (4, 4).
 
     Args:

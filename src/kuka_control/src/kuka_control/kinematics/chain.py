@@ -15,6 +15,7 @@ import numpy as np
 from kuka_control.robot_model import RobotModel
 
 Vector = Tuple[float, float, float]
+Frames = Tuple[Tuple[Vector, ...], Vector, Vector, Vector, Vector, Tuple[Vector, Vector, Vector]]
 
 
 def zyz_axes(a: float, b: float, c: float) -> tuple[Vector, Vector, Vector]:
@@ -74,7 +75,7 @@ def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None 
     return J
 
 
-def _frames(model: RobotModel, q: np.ndarray):
+def _frames(model: RobotModel, q: np.ndarray) -> Frames:
     """Returns the joint axes, the points shoulder, elbow, wrist and flange [m], and the axes of the flange."""
     q1, q2, q3, q4, q5, q6, q7 = np.asarray(q, dtype=float).tolist()
     x3, y3, z3 = zyz_axes(q1, q2, q3)

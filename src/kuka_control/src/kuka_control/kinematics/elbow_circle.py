@@ -16,7 +16,9 @@ turn, so all eight branches share one circle.
 from __future__ import annotations
 
 from math import acos, atan2, copysign, cos, hypot, pi, sin
-from typing import NamedTuple, Sequence
+from typing import Callable, Iterable, NamedTuple, Sequence
+
+import numpy as np
 
 from kuka_control.kinematics.arcs import FLAT, TURN, Arc, Interval, intersection, positive, remaining
 from kuka_control.kinematics.chain import Vector, combination, cross
@@ -33,7 +35,7 @@ class Branch(NamedTuple):
     wrist: int
 
     @classmethod
-    def of(cls, q: Sequence[float]) -> Branch:
+    def of(cls, q: Sequence[float] | np.ndarray) -> Branch:
         """Returns the branch that joints q, 7 angles [rad], are in."""
         return cls(*(int(copysign(1.0, q[i])) for i in (1, 3, 5)))
 
@@ -50,7 +52,7 @@ class Limits:
         least_bend: what joints 2 and 6 must be away from zero [rad].
     """
 
-    def __init__(self, lower: Sequence[float], upper: Sequence[float], least_bend: float = 0.0) -> None:
+    def __init__(self, lower: Iterable[float], upper: Iterable[float], least_bend: float = 0.0) -> None:
         self.lower, self.upper = tuple(map(float, lower)), tuple(map(float, upper))
         self.directions = tuple((cos(a), sin(a), cos(b), sin(b)) for a, b in zip(self.lower, self.upper))
         self.greatest_cos = cos(least_bend) if least_bend > 0.0 else None
@@ -184,7 +186,7 @@ class ElbowCircle:
             + self._part(limits, 6, wrist, self._joint_7)
         )
 
-    def _part(self, limits: Limits, joint: int, sign: int, function) -> list[Arc]:
+    def _part(self, limits: Limits, joint: int, sign: int, function: Callable[[Limits, int], list[Arc]]) -> list[Arc]:
         key = (limits, joint, sign)
         arcs = self._forbidden.get(key)
         if arcs is None:

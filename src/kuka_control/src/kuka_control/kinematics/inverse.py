@@ -222,8 +222,9 @@ class Kinematics:
 
     def _refolded(self, circle: ElbowCircle, seed: list[float]) -> _Candidate | None:
         """Returns the best joints of all branches."""
-        found = (self._best_in_branch(circle, branch, seed) for branch in BRANCHES)
-        return min((one for one in found if one is not None), key=lambda one: one.cost, default=None)
+        found = [self._best_in_branch(circle, branch, seed) for branch in BRANCHES]
+        reached = [one for one in found if one is not None]
+        return min(reached, key=lambda one: one.cost) if reached else None
 
     def _best_in_branch(self, circle: ElbowCircle, branch: Branch, seed: list[float]) -> _Candidate | None:
         """Returns the joints of a branch that are cheapest to reach from `seed`, or None if it has none in range."""

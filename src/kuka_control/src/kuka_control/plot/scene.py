@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d import Axes3D
+from numpy.typing import ArrayLike
 
 from kuka_control.plot import colours
 from kuka_control.plot.picture import Picture
@@ -56,7 +57,7 @@ def _draw_workspace(axes: Axes3D, workspace: Workspace) -> None:
         axes.plot(*line.T, color=colours.WORKSPACE, linewidth=1.6, zorder=BACK + 1)
 
 
-def _surface(r, turn, z) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _surface(r: ArrayLike, turn: ArrayLike, z: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r, turn, z = np.broadcast_arrays(r, turn, z)
     return r * np.cos(turn), r * np.sin(turn), z
 

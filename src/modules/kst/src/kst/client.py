@@ -14,6 +14,7 @@ import contextlib
 import enum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.errors import DeviceError
 from kst import codec
@@ -162,7 +163,7 @@ class KstClient:
         """Returns the external moment at the tool, shape (3,) [Nm], about the tool's axes; only when idle."""
         return self._measure(codec.MOMENT, None)
 
-    def ptp_joints(self, q, velocity: float, timeout: float) -> None:
+    def ptp_joints(self, q: ArrayLike, velocity: float, timeout: float) -> None:
         """Moves the arm to q, shape (7,) [rad], and waits until it is there, at most `timeout` seconds.
 
         Raises:
@@ -180,7 +181,7 @@ class KstClient:
             )
         self.ptp_arrived()
 
-    def start_ptp_joints(self, q, velocity: float) -> None:
+    def start_ptp_joints(self, q: ArrayLike, velocity: float) -> None:
         """Starts a motion to q, shape (7,) [rad], at `velocity` of the greatest speed, in (0, 1].
 
         Raises:
@@ -249,7 +250,7 @@ class KstClient:
         self._session.look()
         self._heed_refusal()
 
-    def servo(self, q) -> None:
+    def servo(self, q: ArrayLike) -> None:
         """Sets the servo's goal to q, shape (7,) [rad], acknowledged.
 
         Raises:
@@ -257,25 +258,25 @@ class KstClient:
         """
         self._servo(q, Feedback.DONE)
 
-    def servo_unacknowledged(self, q) -> None:
+    def servo_unacknowledged(self, q: ArrayLike) -> None:
         """As `servo`, without an answer: the caller keeps the pace, and looks now and then with an answered goal."""
         self._require_servo()
         self._session.tell(codec.joint_goal(self._limits.check(q), Feedback.NOTHING))
         self._heed_refusal()
 
-    def servo_joints(self, q) -> np.ndarray:
+    def servo_joints(self, q: ArrayLike) -> np.ndarray:
         """As `servo`; returns the measured joint angles, shape (7,) [rad]."""
         return self._numbers(self._servo(q, Feedback.JOINTS))
 
-    def servo_external_torques(self, q) -> np.ndarray:
+    def servo_external_torques(self, q: ArrayLike) -> np.ndarray:
         """As `servo`; returns the external joint torques, shape (7,) [Nm]."""
         return self._numbers(self._servo(q, Feedback.EXTERNAL_TORQUES))
 
-    def servo_measured_torques(self, q) -> np.ndarray:
+    def servo_measured_torques(self, q: ArrayLike) -> np.ndarray:
         """As `servo`; returns the measured joint torques, shape (7,) [Nm]."""
         return self._numbers(self._servo(q, Feedback.MEASURED_TORQUES))
 
-    def servo_pose(self, q) -> np.ndarray:
+    def servo_pose(self, q: ArrayLike) -> np.ndarray:
         """As `servo`; returns the pose of the tool in the arm's base, shape (4, 4) [m].
 
         Raises:
@@ -283,7 +284,7 @@ class KstClient:
         """
         return codec.pose_from_fields(self._numbers(self._servo(q, Feedback.POSE)))
 
-    def servo_force(self, q) -> np.ndarray:
+    def servo_force(self, q: ArrayLike) -> np.ndarray:
         """As `servo`; returns the external force at the tool, shape (3,) [N]; needs a server of May 2019 or later."""
         return self._numbers(self._servo(q, Feedback.FORCE))
 
@@ -330,7 +331,7 @@ class KstClient:
         """
         self._session.transport.abort()
 
-    def _servo(self, q, feedback: Feedback) -> Reply:
+    def _servo(self, q: ArrayLike, feedback: Feedback) -> Reply:
         self._require_servo()
         return self._ask(codec.joint_goal(self._limits.check(q), feedback), self._session.timing.servo_reply)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import enum
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,7 +127,7 @@ def relative_velocity(velocity: float) -> Command:
     return Command(_with_numbers("jRelVel", (velocity,)), Thread.MAIN, Kind.DONE)
 
 
-def joint_goal(q, feedback: Feedback = Feedback.DONE) -> Command:
+def joint_goal(q: Iterable[float], feedback: Feedback = Feedback.DONE) -> Command:
     """Returns the command that sets the goal of the joint servo or of the next PTP to q, shape (7,) [rad]."""
     prefix, answer = feedback.value
     return Command(_with_numbers(prefix, q), Thread.READER, answer)
@@ -164,7 +165,7 @@ def fields_from_pose(T: np.ndarray) -> tuple[float, ...]:
     return (*(1000.0 * T[:3, 3]), *zyx_from_rotation(T[:3, :3]))
 
 
-def pose_from_fields(fields) -> np.ndarray:
+def pose_from_fields(fields: Iterable[float]) -> np.ndarray:
     """Returns the pose, shape (4, 4) [m], of x, y, z [mm], A, B, C [rad]."""
     x, y, z, a, b, c = fields
     return pose(rotation_from_zyx(a, b, c), (x / 1000.0, y / 1000.0, z / 1000.0))
@@ -211,5 +212,5 @@ class LineSplitter:
         return [line for line in stripped if line]
 
 
-def _with_numbers(word: str, values) -> str:
+def _with_numbers(word: str, values: Iterable[float]) -> str:
     return "".join(f"{part}_" for part in (word, *map(number, values)))

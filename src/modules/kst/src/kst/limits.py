@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.poses import read_only
 from kst.errors import BadJoints, BadVelocity
@@ -40,7 +41,7 @@ class JointLimits:
         if np.any(self.lower >= self.upper):
             raise ValueError(f"the joint limits {self.lower.tolist()} to {self.upper.tolist()} leave no range")
 
-    def check(self, q) -> np.ndarray:
+    def check(self, q: ArrayLike) -> np.ndarray:
         """Returns the joint angles q [rad] as a float array, shape (7,).
 
         Raises:

@@ -150,7 +150,7 @@ class Session:
         self.refused = self.refused or (late is not None and late.kind is Kind.NAK)
         self.look()
         sent_at = self._send(command)
-        foreign = 0
+        foreign, last = 0, ""
         while foreign <= MAX_FOREIGN:
             reply = self.transport.receive(sent_at + timeout)
             if reply is None:
@@ -167,9 +167,10 @@ class Session:
                     f" the server is of another version, or answers got mixed up"
                 )
             foreign += reply.kind is Kind.FOREIGN
+            last = reply.text
         self._unanswered = command
         raise ProtocolError(
-            f"`{command.word}` met {foreign} lines that are no replies, the last `{reply.text}`:"
+            f"`{command.word}` met {foreign} lines that are no replies, the last `{last}`:"
             f" is something else than the toolbox server listening there?"
         )
 

@@ -127,6 +127,8 @@ class LeapClient:
             text, stamp = newest
             try:
                 frame = read_message(text)
+                if not isinstance(frame, LeapFrame):
+                    raise ProtocolError("A device event came as a frame.")
                 if (frame.id, frame.timestamp_us) == self._last:
                     raise ProtocolError("A frame came twice.")
             except ProtocolError as error:

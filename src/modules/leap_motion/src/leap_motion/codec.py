@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -103,11 +104,11 @@ def _object(text: str | bytes) -> dict:
     return message
 
 
-def _refuse_constant(token: str):
+def _refuse_constant(token: str) -> NoReturn:
     raise ProtocolError(f"The text holds the number {token}.")
 
 
-def _event(event) -> DeviceEvent | None:
+def _event(event: Any) -> DeviceEvent | None:
     state = event.get("state")
     if event.get("type") == "deviceConnect":
         return DeviceEvent("", bool(state), bool(state))
@@ -238,7 +239,7 @@ def _proper(axes: np.ndarray) -> np.ndarray:
     return axes
 
 
-def _field(message: dict, key: str):
+def _field(message: dict, key: str) -> Any:
     if key not in message:
         raise ProtocolError(f"The field {key} is missing.")
     return message[key]
@@ -260,7 +261,7 @@ def _number(message: dict, key: str, missing: float | None = None) -> float:
     return float(value)
 
 
-def _vectors(value, name: str, *shape: int, scale: float = 1.0) -> np.ndarray:
+def _vectors(value: Any, name: str, *shape: int, scale: float = 1.0) -> np.ndarray:
     """Returns `value` as a read-only array of the shape, times `scale`."""
     try:
         array = np.array(value)

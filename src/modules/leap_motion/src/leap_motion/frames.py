@@ -58,7 +58,7 @@ class LeapFinger:
 
     id: int
     type: int
-    bones: tuple[LeapBone, LeapBone, LeapBone, LeapBone]
+    bones: tuple[LeapBone, ...]
     tip: np.ndarray
     length: float
     width: float
@@ -152,4 +152,5 @@ class LeapFrame:
 
         With two hands of one side (a second person) the lower id is the older one, and the choice does not flicker.
         """
-        return min((hand for hand in self.hands if hand.side == side), key=lambda hand: hand.id, default=None)
+        hands = [hand for hand in self.hands if hand.side == side]
+        return min(hands, key=lambda hand: hand.id) if hands else None

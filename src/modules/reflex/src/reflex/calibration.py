@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import yaml
 
-from common.config import parse, vector
+from common.config import Schema, parse, vector
 from common.errors import ConfigError
 from reflex.codec import StatePacket
 from reflex.conversions import ENCODER_RAD, SIGNS, zero_reference
@@ -95,7 +95,7 @@ def offsets_from_text(text: str, where: str) -> TactileOffsets:
     return _parse(TactileOffsets, text, where)
 
 
-def _parse(schema, text: str, where: str):
+def _parse(schema: type[Schema], text: str, where: str) -> Schema:
     try:
         values = yaml.safe_load(text)
     except yaml.YAMLError as error:

@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 MOTORS = ("f1", "f2", "f3", "preshape")
 FINGERS = MOTORS[:3]
 
@@ -96,6 +98,6 @@ def closing_load(motor: int, raw: int) -> int:
     return SIGNS[motor] * (raw - _MAX_FORWARD_LOAD if raw > _MAX_FORWARD_LOAD else -raw)
 
 
-def all_joint_angles(raw: Sequence[int], zeros: Sequence[float]) -> tuple[float, ...]:
+def all_joint_angles(raw: Sequence[int], zeros: Sequence[float] | np.ndarray) -> tuple[float, ...]:
     """Returns the joint angles [rad] of the four motors."""
     return tuple(joint_angle(i, raw[i], zeros[i]) for i in range(4))

@@ -54,11 +54,11 @@ class EffortGuard:
         The bound of a hot motor follows instead, so that it only opens.
         """
         travel = np.array(self._settings.travel)
-        goals = np.clip(goals, 0.0, travel)
-        back = (goals < self._high) | (goals <= 0)
-        self._high = np.where(back, np.where(self._hot, goals, travel), self._high)
-        self._low = np.where((goals > self._low) | (goals >= travel), 0.0, self._low)
-        return tuple(np.clip(goals, self._low, self._high).tolist())
+        wanted = np.clip(goals, 0.0, travel)
+        back = (wanted < self._high) | (wanted <= 0)
+        self._high = np.where(back, np.where(self._hot, wanted, travel), self._high)
+        self._low = np.where((wanted > self._low) | (wanted >= travel), 0.0, self._low)
+        return tuple(np.clip(wanted, self._low, self._high).tolist())
 
     def check(self, reading: Reading, goals: Sequence[float], calibrated: bool) -> tuple[tuple[float, ...], list[str]]:
         """Returns the goals [rad] by the rule, equal to `goals` where nothing is wrong, and news as sentences.

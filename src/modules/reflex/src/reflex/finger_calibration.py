@@ -40,7 +40,7 @@ class FingerCalibration:
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        self._first: StatePacket | None = None
+        self._encoders: tuple[int, ...] = ()
         self._last_positions: tuple[int, ...] = ()
         self._start_time = 0.0
         self._round_time = 0.0
@@ -52,8 +52,8 @@ class FingerCalibration:
         silent = implausible_servos(packet.positions)
         if silent:
             return Step(failure=f"The position of servo {', '.join(silent)} cannot be right: is its cable loose?")
-        if self._first is None:
-            self._first, self._start_time, self._round_time = packet, now, now
+        if not self._encoders:
+            self._encoders, self._start_time, self._round_time = packet.encoders, now, now
             self._origin = list(packet.positions)
             self._last_positions = packet.positions
             return Step(target=self._closer(packet))
@@ -67,10 +67,11 @@ class FingerCalibration:
         for i in range(3):
             if self._held[i] is None and self._knuckle_turn(packet, i) > self._settings.calibration_moved:
                 self._held[i] = packet.positions[i]
-        if all(h is not None for h in self._held):
+        held = [h for h in self._held if h is not None]
+        if len(held) == len(self._held):
             slack = self._settings.calibration_slack
-            zeros = zeros_here(self._first.encoders, (*self._held, packet.positions[3]), slack)
-            return Step(target=open_positions((*self._held, packet.positions[3]), slack), zeros=zeros)
+            zeros = zeros_here(self._encoders, (*held, packet.positions[3]), slack)
+            return Step(target=open_positions((*held, packet.positions[3]), slack), zeros=zeros)
         if turned or now - self._round_time >= self._settings.calibration_round:
             self._round_time = now
             return Step(target=self._closer(packet))
@@ -78,7 +79,8 @@ class FingerCalibration:
 
     def _closer(self, packet: StatePacket) -> tuple[int, ...]:
         step = self._settings.calibration_step
-        fingers = [packet.positions[i] + SIGNS[i] * step if self._held[i] is None else self._held[i] for i in range(3)]
+        closer = [packet.positions[i] + SIGNS[i] * step for i in range(3)]
+        fingers = [new if held is None else held for new, held in zip(closer, self._held)]
         return (*fingers, self._origin[3])
 
     def _follow_jumps(self, packet: StatePacket) -> bool | None:
@@ -95,13 +97,14 @@ class FingerCalibration:
                 return None
             turned = True
             self._origin[i] += jump
-            if i < 3 and self._held[i] is not None:
-                self._held[i] += jump
+            held = self._held[i] if i < 3 else None
+            if held is not None:
+                self._held[i] = held + jump
         return turned
 
     def _knuckle_turn(self, packet: StatePacket, finger: int) -> float:
         """Returns how far the knuckle has closed since the start [rad], across the encoder's end."""
-        turn = (self._first.encoders[finger] - packet.encoders[finger]) * ENCODER_RAD
+        turn = (self._encoders[finger] - packet.encoders[finger]) * ENCODER_RAD
         return (turn + PI) % (2 * PI) - PI
 
     def _bound_reached(self, packet: StatePacket, loads: Sequence[float], now: float) -> str:

@@ -71,7 +71,7 @@ class Hand:
         self._zeros = zeros
         self._calibrated = calibrated
         self._offsets = offsets
-        self._thresholds = ((settings.default_contact_threshold,) * 9,) * 3
+        self._thresholds: tuple[tuple[int, ...], ...] = ((settings.default_contact_threshold,) * 9,) * 3
         self.link = Link(settings.silence_time)
         self.motion = Motion(settings)
         self._reader = Reader()
@@ -124,7 +124,7 @@ class Hand:
         if arrival is not Arrival.NEXT:
             self._appeared(arrival, packet, now)
             previous = None
-        elif implausible_servos(previous.positions) and not implausible_servos(packet.positions):
+        elif previous and implausible_servos(previous.positions) and not implausible_servos(packet.positions):
             self._note("warning", "All servos answer again: calibrate the fingers before they are used.")
             self._start_servos(packet, now)
             previous = None
@@ -132,7 +132,7 @@ class Hand:
         self._reading = reading
         self._serve_requests(packet, now)
         if self._calibration:
-            self._calibrate(reading, now)
+            self._calibrate(self._calibration, reading, now)
         elif self._torque and self._new_zeros is None:  # the reading's angles are those of the old zeros
             packets, notes = self.motion.protect(reading, previous, self._zeros.motor_zero_reference, self._calibrated)
             self._send.extend(packets)
@@ -182,11 +182,12 @@ class Hand:
     def set_speed(self, speeds: Sequence[float], now: float) -> Result:
         """Begins to set the joint speeds [rad/s]; the state is CHANGING_SPEED until it is done. Switches torque on."""
         self._begin()
-        if not self.link.alive(now):
+        reading = self._reading
+        if reading is None or not self.link.alive(now):
             return self._refuse(self._silent_sentence())
         if self._calibration:
             return self._refuse("The fingers are being calibrated; set the speed afterwards.")
-        silent = implausible_servos(self._reading.packet.positions)
+        silent = implausible_servos(reading.packet.positions)
         if silent and not self._torque:
             return self._refuse(f"The position of servo {', '.join(silent)} cannot be right: torque stays off.")
         try:
@@ -196,7 +197,7 @@ class Hand:
         self._speeds = tuple(speeds)
         if not self._torque:
             self._torque = True
-            self._aim(self._reading.packet.positions)
+            self._aim(reading.packet.positions)
         return self._result()
 
     def disable_torque(self) -> Result:
@@ -319,8 +320,8 @@ class Hand:
         if self._torque:
             self._aim(open_positions(packet.positions, slack))
 
-    def _calibrate(self, reading: Reading, now: float) -> None:
-        step = self._calibration.step(reading.packet, reading.loads, now)
+    def _calibrate(self, calibration: FingerCalibration, reading: Reading, now: float) -> None:
+        step = calibration.step(reading.packet, reading.loads, now)
         if step.target is not None:
             self._aim(step.target)
         if step.failure:
@@ -351,7 +352,7 @@ class Hand:
 
     def _command(self, angles: tuple[float, ...]) -> str:
         """Sends the motors to `angles`; returns why not, or an empty text."""
-        if not self._calibrated:
+        if not self._calibrated or self._reading is None:
             return "This hand has never been calibrated: calibrate the fingers."
         zeros = self._zeros.motor_zero_reference
         packets, refusal = self.motion.command(angles, self._reading.packet.positions, zeros)

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from reflex.codec import StatePacket, encode_target
 from reflex.conversions import MOTORS, TURN_TICKS, all_joint_angles, implausible_servos, raw_target, ticks
 from reflex.effort import EffortGuard
@@ -77,7 +79,7 @@ class Motion:
         return (encode_target(positions),)
 
     def command(
-        self, angles: Sequence[float], positions: Sequence[int], zeros: Sequence[float]
+        self, angles: Sequence[float], positions: Sequence[int], zeros: np.ndarray
     ) -> tuple[tuple[bytes, ...], str]:
         """Makes joint angles the goals, within travel and the guard's bounds.
 
@@ -106,7 +108,7 @@ class Motion:
         return self.aim(goals), ""
 
     def protect(
-        self, reading: Reading, previous: StatePacket | None, zeros: Sequence[float], calibrated: bool
+        self, reading: Reading, previous: StatePacket | None, zeros: np.ndarray, calibrated: bool
     ) -> tuple[tuple[bytes, ...], list[Note]]:
         """Looks at a new reading for what must not go on.
 

@@ -61,7 +61,7 @@ class Reader:
     """Turns packets into readings; remembers the filtered load."""
 
     def __init__(self) -> None:
-        self._loads = (0.0,) * 4
+        self._loads: tuple[float, ...] = (0.0,) * 4
 
     def reset(self) -> None:
         """Lets the load filter start again at zero."""

@@ -58,7 +58,7 @@ def status(hand: Hand, settings: Settings, wire_fault: str, now: float) -> tuple
         return "warning", f"The last finger calibration {hand.calibration_outcome}", values
     if state is State.TORQUE_OFF:
         return "warning", "Torque is off.", values
-    if reading.dead_cells:
+    if reading and reading.dead_cells:
         return "warning", "Some tactile sensors do not answer.", values
     return "ok", f"The hand is {state.value}.", values
 
