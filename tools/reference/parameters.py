@@ -31,6 +31,19 @@ class Part:
 SCENE = "rig_simulation.world.scene"
 OBJECTS = {"cup": "Cup", "box": "Box", "ball": "Ball", "cylinder": "Cylinder", "bottle": "Bottle"}
 
+GGCNN = {
+    "input": "settings:InputConfig",
+    "network": "settings:NetworkConfig",
+    "crop": "view:CropConfig",
+    "table": "view:TableConfig",
+    "peaks": "settings:PeaksConfig",
+    "averaging": "tracking:AveragingConfig",
+    "tracking": "tracking:TrackingConfig",
+    "approach": "surface:ApproachConfig",
+    "limits": "limits:LimitsConfig",
+    "reach": "reach:ReachConfig",
+}
+
 SCHEMAS: dict[str, tuple[Part, ...]] = {
     "kuka_control/config/kuka_params_rt.yaml": (Part("kuka_control.config:RealTimeConfig"),),
     "kuka_control/config/kuka_params_ptp.yaml": (Part("kuka_control.config:PtpConfig"),),
@@ -38,6 +51,18 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "kuka_control/config/wall.yaml": (Part("kuka_control.config:RealTimeConfig", above=True),),
     "kuka_control/config/dh_parameters_example.yaml": (Part("kuka_control.kinematics.dh:DhDeviations"),),
     "leap_kuka/config/leap_params.yaml": (Part("leap_kuka.config:LeapConfig"),),
+    "grasping/config/collection.yaml": (
+        Part("grasping.dataset.frame_buffer:FrameBufferConfig", ("frames",)),
+        Part("grasping.dataset.grasp_watch:GraspWatchConfig", ("watch",)),
+    ),
+    "grasping/config/execution.yaml": (
+        Part("grasping.execution:ExecutionConfig"),
+        Part("grasping.dataset.grasp_watch:GraspWatchConfig", ("watch",)),
+    ),
+    "grasping/config/ggcnn.yaml": (
+        Part("grasping.settings:GgcnnConfig"),
+        *(Part(f"grasping.{schema}", (section,)) for section, schema in GGCNN.items()),
+    ),
     "grasping/config/tool_pose.yaml": (Part("grasping.tool_pose:ToolPoseConfig"),),
     "leap_hand/config/leap_hand.yaml": (Part("leap_hand.config:HandConfig"),),
     "leap_hand/config/full_grip.yaml": (Part("leap_hand.config:HandConfig", above=True),),
@@ -75,6 +100,7 @@ AS_IT_IS = {
     "rig_simulation/config/scenes/cup.yaml",
     "rig_simulation/config/scenes/empty.yaml",
     "rig_simulation/config/scenes/far.yaml",
+    "rig_simulation/config/scenes/grasping.yaml",
     "rig_simulation/config/scenes/scattered.yaml",
     "vision/config/tags.yaml",
     "vision/config/tags_single.yaml",
