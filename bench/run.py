@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES = ("kinematics", "control", "leap", "client", "lag", "shaping", "demo")
+NAMES = ("kinematics", "control", "leap", "client", "lag", "shaping", "grasping", "demo")
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -65,9 +65,10 @@ def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound 
     a = planes[np.argmin(cost)]
     for _ in range(ROUNDS):
         inside = np.abs(rays @ a - inverse) < gate
-        if inside.sum() < 3:
+        squares = rays[inside].T @ rays[inside]
+        if np.linalg.det(squares) < FLAT:
             return None
-        a = np.linalg.lstsq(rays[inside], inverse[inside], rcond=None)[0]
+        a = np.linalg.solve(squares, rays[inside].T @ inverse[inside])
     if not np.linalg.norm(a) > 0.0:
         return None
     return PlaneFound(a, float(np.mean(np.abs(rays @ a - inverse) < gate)))

@@ -1,0 +1,141 @@
+"""From a depth picture to a grasp, stage by stage: the live chain against the published pipeline, in the same run.
+
+The published pipeline is written here from its description: scaling of the window, filling of its holes, the network
+layer by layer with four heads, blurs of the quality and of the angle itself, the highest pixel, and its place before
+the camera. Both have the same weights, the same pictures and one processor, and what is measured is its time for them.
+The live chain does more: it averages maps over time, and finds, follows and turns several grasps.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+import time
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+import yaml
+
+from bench.measure import SRC, Row, row
+from common.camera_model import pinhole
+from grasping.live import Finder
+from grasping.networks import GGCNN, HEADS
+from grasping.predictor import Predictor, PredictorSettings
+from grasping.settings import overlaid, settings_from
+from grasping.weights import load
+
+CAMERA = pinhole("bench", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
+ROWS, COLUMNS = slice(40, 440), slice(120, 520)
+STAGES = ("view", "network", "peaks", "poses")
+UP = np.array([0.0, 0.0, 1.0])
+CLOCK = time.thread_time
+"""With one processor all work is done in this thread; what others do on a busy machine does not count."""
+
+
+def rows(quick: bool) -> list[Row]:
+    """Returns the time of each stage [ms] of the published pipeline and of the live chain."""
+    count = 3 if quick else 40
+    pictures = [depth_picture(seed) for seed in range(count + 1)]
+    before = torch.get_num_threads(), cv2.getNumThreads()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    try:
+        return _rows(pictures)
+    finally:
+        torch.set_num_threads(before[0])
+        cv2.setNumThreads(before[1])
+
+
+def _rows(pictures: list[np.ndarray]) -> list[Row]:
+    torch.manual_seed(0)
+    folder = SRC / "grasping"
+    networks = {
+        "GG-CNN2": load((folder / "weights" / "ggcnn2.pt").read_bytes()).network,
+        "GG-CNN, untrained": GGCNN().eval(),
+    }
+    values = yaml.safe_load((folder / "config" / "ggcnn.yaml").read_text())
+    values["tool"] = yaml.safe_load((folder / "config" / "tool_pose.yaml").read_text())
+    table = []
+    for name, network in networks.items():
+        chains = {
+            "published": functools.partial(published, copy.deepcopy(network))
+        }  # the live chain rearranges its own
+        for view in ("camera", "table"):
+            s = settings_from(overlaid(values, {"view": view}))
+            finder = Finder(s.views(), Predictor(network, PredictorSettings()), s.live(UP), CLOCK)
+            chains[f"live, view {view}"] = lambda depth, now, f=finder: f.step(depth, CAMERA, np.eye(4), now).seconds
+        times = {chain: [] for chain in chains}
+        for i, depth in enumerate(pictures):  # in turns, so that a busy moment meets all
+            for chain, call in chains.items():
+                times[chain].append(call(depth, i / 15.0))
+        table += _table(name, times)
+    return table
+
+
+def _table(name: str, times: dict[str, list]) -> list[Row]:
+    table, published_all = [], 0.0
+    for chain, seconds in times.items():
+        seconds = seconds[1:]  # the first one compiles
+        for stage in STAGES:
+            table.append(
+                row(f"{name}, {chain}: {stage}", [1e3 * s[stage] for s in seconds], "ms", "time of one processor")
+            )
+        whole = [1e3 * sum(s.values()) for s in seconds]
+        published_all = published_all or float(np.median(whole))
+        how = f"{published_all / np.median(whole):.1f} x as fast as published"
+        table.append(row(f"{name}, {chain}: all", whole, "ms", how if chain != "published" else "all stages"))
+    return table
+
+
+def depth_picture(seed: int) -> np.ndarray:
+    """Returns a noisy depth picture, float32 [m], of boxes on a table below, with shadows, NaN, beside them."""
+    random = np.random.default_rng(seed)
+    depth = 0.8 + 0.0015 * random.standard_normal((480, 640)).astype(np.float32)
+    for _ in range(6):
+        row_, column = random.integers(60, 380), random.integers(140, 460)
+        height, width = random.integers(20, 60, 2)
+        depth[row_ : row_ + height, column : column + width] -= np.float32(random.uniform(0.03, 0.1))
+        depth[row_ : row_ + height, column - 12 : column] = np.nan
+    depth[random.random(depth.shape) < 0.03] = np.nan
+    return depth
+
+
+def published(network: torch.nn.Module, depth: np.ndarray, _) -> dict[str, float]:
+    """Returns how long each stage takes [s]; the time of the picture does not matter."""
+    marks = [CLOCK()]
+    crop = cv2.resize(depth[ROWS, COLUMNS], (300, 300))
+    crop = cv2.copyMakeBorder(crop, 1, 1, 1, 1, cv2.BORDER_DEFAULT)
+    holes = np.isnan(crop).astype(np.uint8)
+    crop[holes == 1] = 0
+    scale = np.abs(crop).max()
+    crop = cv2.inpaint(crop.astype(np.float32) / scale, holes, 1, cv2.INPAINT_NS)[1:-1, 1:-1] * scale
+    seen = np.clip(crop - crop.mean(), -1, 1)
+    marks.append(CLOCK())
+    with torch.no_grad():
+        quality, cos, sin, width = (m[0, 0].numpy() for m in plain(network, torch.from_numpy(seen)[None, None]))
+    marks.append(CLOCK())
+    quality[cv2.resize(holes[1:-1, 1:-1], (300, 300)) > 0] = 0
+    quality = cv2.GaussianBlur(quality, (41, 41), 5.0, borderType=cv2.BORDER_REFLECT)
+    angle = cv2.GaussianBlur(np.arctan2(sin, cos) / 2.0, (17, 17), 2.0, borderType=cv2.BORDER_REFLECT)
+    v, u = np.unravel_index(np.argmax(quality), quality.shape)
+    marks.append(CLOCK())
+    column, line = round(u / 300 * 400 + 120), round(v / 300 * 400 + 40)
+    z = depth[line, column]
+    x, y = (column - CAMERA.K[0, 2]) / CAMERA.K[0, 0] * z, (line - CAMERA.K[1, 2]) / CAMERA.K[1, 1] * z
+    _ = (x, y, z, angle[v, u], 150.0 * width[v, u], np.sort(crop[100:140, 130:170].ravel())[:10].mean())
+    marks.append(CLOCK())
+    return dict(zip(STAGES, np.diff(marks)))
+
+
+def plain(network: torch.nn.Module, x: torch.Tensor) -> list[torch.Tensor]:
+    """Returns quality, cos, sin and width as the published code computes them: layer by layer, one head at a time."""
+    if isinstance(network, GGCNN):
+        for layer, pad in ((network.conv1, 3), (network.conv2, 2), (network.conv3, 1)):
+            x = F.relu(F.conv2d(x, layer.weight, layer.bias, layer.stride, pad))
+        for layer, pad in ((network.convt1, 1), (network.convt2, 2), (network.convt3, 3)):
+            x = F.relu(F.conv_transpose2d(x, layer.weight, layer.bias, layer.stride, pad, 1))
+    else:
+        x = network.features(x)
+    return [getattr(network, head)(x) for head in HEADS]
