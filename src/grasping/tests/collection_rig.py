@@ -67,7 +67,6 @@ def picture() -> np.ndarray:
 
 def messages(stamp, bend, touched, z, depth=None) -> list[tuple]:
     """Returns topics and messages of a tick; the picture comes last."""
-    from sensor_msgs.msg import CameraInfo  # noqa: F401 - the graph knows the type
     from tf2_msgs.msg import TFMessage
 
     from common.ros.conversions import stamped_transform
@@ -87,7 +86,7 @@ def messages(stamp, bend, touched, z, depth=None) -> list[tuple]:
         ),
         ("/reflex_takktile/hand_state", hand_message(bend, touched)),
         ("/camera/depth/camera_info", camera_info_message(CAMERA, CAMERA_FRAME, stamp)),
-        ("/camera/depth/image_raw", image_message(depth, "16UC1", CAMERA_FRAME, stamp)),
+        ("/camera/depth/image", image_message(depth, "16UC1", CAMERA_FRAME, stamp)),
     ]
 
 
@@ -123,7 +122,7 @@ class PuppetRig:
             "/tf": TFMessage,
             "/reflex_takktile/hand_state": Hand,
             "/camera/depth/camera_info": CameraInfo,
-            "/camera/depth/image_raw": Image,
+            "/camera/depth/image": Image,
             "/grasping/outcome": GraspOutcome,
         }
         latched = {

@@ -46,12 +46,15 @@ def parameters(folder):
     def changed(**changes):
         values = {
             **yaml.safe_load((CONFIG / "collection.yaml").read_text()),
-            "tool_pose": yaml.safe_load((CONFIG / "tool_pose.yaml").read_text()),
+            "ggcnn": {"view": "camera", "network": {}, "tool": {}},
             "folder": str(folder), "object": "cup", "operator": "puppet", "from_bag": False, "tf_wait": 2.0,
         }  # fmt: skip
         for key, value in changes.items():
-            section, _, name = key.partition("__")
-            (values[section] if name else values).__setitem__(name or section, value)
+            *sections, name = key.split("__")
+            below = values
+            for section in sections:
+                below = below[section]
+            below[name] = value
         return values
 
     return changed
@@ -236,7 +239,7 @@ def test_a_process_that_dies_while_it_writes_leaves_no_episode_but_a_sentence(st
 
 
 def test_what_is_missing_is_said_and_comes_back(rig, start, status, folder, wait_until):
-    rig.silent = {"/camera/depth/image_raw", "/camera/depth/camera_info", "/reflex_takktile/hand_state"}
+    rig.silent = {"/camera/depth/image", "/camera/depth/camera_info", "/reflex_takktile/hand_state"}
     start()
     wait_until(lambda: status()["message"] == "waits for depth pictures and the state of the hand", 60.0, "the status")
     rig.silent = {"/camera/depth/camera_info"}
@@ -253,7 +256,7 @@ def test_what_is_missing_is_said_and_comes_back(rig, start, status, folder, wait
 
 
 def test_a_grasp_without_frames_is_no_episode(rig, start, status, folder, wait_until):
-    rig.silent = {"/camera/depth/image_raw"}
+    rig.silent = {"/camera/depth/image"}
     process = start()
     wait_until(lambda: status()["message"] == "waits for depth pictures", 60.0, "the status")
     rig.perform([(0.5, OPEN, False, 0.4, 0.4), (1.0, FIST, True, 0.4, 0.4), (1.5, FIST, True, 0.4, 0.5)])
@@ -263,7 +266,7 @@ def test_a_grasp_without_frames_is_no_episode(rig, start, status, folder, wait_u
 
 FAULTS = [
     ({"crop": 300}, "~crop is not a known key"),
-    ({"network__weights": "/nowhere/ggcnn.pt"}, "/nowhere/ggcnn.pt cannot be read: No such file or directory"),
+    ({"ggcnn__network__weights": "/nowhere/ggcnn.pt"}, "/nowhere/ggcnn.pt cannot be read: No such file or directory"),
 ]
 
 
@@ -281,10 +284,13 @@ def test_it_ends_with_a_sentence(start, change, sentence):
     [
         ({"frames__rate": 0.0}, "~frames/rate is 0.0"),
         ({"watch__open_angle": 2.0}, "~watch/open_angle is 2 and must not be above closed_angle"),
-        ({"tool_pose__approach": "sideways"}, "~tool_pose/approach is 'sideways'"),
+        ({"ggcnn__tool__approach": "sideways"}, "~ggcnn/tool/approach is 'sideways'"),
         ({"object": ""}, "~object is ''"),
         ({"folder": "grasps"}, "~folder is 'grasps'"),
-        ({"network__weights": str(CONFIG / "collection.yaml"), "network__sha256": "any"}, "neither a torch file nor"),
+        (
+            {"ggcnn__network__weights": str(CONFIG / "collection.yaml"), "ggcnn__network__sha256": "any"},
+            "neither a torch file nor",
+        ),
     ],
 )
 def test_a_wrong_parameter_is_refused(ros, parameters, change, sentence):

@@ -1,5 +1,6 @@
 """When an episode begins and ends, and which frames it has."""
 
+import json
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -17,17 +18,25 @@ from common.poses import translation
 from grasping.dataset.collector import Collector
 from grasping.dataset.configuration import grasp_in_tool, rig_configuration
 from grasping.dataset.episode import EXECUTION, TELEOPERATION
-from grasping.dataset.frame_buffer import FrameBufferConfig, KeptFrame
+from grasping.dataset.frame_buffer import FrameBufferConfig, KeptFrame, Optics
 from grasping.dataset.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
 from grasping.dataset.network_view import MAP_SIDE, look, millimetres
 from grasping.depth_image import Crop
 from grasping.maps import Peak, Smoothing
+from grasping.settings import overlaid, settings_from
 from grasping.tool_pose import ToolPoseConfig, tool_pose
+from grasping.view import CameraView, CropConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 YAML = yaml.safe_load((CONFIG / "collection.yaml").read_text())
 WATCH = parse(GraspWatchConfig, YAML["watch"])
 FRAMES = parse(FrameBufferConfig, YAML["frames"])
+GGCNN_YAML = {
+    **yaml.safe_load((CONFIG / "ggcnn.yaml").read_text()),
+    "tool": yaml.safe_load((CONFIG / "tool_pose.yaml").read_text()),
+}
+GGCNN = settings_from(GGCNN_YAML)
+OPTICS = Optics(CAMERA, CROP, CAMERA)
 UP = np.array([0.0, 0.0, 1.0])
 OPEN = HandState(np.zeros(3), (False,) * 3, (0.0,) * 3)
 FIST = HandState(np.full(3, 1.8), (False,) * 3, (150.0,) * 3)
@@ -151,7 +160,7 @@ def offer(collector, stamps, camera=CAMERA):
     for stamp in stamps:
         T = translation(0.01 * stamp, 0.0, 0.2)
         if collector.due(stamp) and collector.wants(stamp, T):
-            collector.add(kept(stamp, T), camera, CROP)
+            collector.add(kept(stamp, T), Optics(camera, CROP, CAMERA))
             found.append(stamp)
     return found
 
@@ -169,7 +178,7 @@ def test_frames_are_thinned_by_rate_and_motion(steps, speed):
         if last is not None:
             assert stamp - last >= 1.0 / FRAMES.rate - 1e-9
             assert speed * (stamp - last) >= FRAMES.motion - 1e-9
-        collector.add(kept(stamp, T), CAMERA, CROP)
+        collector.add(kept(stamp, T), OPTICS)
         last = stamp
     assert collector.kept == collector.waiting >= 1
 
@@ -180,7 +189,7 @@ def test_an_episode_has_the_newest_frames_up_to_the_grasp(collector):
     assert [row.stamp for row in finished.frames.rows] == [105, 106, 107]
     assert finished.source == EXECUTION and collector.waiting == 0
     assert not collector.wants(107.4, HIGH) and collector.wants(107.6, HIGH), "the next episode begins after the grasp"
-    assert not collector.add(kept(107.0), CAMERA, CROP) and collector.waiting == 0
+    assert not collector.add(kept(107.0), OPTICS) and collector.waiting == 0
 
 
 def test_frames_that_are_too_old_belong_to_no_episode(collector):
@@ -191,8 +200,11 @@ def test_frames_that_are_too_old_belong_to_no_episode(collector):
 
 def test_a_stream_or_a_proposal_begins_anew(collector):
     offer(collector, [100.0])
+    collector.went_back(100.2)
     collector.stream(True)
     assert collector.waiting == 0 and collector.teleop
+    collector.add(kept(100.2), OPTICS)
+    assert collector.waiting == 0, "the network looked at it meanwhile"
     offer(collector, [101.0])
     collector.stream(True)
     assert collector.waiting == 1, "it began once"
@@ -255,10 +267,11 @@ def test_time_that_goes_back_begins_anew(collector):
 def test_another_camera_drops_the_frames_before(collector):
     offer(collector, [100.0])
     other = replace(CAMERA, width=320)
-    assert collector.add(kept(101.0), other, CROP)
-    assert collector.waiting == 1
-    assert not collector.add(kept(102.0), replace(other), CROP)
-    assert collector.add(kept(103.0), other, Crop(0, 0, 400))
+    for stamp, optics in enumerate((Optics(other, CROP, CAMERA), Optics(other, CROP, other), OPTICS), 101):
+        assert collector.add(kept(stamp), optics)
+        assert collector.waiting == 1
+    assert not collector.add(kept(104.0), Optics(replace(CAMERA), Crop(*CROP), CAMERA))
+    assert collector.add(kept(105.0), Optics(CAMERA, Crop(0, 0, 400), CAMERA))
 
 
 def test_millimetres_are_whole_and_none_is_zero():
@@ -266,29 +279,33 @@ def test_millimetres_are_whole_and_none_is_zero():
     np.testing.assert_array_equal(millimetres(depth), [[999, 1001, 0], [0, 0, 65535], [0, 0, 0]])
 
 
-def test_what_is_kept_of_a_picture_is_what_the_network_said_of_it():
-    def network(picture):
-        rows = torch.linspace(0.0, 1.0, 300)[:, None].expand(300, 300)
-        quality = torch.exp(-((rows - 0.4) ** 2) * 50.0)
-        return torch.stack((quality, rows, -rows, 0.5 * rows))[None]
+def ramp(_):
+    """A network whose maps rise from row to row; the best is at 0.4 of the way."""
+    rows = torch.linspace(0.0, 1.0, 300)[:, None].expand(300, 300)
+    return torch.stack((torch.exp(-((rows - 0.4) ** 2) * 50.0), rows, -rows, 0.5 * rows))[None]
 
+
+@pytest.mark.parametrize("kind", ["camera", "table"])
+def test_what_is_kept_of_a_picture_is_what_the_network_saw_and_said(kind):
+    views = GGCNN.views() if kind == "table" else CameraView(CropConfig(400, 0))
     depth = np.full((480, 640), 0.8, np.float32)
-    depth[230:240, 310:320] = 0.7
-    view = look(network, depth, CROP, Smoothing())
-    assert view.depth.shape == (400, 400) and view.depth.dtype == np.uint16
+    depth[230:260, 310:340] = 0.7
+    seen = views.step(depth, CAMERA)
+    view = look(ramp, seen, Smoothing())
+    assert view.depth.shape == (seen.picture.crop.side,) * 2 and view.depth.dtype == np.uint16
+    assert len(np.unique(view.depth)) == 2 and np.ptp(view.depth) == pytest.approx(100, abs=1)
     assert view.maps.shape == (4, MAP_SIDE, MAP_SIDE) and view.maps.dtype == np.float16
     np.testing.assert_allclose(view.maps[1][:, 0], (np.arange(150) * 2 + 0.5) / 299.0, atol=1e-3)
     np.testing.assert_allclose(view.maps[2], -view.maps[1])
-    assert view.peak.row == pytest.approx(0.4 * 299, abs=1.0)
-    assert view.mean == pytest.approx(0.8, abs=0.01)
+    assert view.mean == pytest.approx(seen.picture.mean)
+    if kind == "camera":
+        assert view.peak.row == pytest.approx(0.4 * 299, abs=1.0)
 
 
-def test_a_network_that_says_nothing_finite_and_a_blind_picture_are_refused():
-    depth = np.full((480, 640), 0.8)
+def test_a_network_that_says_nothing_finite_is_refused():
+    view = CameraView(CropConfig(400, 0)).step(np.full((480, 640), 0.8, np.float32), CAMERA)
     with pytest.raises(ValueError, match="not finite"):
-        look(lambda _: torch.full((1, 4, 300, 300), torch.nan), depth, CROP, Smoothing())
-    with pytest.raises(ValueError, match="holds no reading"):
-        look(lambda _: torch.zeros((1, 4, 300, 300)), np.full((480, 640), np.nan), CROP, Smoothing())
+        look(lambda _: torch.full((1, 4, 300, 300), torch.nan), view, Smoothing())
 
 
 @pytest.mark.parametrize("closing_angle", [0.0, 30.0, -90.0])
@@ -303,18 +320,19 @@ def test_the_grasp_in_the_tool_is_the_inverse_of_the_tool_of_a_grasp(closing_ang
 
 
 def test_the_configuration_changes_with_each_of_its_parts_and_with_nothing_else():
-    def of(kuka="LBR7R800", tool=0.1, camera=CAMERA, crop=CROP, T_base_camera=DOWN, weights="ab"):
-        return rig_configuration(
-            {"robot": kuka}, translation(0, 0, tool), np.eye(4), camera, crop, T_base_camera, weights
-        )
+    def of(kuka="LBR7R800", tool=0.1, camera=CAMERA, T_base_camera=DOWN, settings=GGCNN, weights="ab"):
+        parts = {"robot": kuka}, translation(0, 0, tool), np.eye(4), camera, T_base_camera, settings, weights
+        return json.dumps(rig_configuration(*parts))
 
     assert of() == of(T_base_camera=DOWN @ translation(1e-5, 0.0, 0.0))
     changes = {
-        "kuka": "LBR14R820", "tool": 0.2, "camera": replace(CAMERA, width=320), "crop": Crop(0, 0, 400),
-        "T_base_camera": DOWN @ translation(0.01, 0.0, 0.0), "weights": "cd",
+        "kuka": "LBR14R820", "tool": 0.2, "camera": replace(CAMERA, width=320), "weights": "cd",
+        "T_base_camera": DOWN @ translation(0.01, 0.0, 0.0),
     }  # fmt: skip
-    for name, value in changes.items():
-        assert of(**{name: value}) != of()
+    different = {of(), *(of(**{name: value}) for name, value in changes.items())}
+    for change in ({"view": "camera"}, {"crop": {"side": 300}}, {"table": {"extent": 0.5}}):
+        different.add(of(settings=settings_from(overlaid(GGCNN_YAML, change))))
+    assert len(different) == 1 + len(changes) + 3
 
 
 def test_every_field_of_a_frame_is_a_field_of_the_episode():

@@ -12,11 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from common.camera_model import CameraModel
 from grasping.dataset.episode import EXECUTION, TELEOPERATION
-from grasping.dataset.frame_buffer import FrameBuffer, FrameBufferConfig, KeptFrame, KeptFrames
+from grasping.dataset.frame_buffer import FrameBuffer, FrameBufferConfig, KeptFrame, KeptFrames, Optics
 from grasping.dataset.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
-from grasping.depth_image import Crop
 
 SAME_GRASP_S = 1.0
 """Two grasps seen nearer in time are one, seen by grasp_execution and by the watch."""
@@ -54,7 +52,7 @@ class Collector:
     def __init__(self, frames: FrameBufferConfig, watch: GraspWatchConfig, up: np.ndarray) -> None:
         self._buffer, self._watch = FrameBuffer(frames), GraspWatch(watch, up)
         self._executing = False
-        self._now = self._last_grasp = -math.inf
+        self._now = self._last_grasp = self._after = -math.inf
         self.teleop = False
         self.kept = 0
 
@@ -69,7 +67,7 @@ class Collector:
         if back:
             self._buffer.clear()
             self._watch.reset()
-            self._now = self._last_grasp = -math.inf
+            self._now = self._last_grasp = self._after = -math.inf
         self._now = max(self._now, now)
         return back
 
@@ -79,25 +77,25 @@ class Collector:
 
     def wants(self, stamp: float, T_base_tool: np.ndarray) -> bool:
         """Returns whether a frame at that time [s] with the tool there would be kept."""
-        return self._watch.empty and stamp > self._last_grasp and self._buffer.wants(stamp, T_base_tool)
+        return self._watch.empty and stamp > self._after and self._buffer.wants(stamp, T_base_tool)
 
-    def add(self, frame: KeptFrame, camera: CameraModel, crop: Crop) -> bool:
-        """Keeps a frame, unless its grasp is over. Returns whether those before were of another camera and dropped."""
-        if frame.stamp <= self._last_grasp:
+    def add(self, frame: KeptFrame, optics: Optics) -> bool:
+        """Keeps a frame, unless its episode is over. Returns whether those before were of another camera and dropped."""
+        if frame.stamp <= self._after:
             return False
         self.kept += 1
-        return self._buffer.add(frame, camera, crop)
+        return self._buffer.add(frame, optics)
 
     def stream(self, active: bool) -> None:
         """The stream of the person's hand runs or not."""
         if active and not self.teleop and not self._executing:
-            self._buffer.clear()
+            self._begin()
         self.teleop = active
 
     def executing(self, active: bool) -> None:
         """A proposal is being executed or not."""
         if active and not self._executing:
-            self._buffer.clear()
+            self._begin()
         self._executing = active
 
     def hand(self, state: HandState, T_base_tool: np.ndarray, now: float) -> Finished | None:
@@ -109,8 +107,13 @@ class Collector:
         """Takes the outcome of a proposal in; None if that grasp is finished already."""
         return self._finish(grasp, EXECUTION)
 
+    def _begin(self) -> None:
+        """Drops the frames of the time before, also one at which the network still looks."""
+        self._buffer.clear()
+        self._after = self._now
+
     def _finish(self, grasp: SeenGrasp, source: str) -> Finished | None:
         if grasp.time < self._last_grasp + SAME_GRASP_S:
             return None
-        self._last_grasp = grasp.time
+        self._last_grasp = self._after = grasp.time
         return Finished(grasp, source, self._buffer.take(grasp.time))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.poses import pose
 from common.rotations import rotation_about
-from grasping.depth_image import Crop
+from grasping.settings import TABLE, GgcnnSettings
 from grasping.tool_pose import ToolPoseConfig
 
 DIGITS = 3
@@ -27,8 +28,8 @@ def rig_configuration(
     T_flange_tool: np.ndarray,
     T_tool_grasp: np.ndarray,
     camera: CameraModel,
-    crop: Crop,
     T_base_camera: np.ndarray,
+    settings: GgcnnSettings,
     weights: str,
 ) -> dict[str, Any]:
     """Returns the configuration as JSON can hold it.
@@ -38,10 +39,11 @@ def rig_configuration(
         T_flange_tool: shape (4, 4) [m].
         T_tool_grasp: shape (4, 4) [m].
         camera: that takes the depth pictures.
-        crop: of its pictures.
         T_base_camera: where it stands, shape (4, 4) [m].
+        settings: what the network sees of them.
         weights: SHA-256 of the network's weight file.
     """
+    view = settings.main.view
     # Adding 0 turns -0.0 into 0.0, which would be another text.
     return {
         "kuka": kuka,
@@ -52,7 +54,9 @@ def rig_configuration(
             "size": [camera.width, camera.height],
             **{key: getattr(camera, key).tolist() for key in "KDRP"},
         },
-        "crop": list(crop),
         "T_base_camera": (np.round(T_base_camera, DIGITS) + 0.0).tolist(),
+        "view": view,
+        "crop": asdict(settings.crop),
+        "table": asdict(settings.table) if view == TABLE else None,
         "weights": weights,
     }

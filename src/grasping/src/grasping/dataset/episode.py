@@ -65,7 +65,7 @@ class Frame(NamedTuple):
     """One frame of an episode.
 
     Attributes:
-        camera: that took the picture.
+        camera: that sees the picture, real or imagined.
         crop: the window of its picture that is kept.
         depth: that window, shape (side, side), uint16 [mm], 0 = no reading.
         maps: of the network before smoothing, shape (4, m, m), float16: quality, cos, sin, width.
@@ -99,8 +99,8 @@ class Episode:
 
     Attributes:
         metadata: what was known beside the pictures.
-        camera: that took the depth pictures.
-        crop: the window of its pictures that is kept.
+        camera: that sees what the network sees: the real one, or an imagined one above the table (`view.TableView`).
+        crop: the window of its picture that is kept.
         T_flange_tool: tool in the flange, shape (4, 4) [m].
         T_tool_grasp: grasp in the tool, shape (4, 4) [m]: z the approach, x through the fingers.
         T_base_tool_closed: measured tool when the fingers had closed, shape (4, 4) [m].
@@ -113,7 +113,7 @@ class Episode:
         mean: what was taken off the network's picture, shape (n,) [m].
         peak: GGCNN's own grasp, shape (n, 5): row, column, quality, angle, width as `maps.Peak` has them, in the
             network's 300 x 300 picture.
-        T_base_camera: optical frame, shape (n, 4, 4) [m].
+        T_base_camera: optical frame of `camera`, shape (n, 4, 4) [m].
         T_base_tool_measured: tool by the measured joints, shape (n, 4, 4) [m].
         T_base_tool_desired: where the person's hand wanted it, shape (n, 4, 4) [m]; NaN where no hand was followed.
         finger_angles: the grip's opening, shape (n, 4) [rad]: index, middle, thumb (0 = open), spread.
@@ -147,6 +147,12 @@ class Episode:
     def T_base_grasp(self) -> np.ndarray:
         """The person's grasp in `kuka/base_frame`, shape (4, 4) [m]: the label of every frame."""
         return self.T_base_tool_closed @ self.T_tool_grasp
+
+    @property
+    def distance(self) -> np.ndarray:
+        """How far the tool still had to go to its grasp, shape (n,) [m]; where that is little, the hand hides the
+        object from the camera, and GGCNN may take the hand for one."""
+        return np.linalg.norm(self.T_base_tool_measured[:, :3, 3] - self.T_base_tool_closed[:3, 3], axis=1)
 
     def frame(self, i: int) -> Frame:
         """Returns frame i."""

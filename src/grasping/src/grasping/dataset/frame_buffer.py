@@ -47,11 +47,24 @@ class KeptFrame(NamedTuple):
     teleop_active: bool
 
 
-class KeptFrames(NamedTuple):
-    """The frames before a grasp, oldest first, and the camera that took them; None if there is no frame."""
+class Optics(NamedTuple):
+    """How frames were taken.
 
-    camera: CameraModel | None
-    crop: Crop | None
+    Attributes:
+        camera: that sees what the network sees: a real or an imagined one.
+        crop: of its picture.
+        real: the camera that took the depth pictures.
+    """
+
+    camera: CameraModel
+    crop: Crop
+    real: CameraModel
+
+
+class KeptFrames(NamedTuple):
+    """The frames before a grasp, oldest first, and how they were taken; None if there is no frame."""
+
+    optics: Optics | None
     rows: list[KeptFrame]
 
     def episode(
@@ -60,8 +73,8 @@ class KeptFrames(NamedTuple):
         """Returns the frames, at least one, with the grasp as their label."""
         return Episode(
             metadata=metadata,
-            camera=self.camera,
-            crop=self.crop,
+            camera=self.optics.camera,
+            crop=self.optics.crop,
             T_flange_tool=T_flange_tool,
             T_tool_grasp=T_tool_grasp,
             T_base_tool_closed=grasp.T_base_tool,
@@ -78,8 +91,7 @@ class FrameBuffer:
         self._config = config
         self._frames: deque[KeptFrame] = deque(maxlen=config.most_frames)
         self._tried: float | None = None
-        self._camera: CameraModel | None = None
-        self._crop: Crop | None = None
+        self._optics: Optics | None = None
 
     def __len__(self) -> int:
         """Returns how many frames wait."""
@@ -100,12 +112,12 @@ class FrameBuffer:
         moved = np.linalg.norm(T_base_tool[:3, 3] - last.T_base_tool_measured[:3, 3])
         return stamp > last.stamp and bool(moved >= self._config.motion)
 
-    def add(self, frame: KeptFrame, camera: CameraModel, crop: Crop) -> bool:
+    def add(self, frame: KeptFrame, optics: Optics) -> bool:
         """Keeps a frame. Returns whether it had to drop those before it, because another camera took them."""
-        changed = bool(self._frames) and not (crop == self._crop and same_camera(camera, self._camera))
+        changed = bool(self._frames) and not _same(optics, self._optics)
         if changed:
             self._frames.clear()
-        self._camera, self._crop = camera, crop
+        self._optics = optics
         self._frames.append(frame)
         return changed
 
@@ -118,10 +130,13 @@ class FrameBuffer:
         """Takes all frames out and returns those that may belong to a grasp at the time `until` [s]."""
         rows = [frame for frame in self._frames if until - self._config.longest <= frame.stamp <= until]
         self._frames.clear()
-        return KeptFrames(self._camera, self._crop, rows)
+        return KeptFrames(self._optics, rows)
 
 
-def same_camera(a: CameraModel, b: CameraModel) -> bool:
-    """Returns whether both have the same size and numbers."""
+def _same(a: Optics, b: Optics) -> bool:
+    return a.crop == b.crop and _same_camera(a.camera, b.camera) and _same_camera(a.real, b.real)
+
+
+def _same_camera(a: CameraModel, b: CameraModel) -> bool:
     equal = all(np.array_equal(getattr(a, key), getattr(b, key)) for key in "KDRP")
     return equal and (a.name, a.width, a.height) == (b.name, b.width, b.height)

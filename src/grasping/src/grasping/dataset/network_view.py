@@ -1,4 +1,4 @@
-"""What is kept of a depth picture: its window in millimetres, the network's maps before smoothing, GGCNN's grasp."""
+"""What is kept of a view: its depth in whole millimetres, the network's maps before smoothing, GGCNN's own grasp."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import torch
 
 from grasping.dataset.episode import NONE_MM
-from grasping.depth_image import Crop, prepare
 from grasping.maps import Peak, Smoothing, highest, smoothed
 from grasping.predictor import run
+from grasping.view import View
 
 MAP_SIDE = 150
 """Rows and columns of the kept maps: half of the network's, which its smoothing by 5 px outweighs."""
@@ -33,27 +34,25 @@ class NetworkView(NamedTuple):
     peak: Peak
 
 
-def look(network, depth: np.ndarray, crop: Crop, smoothing: Smoothing) -> NetworkView:
-    """Returns what is kept of a depth picture.
+def look(network: torch.jit.ScriptModule, view: View, smoothing: Smoothing) -> NetworkView:
+    """Returns what is kept of a view.
 
     Args:
         network: as `predictor.frozen` returns it.
-        depth: the camera's picture, shape (h, w) [m], not finite = no reading.
-        crop: the window that the network sees.
+        view: what the network sees.
         smoothing: before GGCNN's grasp is looked for.
 
     Raises:
-        ValueError: the window holds no reading, or the network says something that is not finite.
+        ValueError: the network says something that is not finite.
     """
-    # The network sees what is kept, so that its maps can be computed from the file again.
-    window = millimetres(depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side])
-    picture = prepare(window * np.float32(0.001), Crop(0, 0, crop.side))
+    crop, picture = view.picture.crop, view.picture
     output = run(network, picture.input)
     if not np.isfinite(output).all():
         raise ValueError("the network's maps are not finite")
     small = cv2.resize(output.transpose(1, 2, 0), (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA)
     peak = highest(smoothed(output, picture.valid, smoothing))
-    return NetworkView(window, small.transpose(2, 0, 1).astype(np.float16), picture.mean, peak)
+    window = view.depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side]
+    return NetworkView(millimetres(window), small.transpose(2, 0, 1).astype(np.float16), picture.mean, peak)
 
 
 def millimetres(depth: np.ndarray) -> np.ndarray:

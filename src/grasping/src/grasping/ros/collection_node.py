@@ -1,11 +1,12 @@
 """The node grasp_collection: records what the camera saw and where a person then grasped, one file an episode.
 
-In: camera/depth/image_raw and camera_info beside it, tf, reflex_takktile/hand_state, leap_kuka/stream, and from
-grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
+In: the depth pictures of the node ggcnn with their camera_info, tf, reflex_takktile/hand_state, leap_kuka/stream, and
+from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
 grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
 
 The network runs here, on the frames that are kept: its maps before smoothing, which the second network needs, are no
-topic, and a few frames a second cost less than three maps of 300 x 300 numbers on topics for every picture.
+topic, and a few frames a second cost less than four maps of 300 x 300 numbers on topics for every picture. It sees what
+the network of the node ggcnn sees, as it has the same parameters.
 """
 
 from __future__ import annotations
@@ -29,13 +30,12 @@ from common.ros.node import run, while_running
 from grasping.dataset.collector import Collector, Finished
 from grasping.dataset.configuration import rig_configuration
 from grasping.dataset.episode import Episode, Metadata
-from grasping.dataset.frame_buffer import KeptFrame
+from grasping.dataset.frame_buffer import KeptFrame, Optics
 from grasping.dataset.grasp_watch import HandState, SeenGrasp
 from grasping.dataset.network_view import look
-from grasping.depth_image import centre_crop
-from grasping.maps import Smoothing
 from grasping.ros.collection_setup import CollectionSetup, read_setup
 from grasping.ros.episode_files import EpisodeFiles
+from grasping.view import NoView
 from reflex_msgs.msg import Hand
 
 BASE, FLANGE, TOOL_DESIRED = "kuka/base_frame", "kuka/flange_frame/measured", "kuka/tool_frame/desired"
@@ -59,17 +59,20 @@ class GraspCollection:
         self._tf = tf2_ros.Buffer()
         tf2_ros.TransformListener(self._tf)
         self._lock = threading.Lock()
+        self._views, self._smoothing = setup.ggcnn.views(), setup.ggcnn.live(setup.up).smoothing
         self._collector = Collector(setup.frames, setup.watch, setup.up)
         self._files = EpisodeFiles(setup.folder, self._written)
         self._info: CameraInfo | None = None
+        self._T_base_camera = NOWHERE
         self._fingers = np.full(4, np.nan)
         self._heard = {"depth pictures": 0.0, "the state of the hand": 0.0}
         self._waits_for = ""
         self._episodes = self._held = 0
+        topics = setup.ggcnn.input
         self._subscribers = [
-            rospy.Subscriber("camera/depth/camera_info", CameraInfo, self._on_info, queue_size=1),
+            rospy.Subscriber(topics.info_topic, CameraInfo, self._on_info, queue_size=1),
             rospy.Subscriber(
-                "camera/depth/image_raw", Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
+                topics.depth_topic, Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
             ),
             rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand, queue_size=10),
         ]
@@ -104,12 +107,12 @@ class GraspCollection:
         with while_running():
             try:
                 self._take_picture(message)
-            except (ValueError, tf2_ros.TransformException) as error:
+            except (ValueError, NoView, tf2_ros.TransformException) as error:
                 self._waits_for = " ".join(str(error).split())
                 rospy.logwarn_throttle(THROTTLE_S, f"A picture was left out: {self._waits_for}.")
 
     def _take_picture(self, message: Image) -> None:
-        """Raises ValueError or TransformException with what is missing for a frame."""
+        """Raises ValueError, NoView or TransformException with what is missing for a frame."""
         stamp, wait = message.header.stamp, self._setup.config.tf_wait
         if stamp.is_zero():
             raise ValueError("the picture has no stamp")
@@ -119,7 +122,7 @@ class GraspCollection:
                 return
             teleop, fingers = self._collector.teleop, self._fingers
         if self._info is None:
-            raise ValueError(f"nobody publishes {rospy.resolve_name('camera/depth/camera_info')}")
+            raise ValueError(f"nobody publishes {rospy.resolve_name(self._setup.ggcnn.input.info_topic)}")
         camera = camera_model_from_info(self._info)
         T_base_camera = self._place(message.header.frame_id, stamp, wait)
         T_base_tool = self._place(FLANGE, stamp, wait) @ self._T_flange_tool
@@ -130,18 +133,19 @@ class GraspCollection:
         depth = depth_from_image(message)
         if depth.shape != (camera.height, camera.width):
             raise ValueError(f"a picture of {depth.shape[1]} x {depth.shape[0]} is not of the described camera")
-        crop = centre_crop(depth.shape, self._setup.config.crop_side, self._setup.config.crop_rows_up)
+        view = self._views.step(depth, camera)
         frame = KeptFrame(
             stamp=stamp.to_sec(),
-            **look(self._setup.network, depth, crop, Smoothing())._asdict(),
-            T_base_camera=T_base_camera,
+            **look(self._setup.network, view, self._smoothing)._asdict(),
+            T_base_camera=T_base_camera @ view.T_camera_view,
             T_base_tool_measured=T_base_tool,
             T_base_tool_desired=self._desired(stamp) if teleop else NOWHERE,
             finger_angles=fingers,
             teleop_active=teleop,
         )
         with self._lock:
-            if self._collector.add(frame, camera, crop):
+            self._T_base_camera = T_base_camera
+            if self._collector.add(frame, Optics(view.camera, view.picture.crop, camera)):
                 rospy.logwarn("The camera changed: the frames before are dropped.")
 
     def _place(self, frame: str, stamp: rospy.Time, wait: float) -> np.ndarray:
@@ -225,9 +229,9 @@ class GraspCollection:
                 setup.kuka.identity,
                 self._T_flange_tool,
                 setup.T_tool_grasp,
-                frames.camera,
-                frames.crop,
-                frames.rows[0].T_base_camera,
+                frames.optics.real,
+                self._T_base_camera,
+                setup.ggcnn,
                 setup.weights_sha256,
             ),
         )

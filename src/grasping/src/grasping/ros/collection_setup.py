@@ -6,13 +6,15 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import rospkg
 import rospy
 import torch
 
-from common.config import flag, integer, number, parse, path, required, text
+from common.config import flag, number, parse, path, required, text
 from common.mounting import mounting_field, rotation_of_mounting
 from common.ros.params import wait_for_param
 from common.tool import ToolConfig
@@ -20,16 +22,12 @@ from grasping.dataset.configuration import grasp_in_tool
 from grasping.dataset.frame_buffer import FrameBufferConfig
 from grasping.dataset.grasp_watch import GraspWatchConfig
 from grasping.predictor import frozen
-from grasping.ros.weight_files import load_network
-from grasping.settings import NetworkConfig
-from grasping.tool_pose import ToolPoseConfig
+from grasping.ros.weight_files import load_network, own_yaml, package_folder
+from grasping.settings import GgcnnSettings, overlaid, settings_from
 
-SECTIONS = {
-    "network": NetworkConfig,
-    "frames": FrameBufferConfig,
-    "watch": GraspWatchConfig,
-    "tool_pose": ToolPoseConfig,
-}
+SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
+GGCNN = "ggcnn"
+"""Section with the parameters of the node ggcnn, whose network and view are used here."""
 GIT_S = 5.0
 
 
@@ -40,8 +38,6 @@ class CollectionConfig:
     folder: str = path(doc="folder of the episodes; empty: leap_rig/grasps in ROS's home, ~/.ros")
     object: str = text(doc="what is grasped; may be set anew while the node runs")
     operator: str = text(doc="who teleoperates")
-    crop_side: int = integer("px", low=32, high=4096, doc="window in the middle of the depth picture")
-    crop_rows_up: int = integer("px", low=-2048, high=2048, doc="how far the window stands above the middle")
     tf_wait: float = number("s", above=0.0, high=5.0, doc="how long the places at a picture's time are waited for")
     from_bag: bool = flag(doc="start the recording that collection_bag is about to play")
 
@@ -68,6 +64,7 @@ class CollectionSetup:
 
     Attributes:
         config: its own parameters.
+        ggcnn: the network, what it sees, and the hand on the tool.
         frames: which frames are kept.
         watch: how a grasp is seen.
         kuka: the arm and its tool.
@@ -80,6 +77,7 @@ class CollectionSetup:
     """
 
     config: CollectionConfig
+    ggcnn: GgcnnSettings
     frames: FrameBufferConfig
     watch: GraspWatchConfig
     kuka: KukaConfig
@@ -99,39 +97,43 @@ def read_setup() -> CollectionSetup:
         RigError: a parameter is wrong, or the weight file cannot be used.
     """
     values = rospy.get_param("~", {})
-    config = parse(CollectionConfig, values, prefix="~", others=SECTIONS)
+    config = parse(CollectionConfig, values, prefix="~", others=(*SECTIONS, GGCNN))
     sections = {name: parse(schema, values.get(name, {}), f"~{name}/") for name, schema in SECTIONS.items()}
-    rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in sections.values()))
-    loaded = load_network(sections["network"])
-    torch.set_num_threads(sections["network"].threads)
+    own = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}
+    settings = settings_from(overlaid(own, values.get(GGCNN, {})), prefix=f"~{GGCNN}/")
+    rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in (*sections.values(), settings)))
+    loaded = load_network(settings.network)
+    torch.set_num_threads(settings.network.threads)
+    cv2.setNumThreads(settings.network.threads)
     for name in required(KukaConfig):
         wait_for_param(f"kuka/{name}")
     given = rospy.get_param("kuka")
     kuka = parse(KukaConfig, given, "kuka/", others=given)
-    package = rospkg.RosPack()
+    package = package_folder()
     return CollectionSetup(
         config=config,
+        ggcnn=settings,
         frames=sections["frames"],
         watch=sections["watch"],
         kuka=kuka,
-        T_tool_grasp=grasp_in_tool(sections["tool_pose"]),
+        T_tool_grasp=grasp_in_tool(settings.tool),
         up=rotation_of_mounting(kuka.mounting)[2],
         network=frozen(loaded.network),
         weights_sha256=loaded.sha256,
         folder=Path(config.folder) if config.folder else Path(rospkg.get_ros_home()) / "leap_rig" / "grasps",
-        version=package.get_manifest("grasping").version,
-        revision=revision(package.get_path("grasping")),
+        version=ElementTree.parse(package / "package.xml").findtext("version"),
+        revision=revision(package),
     )
 
 
-def revision(folder: str) -> str:
+def revision(folder: Path) -> str:
     """Returns the commit that last changed the folder, with a plus if it was changed since; empty outside of git."""
     answers = []
     for question in (("log", "-1", "--format=%H"), ("status", "--porcelain")):
         try:
             answers.append(
                 subprocess.run(
-                    ("git", "-C", folder, *question, "--", "."),
+                    ("git", "-C", str(folder), *question, "--", "."),
                     capture_output=True,
                     text=True,
                     timeout=GIT_S,
