@@ -1,9 +1,9 @@
 """Compares what predicts a person's grasps, on episodes that no training saw; resumable.
 
-GGCNN alone, GGCNN with the person's constant offset, the nearest neighbour among the training episodes, and GGCNN with
-the second network: how far from the person's grasp, in the last frame of each episode whose grasp held. Where the
-episodes are simulated, each grasp is tried by lifting in MuJoCo too, hand wide open. Results go to results.csv, one
-line a grasp, and table.md.
+GGCNN alone as the episodes recorded it, with the person's constant offset, the nearest neighbour among the training
+episodes, and GGCNN with the second network: how far from the person's grasp, in the last frame of each episode whose
+grasp held. Where the episodes are simulated, each grasp is tried by lifting in MuJoCo too, hand wide open. Results go
+to results.csv, one line a grasp, and table.md.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def methods(training: list[episode_files.Named], first: Path, second: list[tuple
 def _refined(network, second: refinement.Refinement):
     @lru_cache(maxsize=2)
     def predictor(side: int) -> Predictor:
-        return Predictor(network, PredictorSettings(side, smoothing=episodes.SMOOTHING), second)
+        return Predictor(network, PredictorSettings(side), second)
 
     def grasp(frame):
         camera = windowed(frame.camera, frame.crop)
