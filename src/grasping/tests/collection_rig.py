@@ -53,7 +53,7 @@ def hand_message(bend: float, touched: bool):
     message = Hand()
     for i in range(3):
         message.motor[i].joint_angle = bend
-        message.finger[i].contact = [touched] + [False] * 8
+        message.finger[i].pressure[0] = 60.0 if touched else 0.0
     return message
 
 

@@ -38,9 +38,17 @@ GGCNN_YAML = {
 GGCNN = settings_from(GGCNN_YAML)
 OPTICS = Optics(CAMERA, CROP, CAMERA)
 UP = np.array([0.0, 0.0, 1.0])
-OPEN = HandState(np.zeros(3), (False,) * 3, (0.0,) * 3)
-FIST = HandState(np.full(3, 1.8), (False,) * 3, (150.0,) * 3)
-FULL = replace(FIST, touched=(True, False, True))
+DRIFT = np.full((3, 9), 30.0)
+OPEN = HandState(np.zeros(3), DRIFT, np.zeros(3))
+FIST = HandState(np.full(3, 1.8), DRIFT + 2.0, np.full(3, 100.0))
+
+
+def pressing(*fingers):
+    """A fist in which some of index, middle and thumb press something with a cell."""
+    return replace(FIST, pressures=FIST.pressures + 20.0 * np.eye(3, 9) * np.array(fingers)[:, None])
+
+
+FULL = pressing(True, False, True)
 LOW, HIGH = translation(0.5, 0.0, 0.2), translation(0.5, 0.0, 0.25)
 
 
@@ -78,9 +86,9 @@ def test_a_thing_that_is_lifted_between_thumb_and_finger_is_held(hand):
     "state",
     [
         FIST,
-        replace(FIST, touched=(True, True, False)),
-        replace(FIST, touched=(False, False, True)),
-        replace(FIST, loads=(300.0, 300.0, 0.0)),
+        pressing(True, True, False),
+        pressing(False, False, True),
+        replace(FIST, loads=np.array([150.0, 150.0, 0.0])),
     ],
     ids=["nothing", "no thumb", "thumb alone", "loads without thumb"],
 )
@@ -92,7 +100,7 @@ def test_a_hand_without_opposed_touches_holds_nothing(hand, state):
 
 
 def test_loads_are_touches_too_and_a_thing_lost_while_lifting_is_not_held(hand):
-    pressed = replace(FIST, loads=(300.0, 0.0, 300.0))
+    pressed = replace(FIST, loads=np.array([150.0, 0.0, 150.0]))
     hand.feed(OPEN, LOW, 1.0)
     hand.feed(pressed, LOW, 1.0)
     assert not hand.feed(pressed, HIGH, WATCH.hold_time - 0.1)

@@ -44,11 +44,11 @@ HOME, SERVO = Controller(True, "home", "The arm is at home."), Controller(True, 
 DT = 0.05
 
 
-def hand(angle=0.0, touched=False, load=0.0):
-    return HandState(np.full(3, angle), (touched,) * 3, (load,) * 3)
+def hand(angle=0.0, pressure=0.0, load=0.0):
+    return HandState(np.full(3, angle), np.full((3, 9), pressure), np.full(3, load))
 
 
-OPEN, EMPTY, FULL = hand(), hand(1.6), hand(1.2, touched=True)
+OPEN, EMPTY, FULL = hand(), hand(1.6), hand(1.2, pressure=20.0)
 
 
 class Trial:
@@ -115,7 +115,7 @@ def test_a_grasp_that_is_held_and_lifted():
     "goes_on, held, closed, reason",
     [
         (lambda t: t.run(1.0, hand=EMPTY).lift(0.06).run(2.0), False, True, "did not both feel something"),
-        (lambda t: t.run(1.0, hand=hand(1.6, load=300.0)).lift(0.06).run(2.0), True, True, "felt something"),
+        (lambda t: t.run(1.0, hand=hand(1.6, load=150.0)).lift(0.06).run(2.0), True, True, "felt something"),
         (lambda t: t.run(1.0, hand=FULL).run(0.5, hand=OPEN), False, True, "opened before the tool was lifted"),
         (lambda t: t.run(1.0, hand=FULL).lift(0.06).run(0.5).run(0.5, hand=OPEN), False, True, "held long enough"),
         (lambda t: t.run(1.0, hand=FULL).lift(0.04).run(21.0), False, True, "not lifted by 50 mm in 20 s"),

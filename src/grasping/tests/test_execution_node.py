@@ -45,7 +45,7 @@ class Rig:
         self._tf, self._hand = publisher("/tf", TFMessage), publisher("reflex_takktile/hand_state", Hand)
         self._status, self._grasps = publisher("kuka/status", KukaStatus), publisher("ggcnn/out/grasps", GraspList)
         self._stream = publisher("leap_kuka/stream", DiagnosticStatus, latch=True)
-        self.tool, self.fingers, self.control_on, self.mode = HOME, (0.0, False), True, "home"
+        self.tool, self.fingers, self.control_on, self.mode = HOME, (0.0, 0.0), True, "home"
         self.grasps, self.why_none, self.hold = [self.grasp(7)], "", "none"
         self.out_of_reach, self.not_held = "", ""
         self.checked, self.held = [], []
@@ -127,7 +127,7 @@ class Rig:
             self._tf.publish(TFMessage([stamped_transform(T, "kuka/base_frame", "kuka/flange_frame/measured", now)]))
             hand = Hand()
             for i in range(3):
-                hand.motor[i].joint_angle, hand.finger[i].contact[3] = self.fingers
+                hand.motor[i].joint_angle, hand.finger[i].pressure[3] = self.fingers
             self._hand.publish(hand)
             self._status.publish(KukaStatus(control_on=self.control_on, mode=self.mode, reason="So it is."))
             grasps = GraspList(grasps=self.grasps, reason=self.why_none)
@@ -212,7 +212,7 @@ def test_a_grasp_from_the_proposal_to_the_label(rig, asked, wait_until):
     rig.say_hold("taken", "right hand 12 is followed")
     node.wait_for("person")
     rig.tool = translation(0.0, 0.0, -0.12) @ ABOVE
-    rig.fingers = 1.2, True
+    rig.fingers = 1.2, 30.0
     closed_at = rig.tool
     wait_until(lambda: node.now["reason"] == "The fingers have closed; now lift.", 20.0, "closed fingers")
     rig.tool = translation(0.0, 0.0, 0.08) @ closed_at

@@ -2,6 +2,9 @@
 
 The fingers have closed when the thumb and a finger beside it are bent and none moves any more. Then the tool has to be
 lifted: the hand holds something if the thumb and a finger still feel it a moment after the tool is up.
+
+A finger feels something if a tactile cell is pressed more than when the hand was last open, which no drift of the cells
+disturbs, or if its motor pulls harder than the finger's springs need where it is bent as much and holds nothing.
 """
 
 from __future__ import annotations
@@ -25,7 +28,13 @@ class GraspWatchConfig:
     closed_angle: float = number("rad", above=0.0, high=3.0, doc="a thumb and a finger bent more may have closed")
     rest_angle: float = number("rad", above=0.0, high=1.0, doc="fingers that moved less within rest_time are at rest")
     rest_time: float = number("s", above=0.0, high=5.0, doc="how long they have to rest")
-    touch_load: float = number("0.1 % of the largest torque", above=0.0, high=1000.0, doc="a load above it is a touch")
+    touch_pressure: float = number("counts", above=0.0, high=1000.0, doc="a cell pressed more is a touch")
+    touch_load: float = number(
+        "0.1 % of the largest torque", above=0.0, high=1000.0, doc="so much more than the springs need is a touch"
+    )
+    spring_load: float = number(
+        "0.1 % of the largest torque per rad", low=0.0, high=1000.0, doc="what the springs of an empty finger need"
+    )
     lift: float = number("m", above=0.0, high=1.0, doc="how high the tool is lifted before it counts")
     hold_time: float = number("s", low=0.0, high=10.0, doc="how long it has to be held then")
     patience: float = number("s", above=0.0, high=600.0, doc="longest time from closing to lifting")
@@ -43,13 +52,13 @@ class HandState:
 
     Attributes:
         angles: shape (3,) [rad], 0 = open.
-        touched: whether a cell of the finger is touched, three.
-        loads: of their motors, three, closing positive [0.1 % of the largest torque].
+        pressures: of the cells, shape (3, 9) [counts].
+        loads: of their motors, shape (3,), closing positive [0.1 % of the largest torque].
     """
 
     angles: np.ndarray
-    touched: tuple[bool, ...]
-    loads: tuple[float, ...]
+    pressures: np.ndarray
+    loads: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +88,7 @@ class GraspWatch:
 
     def __init__(self, config: GraspWatchConfig, up: np.ndarray) -> None:
         self._config, self._up = config, np.asarray(up, dtype=float)
+        self._untouched = np.zeros((3, 9))
         self.reset()
 
     def reset(self) -> None:
@@ -106,9 +116,10 @@ class GraspWatch:
             T_base_tool: the measured tool, shape (4, 4) [m].
             now: time [s], not falling.
         """
-        if not (np.isfinite(hand.angles).all() and np.isfinite(hand.loads).all()):
+        if not all(np.isfinite(numbers).all() for numbers in (hand.angles, hand.pressures, hand.loads)):
             return None
         if hand.angles.max() < self._config.open_angle:
+            self._untouched = hand.pressures
             return self._opened()
         if self._closed is not None:
             return self._judge(hand, T_base_tool, now)
@@ -147,6 +158,11 @@ class GraspWatch:
         how = "before it had been held long enough" if lifted is not None else "before the tool was lifted"
         return SeenGrasp(*closed, False, f"The fingers opened {how}.")
 
+    def _feels(self, hand: HandState) -> np.ndarray:
+        """Returns whether each finger feels something, shape (3,)."""
+        pressed = (hand.pressures - self._untouched).max(axis=1) > self._config.touch_pressure
+        return pressed | (hand.loads - self._config.spring_load * hand.angles > self._config.touch_load)
+
     def _judge(self, hand: HandState, T_base_tool: np.ndarray, now: float) -> SeenGrasp | None:
         """The fingers have closed: returns the grasp once it is known whether it held."""
         config, (time, T_closed) = self._config, self._closed
@@ -160,8 +176,7 @@ class GraspWatch:
         elif now - self._lifted < config.hold_time:
             return None
         else:
-            feels = np.array(hand.touched) | (np.array(hand.loads) > config.touch_load)
-            held = _opposed(feels)
+            held = _opposed(self._feels(hand))
             what = "The thumb and a finger felt something" if held else "Thumb and fingers did not both feel something"
             reason = f"{what} when the tool was {1e3 * height:.0f} mm higher."
         self.reset()

@@ -162,9 +162,8 @@ class GraspCollection:
         self._heard["the state of the hand"] = time.monotonic()
         now = rospy.Time.now()
         angles = np.array([motor.joint_angle for motor in message.motor])
-        hand = HandState(
-            angles[:3], tuple(any(f.contact) for f in message.finger), tuple(m.load for m in message.motor[:3])
-        )
+        pressures = np.array([finger.pressure for finger in message.finger])
+        hand = HandState(angles[:3], pressures, np.array([motor.load for motor in message.motor[:3]]))
         with while_running():
             try:
                 found = self._tf.lookup_transform(BASE, FLANGE, rospy.Time(0))

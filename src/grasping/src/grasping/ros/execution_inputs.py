@@ -110,6 +110,6 @@ def _hand_state(hand: Hand) -> HandState:
     motors = hand.motor[: len(hand.finger)]
     return HandState(
         np.array([motor.joint_angle for motor in motors]),
-        tuple(any(finger.contact) for finger in hand.finger),
-        tuple(motor.load for motor in motors),
+        np.array([finger.pressure for finger in hand.finger]),
+        np.array([motor.load for motor in motors]),
     )
