@@ -80,7 +80,7 @@ class Collector:
         return self._watch.empty and stamp > self._after and self._buffer.wants(stamp, T_base_tool)
 
     def add(self, frame: KeptFrame, optics: Optics) -> bool:
-        """Keeps a frame, unless its episode is over. Returns whether those before were of another camera and dropped."""
+        """Keeps a frame, unless its episode is over. Returns whether those before, of another camera, were dropped."""
         if frame.stamp <= self._after:
             return False
         self.kept += 1

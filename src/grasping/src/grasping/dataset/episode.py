@@ -69,7 +69,7 @@ class Frame(NamedTuple):
         crop: the window of its picture that is kept.
         depth: that window, shape (side, side), uint16 [mm], 0 = no reading.
         maps: of the network before smoothing, shape (4, m, m), float16: quality, cos, sin, width.
-        peak: GGCNN's own grasp, the highest pixel of the smoothed quality, in the network's 300 x 300 picture.
+        peak: GGCNN's own grasp, the best peak of the smoothed quality, in the network's 300 x 300 picture.
         T_base_camera: optical frame in `kuka/base_frame`, shape (4, 4) [m].
         T_base_grasp: the person's grasp there, shape (4, 4) [m], as `projection.Grasp` has its axes.
     """

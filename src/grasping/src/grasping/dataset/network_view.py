@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from grasping.dataset.episode import NONE_MM
-from grasping.maps import Peak, Smoothing, highest, smoothed
+from grasping.live import LiveSettings
+from grasping.maps import Peak, highest, peaks, smoothed
 from grasping.predictor import run
 from grasping.view import View
 
@@ -25,7 +26,7 @@ class NetworkView(NamedTuple):
         depth: shape (side, side), uint16 [mm], 0 = no reading.
         maps: shape (4, MAP_SIDE, MAP_SIDE), float16: quality, cos, sin, width.
         mean: what was taken off the network's picture [m].
-        peak: of the smoothed quality, in the network's picture.
+        peak: the best that the node ggcnn would find, or the highest pixel where it would find none.
     """
 
     depth: np.ndarray
@@ -34,13 +35,13 @@ class NetworkView(NamedTuple):
     peak: Peak
 
 
-def look(network: torch.jit.ScriptModule, view: View, smoothing: Smoothing) -> NetworkView:
+def look(network: torch.jit.ScriptModule, view: View, settings: LiveSettings) -> NetworkView:
     """Returns what is kept of a view.
 
     Args:
         network: as `predictor.frozen` returns it.
         view: what the network sees.
-        smoothing: before GGCNN's grasp is looked for.
+        settings: how GGCNN's grasp is looked for.
 
     Raises:
         ValueError: the network says something that is not finite.
@@ -50,8 +51,10 @@ def look(network: torch.jit.ScriptModule, view: View, smoothing: Smoothing) -> N
     if not np.isfinite(output).all():
         raise ValueError("the network's maps are not finite")
     small = cv2.resize(output.transpose(1, 2, 0), (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA)
-    peak = highest(smoothed(output, picture.valid, smoothing))
+    maps = smoothed(output, picture.valid, settings.smoothing)
+    best = peaks(maps, 1, settings.distance, settings.threshold)
     window = view.depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side]
+    peak = best[0] if best else highest(maps)
     return NetworkView(millimetres(window), small.transpose(2, 0, 1).astype(np.float16), picture.mean, peak)
 
 

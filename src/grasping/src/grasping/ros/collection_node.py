@@ -59,7 +59,7 @@ class GraspCollection:
         self._tf = tf2_ros.Buffer()
         tf2_ros.TransformListener(self._tf)
         self._lock = threading.Lock()
-        self._views, self._smoothing = setup.ggcnn.views(), setup.ggcnn.live(setup.up).smoothing
+        self._views, self._live = setup.ggcnn.views(), setup.ggcnn.live(setup.up)
         self._collector = Collector(setup.frames, setup.watch, setup.up)
         self._files = EpisodeFiles(setup.folder, self._written)
         self._info: CameraInfo | None = None
@@ -117,7 +117,7 @@ class GraspCollection:
         if stamp.is_zero():
             raise ValueError("the picture has no stamp")
         with self._lock:
-            self._take_time(stamp)
+            self._take_time(rospy.Time.now())
             if not self._collector.due(stamp.to_sec()):
                 return
             teleop, fingers = self._collector.teleop, self._fingers
@@ -136,7 +136,7 @@ class GraspCollection:
         view = self._views.step(depth, camera)
         frame = KeptFrame(
             stamp=stamp.to_sec(),
-            **look(self._setup.network, view, self._smoothing)._asdict(),
+            **look(self._setup.network, view, self._live)._asdict(),
             T_base_camera=T_base_camera @ view.T_camera_view,
             T_base_tool_measured=T_base_tool,
             T_base_tool_desired=self._desired(stamp) if teleop else NOWHERE,
