@@ -110,6 +110,18 @@ def test_the_simulated_person_picks_a_cup_up_and_puts_it_down(demo):
     assert cup["picked_and_placed"] and cup["lifted_mm"] > 195.0 and cup["tilt_deg"] < 5.0
 
 
+@pytest.mark.timeout(500)
+def test_a_proposed_grasp_is_corrected_by_hand_lifted_and_put_down(demo):
+    process = demo("--scenario", "assisted_grasp")
+    assert process.wait(450) == 0, process.log_path.read_text()
+    summary = json.loads(process.report.read_text())
+    assert summary["scenario"]["step"] == "done" and summary["faults"] == []
+    (grasp,) = summary["grasps"]
+    assert grasp["executed"] >= 1 and grasp["held"] and grasp["lifted_mm"] > 100.0
+    assert grasp["correction_mm"] < 60.0
+    assert summary["objects"][grasp["object"]]["picked_and_placed"]
+
+
 def test_bad_arguments_are_one_sentence(processes):
     for arguments, sentence in (
         (("--recording", "no/such/file"), "the recording no/such/file is not a file"),

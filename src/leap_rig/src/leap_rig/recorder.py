@@ -56,6 +56,7 @@ class Recorder:
         self.counters: dict[str, dict[str, str]] = {}
         self.objects: dict[str, ObjectTrack] = {}
         self.scenario: dict[str, str] | None = None
+        self.grasps: dict[str, dict[str, str]] = {}
         self._base_counters: dict[str, dict[str, str]] = {}
         self._last_tool: np.ndarray | None = None
 
@@ -106,6 +107,12 @@ class Recorder:
         if key not in self.counters.get(name, {}):
             return None
         return float(self.counters[name][key]) - float(self._base_counters.get(name, {}).get(key, 0.0))
+
+    def tell(self, scenario: dict[str, str]) -> None:
+        """Takes what the simulated person tells of the scenario, and of the present grasp if there is one."""
+        self.scenario = scenario
+        if "round" in scenario:
+            self.grasps[scenario["round"]] = scenario
 
     def tool(self, T_base_tool: np.ndarray, desired: np.ndarray | None, commanded: np.ndarray | None) -> None:
         """Takes where the tool is and, while the arm follows a hand, where hand and controller want it.

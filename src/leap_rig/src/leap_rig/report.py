@@ -52,7 +52,8 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = ()) -> dic
         else np.round(recorder.hand_high - recorder.hand_low, 3).tolist(),
         "delay_ms": _delays(recorder.received, recorder.stage_times),
         "objects": {name: _object(track, began) for name, track in recorder.objects.items()},
-        "scenario": recorder.scenario,
+        "scenario": recorder.scenario and {key: recorder.scenario[key] for key in ("scenario", "step", "failure")},
+        "grasps": [_grasp(values) for values in recorder.grasps.values()],
         "nodes_died": list(deaths),
     }
     summary["faults"] = _faults(summary)
@@ -72,9 +73,48 @@ def _faults(summary: dict) -> list[str]:
         faults.append(f"The scenario {scenario['scenario']} was not finished: {why}.")
     elif scenario is not None and not any(seen["picked_and_placed"] for seen in summary["objects"].values()):
         faults.append(f"The scenario {scenario['scenario']} picked nothing up and put it down.")
+    for grasp in summary["grasps"]:
+        seen = summary["objects"].get(grasp["object"])
+        if grasp["held"] and not (seen and seen["picked_and_placed"]):
+            faults.append(f"The {grasp['object']} of grasp {grasp['round']} does not stand on the table again.")
     if not summary["hand_commands"] or max(summary["hand_travel_rad"], default=0.0) < HAND_MOVED_RAD:
         faults.append("The robot hand never moved.")
     return faults
+
+
+def _grasp(values: dict[str, str]) -> dict:
+    """Returns what the person told of a grasp, in numbers."""
+
+    def number(key: str, factor: float) -> float | None:
+        return round(factor * float(values[key]), 1) if values[key] else None
+
+    return {
+        "round": int(values["round"]),
+        "object": values["object"],
+        "proposals_seen": int(values["proposals"]),
+        "executed": int(values["executed"]),
+        "refused": values["refused"],
+        "failed": values["failed"],
+        "correction_mm": number("correction_m", 1e3),
+        "correction_deg": number("correction_rad", np.degrees(1.0)),
+        "lifted_mm": number("lifted_m", 1e3),
+        "held": {"true": True, "false": False}.get(values["held"]),
+        "outcome": values["outcome"],
+    }
+
+
+def _grasp_lines(grasp: dict) -> list[str]:
+    what = grasp["object"] or "nothing"
+    lines = [f"    {grasp['round']}: {what}; {grasp['proposals_seen']} proposals seen, {grasp['executed']} executed"]
+    lines += [f"       {kind}: {grasp[kind]}" for kind in ("refused", "failed") if grasp[kind]]
+    if grasp["correction_mm"] is not None:
+        lines.append(
+            f"       corrected by hand by {grasp['correction_mm']:.0f} mm and {grasp['correction_deg']:.0f} deg, "
+            f"lifted {grasp['lifted_mm']:.0f} mm"
+        )
+    if grasp["held"] is not None:
+        lines.append(f"       {'held' if grasp['held'] else 'not held'}: {grasp['outcome']}")
+    return lines
 
 
 def _object(track: ObjectTrack, began: float) -> dict:
@@ -168,6 +208,8 @@ def as_text(summary: dict) -> str:
     lines.append(f"  hand travel            {summary['hand_travel_rad']} rad (index, middle, thumb, spread)")
     if summary["scenario"] is not None:
         lines.append(f"  scenario               {summary['scenario']['scenario']}: {summary['scenario']['step']}")
+    if summary["grasps"]:
+        lines += ["", "  grasps", *(line for grasp in summary["grasps"] for line in _grasp_lines(grasp))]
     if summary["objects"]:
         lines += ["", "  objects", *(_object_line(name, seen) for name, seen in summary["objects"].items())]
     lines += ["", "  tool tracking error       rms mm   max mm  rms deg  max deg  samples"]

@@ -41,7 +41,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--recording", type=Path, metavar="FILE", help="play this recording of Leap frames")
     parser.add_argument("--offset", type=float, nargs=3, metavar=("X", "Y", "Z"), help="shift the recording, mm")
     parser.add_argument("--record", type=Path, metavar="FILE", help="film the simulated world: .mp4, or .png")
-    parser.add_argument("--scenario", metavar="NAME", help="what the simulated person does, such as pick_cup")
+    parser.add_argument("--scenario", metavar="NAME", help="what the simulated person does: pick_cup or assisted_grasp")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the summary there as JSON")
     parser.add_argument("launch", nargs="*", metavar="NAME:=VALUE", help="arguments of demo.launch")
     arguments = parser.parse_args(argv)

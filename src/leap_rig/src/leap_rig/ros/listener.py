@@ -85,7 +85,7 @@ class RigListener:
 
     def _scenario(self, message: DiagnosticStatus) -> None:
         with self._lock:
-            self.recorder.scenario = {v.key: v.value for v in message.values}
+            self.recorder.tell({v.key: v.value for v in message.values})
 
     def _mode(self, message: String) -> None:
         self.mode = message.data

@@ -164,14 +164,19 @@ def round_values(grasp: Round) -> dict[str, str]:
         "object": grasp.object,
         "proposals": str(grasp.proposals),
         "executed": str(grasp.executed),
-        "refused": "; ".join(grasp.refused),
-        "failed": "; ".join(grasp.failed),
+        "refused": _sentences(grasp.refused),
+        "failed": _sentences(grasp.failed),
         "correction_m": _number(grasp.correction),
         "correction_rad": _number(grasp.turn),
         "lifted_m": _number(grasp.lifted),
         "held": "" if grasp.held is None else str(grasp.held).lower(),
         "outcome": grasp.reason,
     }
+
+
+def _sentences(told: tuple[str, ...]) -> str:
+    """Returns each different sentence once."""
+    return " ".join(dict.fromkeys(told))
 
 
 def _number(value: float | None) -> str:
