@@ -29,6 +29,7 @@ def xtion(ros, monkeypatch, tmp_path):
         for name in ("rgb", "depth"):
             calibration = yaml.safe_load((CONFIG / f"xtion_{name}.yaml").read_text())
             values[f"{name}_calibration"] = {**calibration, **SIZE}
+        values["frames"] = yaml.safe_load((CONFIG / "camera_frames.yaml").read_text())
         rospy.set_param("camera/driver", {**values, **changes})
         return ros.run("vision", "xtion_node.py", "__ns:=camera", "__name:=driver"), state
 
@@ -66,12 +67,14 @@ def test_the_xtions_pictures_have_the_drivers_names(xtion, ros):
     assert {m.header.stamp for m in info} & {m.header.stamp for m in pictures["depth/image_raw"]}
 
 
-def test_registered_depth_has_its_own_topic(xtion, ros):
+@pytest.mark.parametrize("by_the_device", [False, True])
+def test_registered_depth_has_its_own_topic(xtion, ros, by_the_device):
     from sensor_msgs.msg import Image
 
     registered = ros.record("camera/depth_registered/image_raw", Image)
-    xtion("present", depth_registration=True)
-    assert registered.wait(1)[-1].header.frame_id == "camera_rgb_optical_frame"
+    xtion("present", depth_registration=by_the_device)
+    message = registered.wait(1)[-1]
+    assert (message.encoding, message.header.frame_id) == ("16UC1", "camera_rgb_optical_frame")
 
 
 def test_a_camera_pulled_out_is_reported_and_comes_back(xtion, ros, wait_until):
@@ -100,6 +103,7 @@ def test_a_camera_pulled_out_is_reported_and_comes_back(xtion, ros, wait_until):
         ("present", {"rate": 0}, "~rate is 0"),
         ("present", {"gain": 1}, "~gain is not a known key"),
         ("present", {"rgb_calibration": {}}, "camera_matrix"),
+        ("present", {"frames": {}}, "~frames/rgb"),
     ],
 )
 def test_without_a_camera_it_ends_with_a_sentence(xtion, wait_until, does, changes, complaint):

@@ -35,6 +35,23 @@ def test_a_point_lands_where_the_rectified_camera_sees_it(u, v, z):
     assert registered[rows[0], columns[0]] == pytest.approx(X[2], rel=1e-5)
 
 
+@settings(deadline=None, max_examples=20)
+@given(slant=st.floats(-0.4, 0.4), z=st.floats(0.6, 2.0))
+def test_as_taken_is_the_depth_of_what_the_raw_colour_picture_shows(slant, z):
+    """A slanted wall: every pixel of the raw picture looks at one place of it."""
+    normal = np.array([slant, 0.0, 1.0])
+    n = T_RGB_DEPTH[:3, :3].T @ normal
+    rays = DEPTH.rays(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1))
+    depth = ((z - normal @ T_RGB_DEPTH[:3, 3]) / (rays @ n)).astype(np.float32)
+    taken = REGISTRATION.as_taken(REGISTRATION.register(depth))
+    v, u = np.nonzero(np.isfinite(taken[60:420, 80:560]))
+    u, v = u + 80, v + 60
+    seen = RGB.rays(np.stack((u, v), axis=-1))
+    expected = (seen * (z / (seen @ normal))[:, None]) @ RGB.R[2]
+    assert len(u) > 0.9 * 360 * 480
+    np.testing.assert_allclose(taken[v, u], expected, rtol=0.004)
+
+
 def landing(u, v, z):
     return tuple(int(i[0]) for i in np.nonzero(np.isfinite(one_point(u, v, z))))
 

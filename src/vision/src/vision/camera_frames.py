@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from common.config import vector
-from common.poses import pose
+from common.poses import inverse, pose
 
 R_CAMERA_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -32,3 +32,8 @@ def camera_frames(config: CameraFramesConfig) -> list[tuple[str, str, np.ndarray
         frames.append((f"camera_{name}_frame", f"camera_{name}_optical_frame", pose(R_CAMERA_OPTICAL)))
         frames.append((f"camera_{name}_optical_frame", f"camera/{name}_frame", pose()))
     return frames
+
+
+def depth_in_rgb(config: CameraFramesConfig) -> np.ndarray:
+    """Returns the pose of the depth camera's optical frame in that of the colour camera, shape (4, 4) [m]."""
+    return inverse(pose(R_CAMERA_OPTICAL, config.rgb)) @ pose(R_CAMERA_OPTICAL, config.depth)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
+import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -11,10 +13,14 @@ from common.camera_model import CameraModel, from_calibration
 from common.config import parse
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
+from common.ros.images import metres_from_millimetres
 from common.ros.rgbd_topics import RgbdTopics
+from vision.camera_frames import CameraFramesConfig, depth_in_rgb
 from vision.openni_camera import Frame, OpenniCamera, XtionConfig
+from vision.registration import Registration, millimetres_from_metres
 
 CALIBRATIONS = ("rgb_calibration", "depth_calibration")
+FRAMES = "frames"
 TIMEOUT_S = 0.5
 SILENCE_S = 2.0
 """After so long without a picture the camera is opened anew."""
@@ -27,13 +33,15 @@ class Xtion:
     Args:
         config: of the device.
         rgb, depth: intrinsics of the two cameras.
+        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
 
     Raises:
         DeviceError: the library is missing.
     """
 
-    def __init__(self, config: XtionConfig, rgb: CameraModel, depth: CameraModel) -> None:
+    def __init__(self, config: XtionConfig, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
         self._config = config
+        self._registration = Registration(rgb, depth, T_rgb_depth)
         self._camera = OpenniCamera(config, rgb, depth)
         self._topics = RgbdTopics(rgb, depth)
         self._offset = rospy.Duration.from_sec(config.time_offset)
@@ -85,13 +93,26 @@ class Xtion:
                 rospy.rostime.wallsleep(RETRY_PERIOD_S)
 
     def _publish(self, frame: Frame) -> None:
-        registered = frame.name == "depth" and self._config.depth_registration
-        name = "depth_registered" if registered else frame.name
         stamp = rospy.Time.now() + self._offset
-        if self._topics.wanted(name):
-            self._topics.publish(name, frame.picture, stamp)
-        self._topics.publish_info(name, stamp)
+        if frame.name == "rgb":
+            self._publish_as("rgb", lambda: frame.picture, stamp)
+        elif self._config.depth_registration:
+            self._publish_as("depth_registered", lambda: frame.picture, stamp)
+        else:
+            self._publish_as("depth", lambda: frame.picture, stamp)
+            self._publish_as("depth_registered", lambda: self._registered(frame.picture), stamp)
         self._pictures += 1
+
+    def _publish_as(self, name: str, picture: Callable[[], np.ndarray], stamp: rospy.Time) -> None:
+        """Publishes a picture, which is made only if somebody wants it."""
+        if self._topics.wanted(name):
+            self._topics.publish(name, picture(), stamp)
+        self._topics.publish_info(name, stamp)
+
+    def _registered(self, depth: np.ndarray) -> np.ndarray:
+        """Returns depth in the pixels of the raw colour picture, as the device itself could give it instead."""
+        registration = self._registration
+        return millimetres_from_metres(registration.as_taken(registration.register(metres_from_millimetres(depth))))
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         values = {"pictures": self._pictures, "losses": self._losses}
@@ -103,6 +124,7 @@ class Xtion:
 def main() -> None:
     """Runs the node with its private parameters."""
     values = rospy.get_param("~", {})
-    config = parse(XtionConfig, values, prefix="~", others=CALIBRATIONS)
+    config = parse(XtionConfig, values, prefix="~", others=(*CALIBRATIONS, FRAMES))
     rgb, depth = (from_calibration(values.get(name)) for name in CALIBRATIONS)
-    Xtion(config, rgb, depth).run()
+    frames = parse(CameraFramesConfig, values.get(FRAMES, {}), prefix=f"~{FRAMES}/")
+    Xtion(config, rgb, depth, depth_in_rgb(frames)).run()
