@@ -126,6 +126,14 @@ def _cell(outcomes: list[bool]) -> str:
     return str(share(outcomes)) if outcomes else "-"
 
 
+def kept_rows(path: Path) -> list[dict]:
+    """Returns the rows of a file of results, none where it is not there."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def export(path: Path, tasks, processes: int) -> None:
     """Writes the file of --export."""
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
@@ -155,10 +163,7 @@ def main() -> None:
         return
     arguments.folder.mkdir(parents=True, exist_ok=True)
     results = arguments.folder / "results.csv"
-    rows = []
-    if results.exists():
-        with results.open(newline="") as file:
-            rows = list(csv.DictReader(file))
+    rows = kept_rows(results)
     done = {(int(r["scene"]), r["method"]) for r in rows}
     tasks = []
     for number in range(arguments.scenes):

@@ -26,6 +26,7 @@ from grasping.dataset.labels import own_grasp, pose_from_label, windowed
 from grasping.evaluation.person_errors import Neighbours, miss
 from grasping.predictor import Predictor, PredictorSettings
 from grasping.programs import episode_files
+from grasping.programs.evaluate import kept_rows
 from grasping.programs.make_dataset import ignore_warning
 from grasping.synthetic import episodes
 from grasping.training.refinement_examples import constant_offset, offset_label
@@ -134,10 +135,7 @@ def main() -> None:
         parser.error(str(error))
     arguments.folder.mkdir(parents=True, exist_ok=True)
     results = arguments.folder / "results.csv"
-    rows = []
-    if results.exists():
-        with results.open(newline="") as file:
-            rows = list(csv.DictReader(file))
+    rows = kept_rows(results)
     done = {(r["episode"], r["method"]) for r in rows}
     with results.open("a", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")

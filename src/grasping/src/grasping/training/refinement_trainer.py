@@ -5,13 +5,13 @@ AdamW with a linear decay of the rate. What is kept is the running mean of the w
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from grasping.refinement import FEATURES, SHRINK, RefinementNetwork
+from grasping.training.mean_trainer import MeanTrainer
 from grasping.training.refinement_batches import batch, random_batch
 from grasping.training.refinement_examples import Example, Offset, Scene
 from grasping.training.refinement_losses import Losses, losses
@@ -44,20 +44,17 @@ class Settings:
     seed: int = 1
 
 
-class Trainer:
-    """Network, mean of its weights and optimiser after `step` steps."""
+class Trainer(MeanTrainer):
+    """The training of the second network."""
 
     def __init__(self, settings: Settings, offset: Offset) -> None:
         """Makes the trainer; `offset` is the person's constant one."""
         self.settings = settings
         torch.manual_seed(settings.seed)
-        self.network = RefinementNetwork(settings.features)
-        self.network.offset[:] = torch.tensor([offset.x, offset.y, offset.tilt_x, offset.tilt_y])
-        self.mean = copy.deepcopy(self.network)
-        self.optimiser = torch.optim.AdamW(
-            self.network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay
-        )
-        self.step = 0
+        network = RefinementNetwork(settings.features)
+        network.offset[:] = torch.tensor([offset.x, offset.y, offset.tilt_x, offset.tilt_y])
+        optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay)
+        super().__init__(network, optimiser, settings.memory)
 
     @property
     def offset(self) -> np.ndarray:
@@ -69,20 +66,9 @@ class Trainer:
         s = self.settings
         rng = np.random.default_rng([s.seed, self.step])
         maps, target = random_batch(examples, scenes, self.offset, rng, s.count)
-        for group in self.optimiser.param_groups:
-            group["lr"] = s.rate * max(0.0, 1.0 - self.step / s.steps)
         self.network.train()
-        self.optimiser.zero_grad()
         loss = losses(maps, self.network(maps), target).total
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        self.optimiser.step()
-        memory = min(s.memory, (self.step + 1) / (self.step + 10))
-        with torch.no_grad():
-            for kept, new in zip(self.mean.parameters(), self.network.parameters()):
-                kept.lerp_(new, 1.0 - memory)
-        self.step += 1
-        return loss.item()
+        return self.descend(loss, s.rate * max(0.0, 1.0 - self.step / s.steps))
 
     def validate(self, examples: list[Example]) -> dict[str, float]:
         """Returns the losses of the mean network, and how far its best pixel is from the person's, the median [px of
@@ -100,22 +86,6 @@ class Trainer:
         found = dict(zip(("validation", *Losses._fields[1:]), np.average(rows, axis=0, weights=counts).tolist()))
         del found["scene"]
         return {**found, "miss": float(np.median(misses))}
-
-    def state(self) -> dict:
-        """Returns all that `resume` needs."""
-        return {
-            "step": self.step,
-            "network": self.network.state_dict(),
-            "mean": self.mean.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-        }
-
-    def resume(self, state: dict) -> None:
-        """Goes on where `state` was taken."""
-        self.network.load_state_dict(state["network"])
-        self.mean.load_state_dict(state["mean"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.step = state["step"]
 
 
 def _misses(quality: torch.Tensor, place: torch.Tensor) -> list[float]:

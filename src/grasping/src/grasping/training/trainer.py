@@ -6,7 +6,6 @@ weights, which is what is kept: it is good at any time, so that training may sto
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +14,7 @@ import torch
 from grasping.networks import NETWORKS
 from grasping.training.batches import Targets, batch, random_batch
 from grasping.training.losses import losses
+from grasping.training.mean_trainer import MeanTrainer
 
 
 @dataclass(frozen=True)
@@ -46,16 +46,14 @@ class Settings:
     half: bool = True
 
 
-class Trainer:
-    """Network, mean of its weights and optimiser after `step` steps."""
+class Trainer(MeanTrainer):
+    """The training of a grasp network."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         torch.manual_seed(settings.seed)
-        self.network = NETWORKS[settings.network]().to(memory_format=torch.channels_last)
-        self.mean = copy.deepcopy(self.network)
-        self.optimiser = torch.optim.Adam(self.network.parameters(), lr=settings.rate)
-        self.step = 0
+        network = NETWORKS[settings.network]().to(memory_format=torch.channels_last)
+        super().__init__(network, torch.optim.Adam(network.parameters(), lr=settings.rate), settings.memory)
 
     def rate(self) -> float:
         """Returns the learning rate of the next step."""
@@ -67,20 +65,8 @@ class Trainer:
         """Does one step and returns its loss; the batch depends on the seed and the step alone."""
         rng = np.random.default_rng([self.settings.seed, self.step])
         depth, target = random_batch(samples, rng, self.settings.count, self.settings.side)
-        for group in self.optimiser.param_groups:
-            group["lr"] = self.rate()
         self.network.train()
-        self.optimiser.zero_grad()
-        loss = losses(self._maps(self.network, depth), target).total
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        self.optimiser.step()
-        memory = min(self.settings.memory, (self.step + 1) / (self.step + 10))
-        with torch.no_grad():
-            for kept, new in zip(self.mean.parameters(), self.network.parameters()):
-                kept.lerp_(new, 1.0 - memory)
-        self.step += 1
-        return loss.item()
+        return self.descend(losses(self._maps(self.network, depth), target).total, self.rate())
 
     def validate(self, samples) -> dict[str, float]:
         """Returns the losses of the mean network on whole pictures, and the share of best pixels that are grasps."""
@@ -93,22 +79,6 @@ class Trainer:
             rows.append([*(v.item() for v in found), _best_is_grasp(maps.float(), target)])
         names = ("validation", "quality", "angle", "width", "hits")
         return dict(zip(names, np.mean(rows, axis=0).tolist()))
-
-    def state(self) -> dict:
-        """Returns all that `resume` needs."""
-        return {
-            "step": self.step,
-            "network": self.network.state_dict(),
-            "mean": self.mean.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-        }
-
-    def resume(self, state: dict) -> None:
-        """Goes on where `state` was taken."""
-        self.network.load_state_dict(state["network"])
-        self.mean.load_state_dict(state["mean"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.step = state["step"]
 
     def _maps(self, network, depth):
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self.settings.half):
