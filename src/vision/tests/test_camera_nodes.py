@@ -213,6 +213,24 @@ def test_the_watchdog_refuses_bad_limits(ros, wait_until):
     assert "~silence is 0.0" in process.log_path.read_text()
 
 
+@pytest.mark.parametrize(
+    ("parameters", "sentence"),
+    [
+        ({"rgb": [0.0, 0.0, 0.0]}, "~depth is missing"),
+        ({"rgb": [0.0, 0.0, 0.0], "depth": [0.0, 0.0]}, "~depth is"),
+        ({"rgb": [0.0, 0.0, 0.0], "depth": [0.0, 0.0, 0.0], "infrared": 1}, "~infrared is not a known key"),
+    ],
+)
+def test_the_frames_end_with_a_sentence(ros, parameters, sentence):
+    import rospy
+
+    rospy.set_param("frames", parameters)
+    process = ros.run("vision", "camera_frames_node.py", "__name:=frames")
+    assert process.wait(60.0) == 1
+    log = process.log_path.read_text()
+    assert sentence in log and "Traceback" not in log
+
+
 def test_the_launch_file_brings_frames_and_waits_for_the_world(ros, free_port, wait_until):
     import rospy
     import tf2_ros

@@ -270,6 +270,39 @@ def test_the_launch_files_start_what_they_name(ros, camera, wait_until):
     clouds.wait(1, 40.0)
 
 
+def test_a_recording_goes_through_the_same_nodes(ros, camera, processes, tmp_path, wait_until):
+    import rosbag
+    import rospy
+    from sensor_msgs.msg import PointCloud2
+
+    from apriltag_ros.msg import AprilTagDetectionArray
+    from common.ros.conversions import pose_from_message
+
+    bag = tmp_path / "camera.bag"
+    topics = [f"/camera/{name}/{topic}" for name in MODELS for topic in ("image_raw", "camera_info")]
+    record = processes.start("rosbag", "record", "-O", str(bag), "--duration=4", *topics, "/tf_static")
+    assert record.wait(60.0) == 0
+    camera.close()
+    with rosbag.Bag(str(bag)) as recorded:
+        stamps = {message.header.stamp for _, message, _ in recorded.read_messages(topics[:1])}
+    assert len(stamps) > 3
+    rospy.set_param("use_sim_time", True)
+    try:
+        seen = {n: ros.record(f"tag_detections{n}", AprilTagDetectionArray) for n in ("", "_fused")}
+        clouds = ros.record("camera/depth_registered/points", PointCloud2)
+        ros.launch("vision", "camera_apriltag.launch", camera="false", folder=tmp_path)
+        ros.launch("vision", "plane_pose.launch", camera="false")
+        ros.launch("vision", "register_rgbd.launch", camera="false", rviz="false")
+        processes.start("rosbag", "play", "--clock", "--loop", str(bag))
+        for arrays in seen.values():
+            wait_until(lambda arrays=arrays: arrays and arrays[-1].detections, 60.0, "the panel")
+            np.testing.assert_allclose(pose_from_message(arrays[-1].detections[0].pose.pose.pose), TRUTH, atol=6e-3)
+            assert arrays[-1].header.stamp in stamps
+        assert clouds.wait(1, 60.0)[-1].header.stamp in stamps
+    finally:
+        rospy.delete_param("use_sim_time")
+
+
 def test_the_nodelets_have_the_same_topics(ros, camera, wait_until):
     import rospkg
     from sensor_msgs.msg import Image, PointCloud2

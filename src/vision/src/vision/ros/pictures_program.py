@@ -37,6 +37,7 @@ WIDTH, COLOURS = 1000, 128
 """Of a picture; few colours keep the files small in spite of the camera's noise."""
 SCREEN = (1920, 1080)
 START_S, CALIBRATION_S, END_S = 90.0, 900.0, 20.0
+VIEWS = 10
 RVIZ_S, WINDOW_S = 40.0, 6.0
 """RViz draws a cloud less than once a second without a graphics card."""
 
@@ -46,15 +47,20 @@ class Stage:
 
     Args:
         folder: for their logs.
+
+    Attributes:
+        log: what the newest program said.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.log = folder
         self._programs: list[subprocess.Popen] = []
 
     def start(self, *command: str) -> subprocess.Popen:
         """Starts a program in a process group of its own."""
-        with open(self.folder / f"{len(list(self.folder.iterdir()))}_{Path(command[0]).name}.log", "wb") as log:
+        self.log = self.folder / f"{len(list(self.folder.iterdir()))}_{Path(command[0]).name}.log"
+        with self.log.open("wb") as log:
             program = subprocess.Popen(
                 list(command), stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
             )
@@ -132,12 +138,11 @@ def _calibration(stage: Stage, folder: Path) -> None:
     arguments = (f"port:={world}", "control_port:=0", f"folder:={store}", "rviz:=true")
     stage.start("roslaunch", "vision", "camera_apriltag.launch", *arguments)
     rospy.wait_for_message("tag_detections_image", Image, START_S)
-    for name, value in (("count", 9), ("tries", 400)):
-        rospy.set_param(f"camera_calibration/views/{name}", value)
+    rospy.set_param("camera_calibration/views/count", VIEWS)
     options = ("--ip", "127.0.0.1", "--port", robot, "--velocity", "0.5", "--yes")
     program = stage.start("rosrun", "vision", "calibrate_camera.py", *options)
     if program.wait(CALIBRATION_S) != 0:
-        raise DeviceError("The calibration failed.")
+        raise DeviceError(f"The calibration failed: {stage.log.read_text().splitlines()[-1]}")
     stage.start("roslaunch", "vision", "register_rgbd.launch", "camera:=false", "rviz:=false")
     rospy.wait_for_message("camera/depth_registered/points", PointCloud2, START_S)
     time.sleep(RVIZ_S)
