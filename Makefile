@@ -18,7 +18,7 @@ SCENARIO ?=
 REPORT ?=
 ARGS ?=
 
-.PHONY: help setup demo test test-fast bench lint docs cad clean distclean
+.PHONY: help setup demo test test-fast bench lint docs docs-pictures cad clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
@@ -57,6 +57,9 @@ docs: $(READY) ## the handbook in site/, its reference pages made anew from the 
 	@.venv/bin/python -m tools.reference
 	@.venv/bin/mkdocs build --strict --quiet
 	@echo "The handbook is made: site/index.html"
+
+docs-pictures: $(READY) ## the pictures of the handbook, by the programs that they show; takes long
+	@$(IN_WORKSPACE) python -m tools.pictures
 
 cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures, tag sheets
 	@test -x cad/.venv/bin/python || /usr/bin/python3 -m venv cad/.venv

@@ -1,0 +1,200 @@
+"""Makes the pictures of the handbook by the project's own programs: `make docs-pictures`, or some by their names.
+
+python -m tools.pictures workspace panel
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from PIL import Image
+
+from common.ports import free_port
+from tools.reference.sources import ROOT
+
+PICTURES = ROOT / "docs" / "pictures"
+PARAMETERS = ROOT / "src" / "kuka_control" / "config" / "kuka_params_rt.yaml"
+WIDTH, COLOURS = 1200, 128
+"""Of a picture at most: the pages do not show more, and files stay small."""
+
+SCREEN = (1400, 900)
+VIEW = (384, 82, 1284, 830)
+"""Where RViz shows the rig on the screen: left, top, right, bottom [px]."""
+
+PANEL = (568, 412)
+FOLLOWING_S = 45.0
+"""The demo's arm follows a hand so long after its start, also on a slow machine."""
+
+WORKSPACES = {
+    "workspace.png": {},
+    "workspace-wide.png": {"center_line": "[1, 0, 0]", "opening_angle": "120.0"},
+    "workspace-behind.png": {"center_line": "[-1, 0, 0]"},
+    "workspace-home-pos.png": {"home_pos": "[-45, 20, 0, -100, 0, 40, 0]", "use_home_pos": "true"},
+}
+"""The workspace with the parameters as shipped, changed by these."""
+
+
+def workspace() -> None:
+    """The workspace, the home position, and how much of it the arm reaches."""
+    for name, changes in WORKSPACES.items():
+        text = PARAMETERS.read_text()
+        for key, value in changes.items():
+            text = re.sub(rf"^{key}: .*?(?=  +#)", f"{key}: {value}", text, flags=re.MULTILINE)
+        with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
+            file.write(text)
+            file.flush()
+            _run(
+                "rosrun", "kuka_control", "workspace_plotter.py", "--params", file.name, "--save", str(PICTURES / name)
+            )
+
+
+def panel() -> None:
+    """The control panel at home with control off, and while the arm follows a hand."""
+    os.environ["QT_QPA_PLATFORM"] = "offscreen"
+    from python_qt_binding.QtGui import QPainter, QPixmap
+    from python_qt_binding.QtWidgets import QApplication
+
+    from kuka_control.gui.panel import ControlPanel
+    from kuka_control.gui.panel_state import ControllerStatus, panel_state
+
+    application = QApplication([])
+    shown = []
+    for status in (
+        ControllerStatus(0.0, False, False, 1.0, "home", "The arm is at home."),
+        ControllerStatus(0.0, True, True, 0.7, "servo", "The arm follows the desired tool frame in servo mode."),
+    ):
+        window = ControlPanel()
+        window.show_state(panel_state(status, 0.0))
+        window.show()
+        application.processEvents()
+        shown.append(window.grab().copy(0, 0, *PANEL))
+    both = QPixmap(sum(picture.width() for picture in shown), shown[0].height())
+    painter = QPainter(both)
+    for i, picture in enumerate(shown):
+        painter.drawPixmap(i * shown[0].width(), 0, picture)
+    painter.end()
+    both.save(str(PICTURES / "panel.png"))
+
+
+def rig() -> None:
+    """The demo in RViz while the arm follows a hand."""
+    with _screen() as display:
+        environment = {"DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1", "QT_X11_NO_MITSHM": "1"}
+        with _started("rosrun", "leap_rig", "demo.py", "--", "gui:=false", *_ports(), **environment):
+            time.sleep(FOLLOWING_S)
+            file = PICTURES / "rig.png"
+            _run(sys.executable, "-m", "tools.pictures", "--shoot", str(file), DISPLAY=display)
+            picture = Image.open(file)
+        picture.crop(VIEW).save(file)
+
+
+def pick_cup() -> None:
+    """The simulated person picks a cup up and puts it down."""
+    arguments = ("--headless", "--scenario", "pick_cup", "--record", str(PICTURES / "pick-cup.png"))
+    _run("rosrun", "leap_rig", "demo.py", *arguments, "--", *_ports(), ROS_MASTER_URI=f"http://localhost:{free_port()}")
+
+
+def tag_pose() -> None:
+    """Poses of the single tag by colour alone and with depth."""
+    with tempfile.TemporaryDirectory() as folder:
+        _run("rosrun", "vision", "evaluate_tag_pose.py", "--panel", "single", "--output", folder)
+        shutil.copy(Path(folder) / "tag_pose_1.png", PICTURES / "tag-pose-single.png")
+
+
+def parts() -> None:
+    """Printed parts, as `make cad` has drawn them; the site of the handbook does not reach its folder."""
+    for name, copy in (("connectors.png", "connectors.png"), ("panel.png", "panel-on-arm.png")):
+        shutil.copy(ROOT / "cad" / "assembly" / name, PICTURES / copy)
+
+
+def vision() -> None:
+    """Calibration and the view for the headset."""
+    _run("rosrun", "vision", "take_pictures.py", str(ROOT / "docs" / "vision" / "pictures"))
+
+
+MAKERS = {maker.__name__: maker for maker in (workspace, panel, rig, pick_cup, tag_pose, parts, vision)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tools.pictures", description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", help=f"which pictures: {', '.join(MAKERS)}; none: all")
+    parser.add_argument("--shoot", metavar="FILE", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.shoot:
+        _shoot(options.shoot)
+        return
+    before = {file: file.stat().st_mtime for file in PICTURES.glob("*.png")}
+    for name in options.names or MAKERS:
+        print(f"pictures: {name}", flush=True)
+        MAKERS[name]()
+    for file in PICTURES.glob("*.png"):
+        if file.stat().st_mtime != before.get(file):
+            _shrink(file)
+
+
+def _shoot(file: str) -> None:
+    """Writes what is on the screen."""
+    from python_qt_binding.QtWidgets import QApplication
+
+    application = QApplication([])
+    application.primaryScreen().grabWindow(0).save(file)
+
+
+def _shrink(file: Path) -> None:
+    picture = Image.open(file).convert("RGB")
+    picture.thumbnail((WIDTH, WIDTH), Image.LANCZOS)
+    picture.quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE).save(file, optimize=True)
+
+
+def _ports() -> list[str]:
+    """Returns arguments that put the demo's devices on ports of its own."""
+    names = ("robot_port", "robot_control_port", "hand_control_port", "leap_port", "leap_control_port", "world_port")
+    return [*(f"{name}:={free_port()}" for name in names), f"hand_port:={free_port(socket.SOCK_DGRAM)}"]
+
+
+def _run(*command: str, **environment: str) -> None:
+    subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, **environment})
+
+
+@contextlib.contextmanager
+def _started(*command: str, **environment: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Runs a program on a ROS master of its own, and ends it as Ctrl-C does."""
+    master = f"http://localhost:{free_port()}"
+    program = subprocess.Popen(command, env={**os.environ, "ROS_MASTER_URI": master, **environment}, cwd=ROOT)
+    try:
+        yield program
+    finally:
+        program.send_signal(signal.SIGINT)
+        program.wait(90.0)
+
+
+@contextlib.contextmanager
+def _screen() -> Iterator[str]:
+    """Yields the name of a display in memory."""
+    reader, writer = os.pipe()
+    size = f"{SCREEN[0]}x{SCREEN[1]}x24"
+    server = subprocess.Popen(["Xvfb", "-displayfd", str(writer), "-screen", "0", size], pass_fds=[writer])
+    os.close(writer)
+    with os.fdopen(reader) as pipe:
+        number = pipe.readline().strip()
+    try:
+        yield f":{number}"
+    finally:
+        server.terminate()
+        server.wait(10.0)
+
+
+if __name__ == "__main__":
+    main()
