@@ -255,13 +255,12 @@ def test_what_is_missing_is_said_and_comes_back(rig, start, status, folder, wait
     assert not files(folder)
 
 
-def test_a_grasp_without_frames_is_no_episode(rig, start, status, folder, wait_until):
-    rig.silent = {"/camera/depth/image"}
-    process = start()
-    wait_until(lambda: status()["message"] == "waits for depth pictures", 60.0, "the status")
-    rig.perform([(0.5, OPEN, False, 0.4, 0.4), (1.0, FIST, True, 0.4, 0.4), (1.5, FIST, True, 0.4, 0.5)])
+def test_frames_in_which_ggcnn_takes_the_robot_for_an_object_make_no_episode(rig, start, status, folder, wait_until):
+    process = start(frames__hand_radius=2.0, frames__hand_reach=1.0)
+    wait_until(lambda: int(status().get("frames_on_hand", 0)) > 0, 60.0, "frames that are left out")
+    rig.perform([(1.0, FIST, True, GRASP_Z, GRASP_Z), (1.5, FIST, True, GRASP_Z, GRASP_Z + 0.1)])
     wait_until(lambda: "no frame was kept since the person began" in process.log_path.read_text(), 15.0, "the sentence")
-    assert not files(folder)
+    assert status()["frames_kept"] == "0" and not files(folder)
 
 
 FAULTS = [

@@ -9,7 +9,7 @@ import pytest
 import torch
 import yaml
 from episodes import CAMERA, CROP, DOWN
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from common.config import parse
@@ -18,11 +18,12 @@ from common.poses import translation
 from grasping.dataset.collector import Collector
 from grasping.dataset.configuration import grasp_in_tool, rig_configuration
 from grasping.dataset.episode import EXECUTION, TELEOPERATION
-from grasping.dataset.frame_buffer import FrameBufferConfig, KeptFrame, Optics
+from grasping.dataset.frame_buffer import FrameBufferConfig, KeptFrame, Optics, on_hand
 from grasping.dataset.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
 from grasping.dataset.network_view import MAP_SIDE, look, millimetres
 from grasping.depth_image import Crop
 from grasping.maps import Peak
+from grasping.projection import grasp as grasp_at
 from grasping.settings import overlaid, settings_from
 from grasping.tool_pose import ToolPoseConfig, tool_pose
 from grasping.view import CameraView, CropConfig
@@ -299,16 +300,27 @@ def test_what_is_kept_of_a_picture_is_what_the_network_saw_and_said(kind):
     depth = np.full((480, 640), 0.8, np.float32)
     depth[230:260, 310:340] = 0.7
     seen = views.step(depth, CAMERA)
-    view = look(ramp, seen, GGCNN.live(UP))
+    view, T_view_own = look(ramp, seen, GGCNN.live(UP))
     assert view.depth.shape == (seen.picture.crop.side,) * 2 and view.depth.dtype == np.uint16
     assert len(np.unique(view.depth)) == 2 and np.ptp(view.depth) == pytest.approx(100, abs=1)
     assert view.maps.shape == (4, MAP_SIDE, MAP_SIDE) and view.maps.dtype == np.float16
     np.testing.assert_allclose(view.maps[1][:, 0], (np.arange(150) * 2 + 0.5) / 299.0, atol=1e-3)
     np.testing.assert_allclose(view.maps[2], -view.maps[1])
     assert view.mean == pytest.approx(seen.picture.mean)
+    own = grasp_at(view.peak, seen.picture.crop, 300, seen.depth, seen.camera)
+    np.testing.assert_array_equal(T_view_own, own.T_camera_grasp)
     if kind == "camera":
         assert view.peak.row == pytest.approx(0.4 * 299, abs=1.0)
         assert 20 <= view.peak.column < 280, "no peak near the border, as the node ggcnn wants it"
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.5, 0.5))
+def test_what_is_beside_or_above_the_fingers_may_be_the_robot(x, y, z):
+    assume(abs(np.hypot(x, y) - FRAMES.hand_radius) > 1e-9 and abs(z - FRAMES.hand_reach) > 1e-9)
+    p = DOWN @ (x, y, z, 1.0)
+    robot = np.hypot(x, y) < FRAMES.hand_radius and z < FRAMES.hand_reach
+    assert on_hand(p[:3], DOWN, FRAMES) == robot
+    assert not on_hand(p[:3], DOWN, replace(FRAMES, hand_radius=0.0))
 
 
 def test_a_network_that_says_nothing_finite_is_refused():

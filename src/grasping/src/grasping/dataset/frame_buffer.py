@@ -30,6 +30,8 @@ class FrameBufferConfig:
         "s", above=0.0, high=3600.0, doc="frames older than that when the fingers close are dropped"
     )
     most_frames: int = integer("frames", low=1, high=2000, doc="of an episode; half a megabyte each in memory")
+    hand_radius: float = number("m", low=0.0, high=2.0, doc="what is nearer to the tool's axis, and")
+    hand_reach: float = number("m", low=-1.0, high=1.0, doc="not farther along it than this, may be hand or arm")
 
 
 class KeptFrame(NamedTuple):
@@ -82,6 +84,15 @@ class KeptFrames(NamedTuple):
             held=grasp.held,
             **{name: np.array([getattr(row, name) for row in self.rows]) for name in KeptFrame._fields},
         )
+
+
+def on_hand(p_base: np.ndarray, T_base_tool: np.ndarray, config: FrameBufferConfig) -> bool:
+    """Returns whether a point, shape (3,) [m], may lie on the hand or the arm behind it, both in the base frame.
+
+    Where GGCNN's own grasp does, it took the robot for an object, and its map teaches nothing of where a person grasps.
+    """
+    x, y, z = T_base_tool[:3, :3].T @ (p_base - T_base_tool[:3, 3])
+    return bool(z < config.hand_reach and np.hypot(x, y) < config.hand_radius)
 
 
 class FrameBuffer:

@@ -12,6 +12,7 @@ from grasping.dataset.episode import NONE_MM
 from grasping.live import LiveSettings
 from grasping.maps import Peak, highest, peaks, smoothed
 from grasping.predictor import run
+from grasping.projection import grasp
 from grasping.view import View
 
 MAP_SIDE = 150
@@ -35,8 +36,9 @@ class NetworkView(NamedTuple):
     peak: Peak
 
 
-def look(network: torch.jit.ScriptModule, view: View, settings: LiveSettings) -> NetworkView:
-    """Returns what is kept of a view.
+def look(network: torch.jit.ScriptModule, view: View, settings: LiveSettings) -> tuple[NetworkView, np.ndarray | None]:
+    """Returns what is kept of a view, and GGCNN's own grasp before its camera, shape (4, 4) [m], None where it has no
+    place for want of a reading.
 
     Args:
         network: as `predictor.frozen` returns it.
@@ -55,7 +57,9 @@ def look(network: torch.jit.ScriptModule, view: View, settings: LiveSettings) ->
     best = peaks(maps, 1, settings.distance, settings.threshold)
     window = view.depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side]
     peak = best[0] if best else highest(maps)
-    return NetworkView(millimetres(window), small.transpose(2, 0, 1).astype(np.float16), picture.mean, peak)
+    kept = NetworkView(millimetres(window), small.transpose(2, 0, 1).astype(np.float16), picture.mean, peak)
+    own = grasp(peak, crop, len(picture.input), view.depth, view.camera)
+    return kept, None if own is None else own.T_camera_grasp
 
 
 def millimetres(depth: np.ndarray) -> np.ndarray:

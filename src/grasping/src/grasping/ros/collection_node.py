@@ -30,7 +30,7 @@ from common.ros.node import run, while_running
 from grasping.dataset.collector import Collector, Finished
 from grasping.dataset.configuration import rig_configuration
 from grasping.dataset.episode import Episode, Metadata
-from grasping.dataset.frame_buffer import KeptFrame, Optics
+from grasping.dataset.frame_buffer import KeptFrame, Optics, on_hand
 from grasping.dataset.grasp_watch import HandState, SeenGrasp
 from grasping.dataset.network_view import look
 from grasping.ros.collection_setup import CollectionSetup, read_setup
@@ -67,7 +67,7 @@ class GraspCollection:
         self._fingers = np.full(4, np.nan)
         self._heard = {"depth pictures": 0.0, "the state of the hand": 0.0}
         self._waits_for = ""
-        self._episodes = self._held = 0
+        self._episodes = self._held = self._on_robot = 0
         topics = setup.ggcnn.input
         self._subscribers = [
             rospy.Subscriber(topics.info_topic, CameraInfo, self._on_info, queue_size=1),
@@ -134,10 +134,15 @@ class GraspCollection:
         if depth.shape != (camera.height, camera.width):
             raise ValueError(f"a picture of {depth.shape[1]} x {depth.shape[0]} is not of the described camera")
         view = self._views.step(depth, camera)
+        kept, T_view_own = look(self._setup.network, view, self._live)
+        T_base_view = T_base_camera @ view.T_camera_view
+        if T_view_own is not None and on_hand((T_base_view @ T_view_own)[:3, 3], T_base_tool, self._setup.frames):
+            self._on_robot += 1
+            return
         frame = KeptFrame(
             stamp=stamp.to_sec(),
-            **look(self._setup.network, view, self._live)._asdict(),
-            T_base_camera=T_base_camera @ view.T_camera_view,
+            **kept._asdict(),
+            T_base_camera=T_base_view,
             T_base_tool_measured=T_base_tool,
             T_base_tool_desired=self._desired(stamp) if teleop else NOWHERE,
             finger_angles=fingers,
@@ -214,7 +219,11 @@ class GraspCollection:
             return
         grasp, frames, setup = finished.grasp, finished.frames, self._setup
         if not frames.rows:
-            rospy.logwarn("A grasp is no episode: no frame was kept since the person began.")
+            rospy.logwarn(
+                "A grasp is no episode: no frame was kept since the person began; in %d so far GGCNN took the robot "
+                "for an object.",
+                self._on_robot,
+            )
             return
         metadata = Metadata(
             version=setup.version,
@@ -262,6 +271,7 @@ class GraspCollection:
             "held": self._held,
             "lost": self._files.lost,
             "frames_kept": self._collector.kept,
+            "frames_on_hand": self._on_robot,
             "frames_waiting": self._collector.waiting,
             "folder": self._setup.folder,
         }
