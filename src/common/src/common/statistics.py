@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 Z_95 = 1.959964
 """Of the normal distribution, two-sided 95 %."""
@@ -29,14 +30,14 @@ class Share(NamedTuple):
         return f"{100 * self.value:.0f} ({100 * self.low:.0f} to {100 * self.high:.0f}), n = {self.trials}"
 
 
-def share(outcomes) -> Share:
+def share(outcomes: ArrayLike) -> Share:
     """Returns the share of true outcomes.
 
     Raises:
         ValueError: there are no outcomes.
     """
-    outcomes = np.asarray(outcomes, dtype=bool)
-    n, k = len(outcomes), int(outcomes.sum())
+    hits = np.asarray(outcomes, dtype=bool)
+    n, k = len(hits), int(hits.sum())
     if n == 0:
         raise ValueError("a share of no trials has no value")
     middle = (k + 0.5 * Z_95**2) / (n + Z_95**2)
@@ -56,7 +57,7 @@ class Median(NamedTuple):
         return f"{self.value:.1f} ({self.low:.1f} to {self.high:.1f})"
 
 
-def median(values, seed: int = 0) -> Median:
+def median(values: ArrayLike, seed: int = 0) -> Median:
     """Returns the median of values that are independent of each other.
 
     Raises:
