@@ -86,6 +86,15 @@ def test_it_is_nearer_to_the_truth_than_the_corners_and_knows_how_near(camera, b
     assert np.mean(squares) < 2.0
 
 
+def test_noise_makes_it_less_sure(camera, single):
+    truth, refiner = view(1.2, 35.0), PhotometricRefiner(FAMILY, single)
+    quiet, loud = (refiner.refine(picture(camera, single, truth, noise=n), camera, truth) for n in (1.0, 12.0))
+    sd = [np.sqrt(np.diag(found.covariance)) for found in (quiet, loud)]
+    assert np.all(sd[1] > 1.2 * sd[0])
+    e = error(loud.T_camera_tag, truth)
+    assert e @ np.linalg.inv(loud.covariance) @ e / 6.0 < 3.0
+
+
 def test_the_wrong_one_of_two_tilts_is_left(camera, single):
     truth = view(1.2, 12.0)
     grey = picture(camera, single, truth)
