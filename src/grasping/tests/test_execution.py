@@ -124,6 +124,7 @@ def test_a_grasp_that_is_held_and_lifted():
         (lambda t: t.run(1.0, hand=FULL).run(0.1, hand=None), False, True, "state of the robot hand is unknown"),
         (lambda t: t.run(0.1, T_base_tool=None), False, False, "place of the tool is unknown"),
         (lambda t: t.run(0.1, controller=None), False, False, "controller is silent"),
+        (lambda t: t.run(0.1, controller=Controller(True, "home", "Home.")), False, False, "left the grasp: Home."),
         (lambda t: t.run(181.0), False, False, "Nothing was decided within 180 s"),
     ],
 )
@@ -155,7 +156,7 @@ def test_how_an_approach_ends(changes, seconds, reason):
     "changes, seconds, reason",
     [
         ({"hold": NONE, "hold_reason": "the tool is held no longer"}, 0.1, "for a hand: the tool is held no longer."),
-        ({"controller": Controller(True, "returning", "Home.")}, 0.1, "The arm did not stay above the grasp: Home."),
+        ({"controller": Controller(True, "returning", "Home.")}, 0.1, "The arm left the grasp: Home."),
         ({}, 63.0, "No hand took over in time."),
     ],
 )

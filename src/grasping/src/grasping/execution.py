@@ -161,7 +161,7 @@ class Execution:
 
     def _hindrance(self, seen: Observation, now: float) -> str | None:
         """Returns why the execution cannot go on, a sentence without its full stop, or None."""
-        arm, config = seen.controller, self._config
+        arm = seen.controller
         if arm is None:
             return "The arm's controller is silent"
         if not arm.control_on:
@@ -170,12 +170,15 @@ class Execution:
             return f"The arm stopped: {arm.reason.rstrip('.')}"
         if seen.T_base_tool is None:
             return "The place of the tool is unknown"
-        if self.state == PERSON:
-            return self._without_person(seen, now)
+        why = self._without_person(seen, now) if self.state == PERSON else self._without_hold(seen, now)
+        if why is None and self._followed and arm.mode in AWAY:
+            return f"The arm left the grasp: {arm.reason.rstrip('.')}"
+        return why
+
+    def _without_hold(self, seen: Observation, now: float) -> str | None:
+        config = self._config
         if seen.hold == NONE and (self._held or now - self._began > config.silence):
             return f"The tool was not held for a hand: {seen.hold_reason}"
-        if self._followed and arm.mode in AWAY:
-            return f"The arm did not stay above the grasp: {arm.reason.rstrip('.')}"
         if now - self._began > config.wait_for_hand + config.silence:
             return "No hand took over in time"
         if self.state == APPROACHING and now - self._began > config.approach_time:
