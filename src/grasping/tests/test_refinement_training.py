@@ -17,7 +17,7 @@ from grasping.dataset.labels import pose_from_label
 from grasping.depth_image import NETWORK_SIDE, Crop, prepare
 from grasping.maps import Peak, Smoothing, highest, smoothed
 from grasping.projection import grasp
-from grasping.refinement import Refinement, RefinementNetwork, refined_grasp
+from grasping.refinement import INPUT_TURN, OUTPUT_TURN, Refinement, RefinementNetwork, refined_grasp
 from grasping.training.refinement_batches import batch, moved_maps, place_target, random_batch
 from grasping.training.refinement_examples import SIDE, Scene, constant_offset, example, offset_label
 from grasping.training.refinement_losses import losses
@@ -124,6 +124,21 @@ def _one(one, turn, shift):
 def _middle(bell: np.ndarray) -> tuple[float, float]:
     row, column = np.indices(bell.shape)
     return float((row * bell).sum() / bell.sum()), float((column * bell).sum() / bell.sum())
+
+
+def test_the_network_turns_maps_and_tilts_as_the_training_does():
+    one = example(frame_of(grasp_at(0.02, -0.015, 0.69, 0.4, (0.1, -0.05))), held=True)
+    maps, target = _one(one, 0.5 * np.pi, (0.0, 0.0))
+    turned = INPUT_TURN @ torch.rot90(torch.from_numpy(one.maps.astype(np.float32)), 1, (1, 2)).flatten(1)
+    torch.testing.assert_close(maps[0].flatten(1), turned, rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(target.tilt[0], OUTPUT_TURN[5:, 5:].numpy() @ one.tilt, atol=1e-6)
+
+
+def test_the_constant_offset_is_taken_off_the_label():
+    one = example(frame_of(grasp_at(0.02, -0.015, 0.7, 0.4, (0.1, -0.05))), held=True)
+    _, target = batch([one], np.array([4.0 * one.mean, -6.0 * one.mean, 0.03, 0.01]))
+    assert _middle(target.place[0].numpy()) == pytest.approx((one.row + 3.0, one.column - 2.0), abs=0.01)
+    np.testing.assert_allclose(target.tilt[0], one.tilt - (0.03, 0.01), atol=1e-6)
 
 
 def test_unmoved_maps_come_back():
