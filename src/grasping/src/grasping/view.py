@@ -18,7 +18,7 @@ from common.config import integer, number
 from common.poses import pose, read_only
 from common.rotations import unit
 from grasping.depth_image import NETWORK_SIDE, Crop, Picture, centre_crop, prepare
-from grasping.planes import PlaneFound, best_plane
+from grasping.planes import GATE_SD, PlaneFound, best_plane
 
 STRIDE = 6
 """Pixels of the camera's picture, in rows and columns, to one in which the table is looked for."""
@@ -144,7 +144,8 @@ class TableView:
         if not known.any():
             raise NoView("the depth picture holds no reading inside the crop")
         c = self._config
-        table = best_plane(rays[window][known].astype(float), depth[window][known], c.noise)
+        seen_rays, seen_depth = rays[window][known].astype(float), depth[window][known]
+        table = best_plane(seen_rays, seen_depth, c.noise)
         if table is None or table.share < c.min_share:
             raise NoView(
                 f"no table is seen: {0.0 if table is None else table.share:.0%} of the pixels lie in one plane"
@@ -157,7 +158,9 @@ class TableView:
         if self._turned is not None and self._turned[0] == made_for and self._same(table):
             return
         self._table = table
-        self._T = read_only(_looking_down(table, middle, c.distance))
+        on_it = np.abs(seen_rays @ table.a - 1.0 / seen_depth) < GATE_SD * c.noise
+        shown = (seen_rays[on_it] * seen_depth[on_it, None]).mean(axis=0)
+        self._T = read_only(_looking_down(table, shown, c.distance))
         R, p = self._T[:3, :3], self._T[:3, 3]
         self._turned = (made_for, np.ascontiguousarray(np.moveaxis(rays @ R, -1, 0), np.float32), -R.T @ p)
 
@@ -219,9 +222,8 @@ def _window(depth: np.ndarray, crop: CropConfig) -> Crop:
 
 
 def _looking_down(table: PlaneFound, middle: np.ndarray, distance: float) -> np.ndarray:
-    """Returns the pose of a camera above the point of the table that the ray `middle` hits, its x axis along the
-    real camera's as far as the table lets it."""
+    """Returns the pose of a camera above the middle, shape (3,) [m], of what is seen of the table; its x axis is along
+    the real camera's as far as the table lets it."""
     z = table.direction
     x = unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
-    point = middle / (table.a @ middle)
-    return pose(np.column_stack([x, np.cross(z, x), z]), point - distance * z)
+    return pose(np.column_stack([x, np.cross(z, x), z]), middle + (table.distance - middle @ z - distance) * z)

@@ -33,7 +33,7 @@ from grasping.depth_image import NETWORK_SIDE, Crop, centre_crop, prepare
 from grasping.live import Finder, Findings, Proposal
 from grasping.predictor import Predictor, PredictorSettings
 from grasping.projection import depth_between_fingers
-from grasping.reach import Reach
+from grasping.reach import ASKED, Reach
 from grasping.ros import ggcnn_messages as messages
 from grasping.ros.camera_place import CameraPlace
 from grasping.ros.depth_stream import DepthPicture, DepthStream
@@ -120,7 +120,9 @@ class GgcnnNode:
         self._grasps = len(proposals)
         self._list.publish(messages.grasp_list(header, proposals, reason))
         self._markers.publish(messages.markers(header, proposals))
-        self._reasons.tell(reason or proposals[0][1].reason)
+        why = reason or proposals[0][1].reason
+        if why != ASKED:  # that lasts for a picture or two only
+            self._reasons.tell(why)
 
     def _tell_best(self, picture: DepthPicture, best: Proposal) -> None:
         header, crop = picture.header, self._settings.crop

@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Writes what the node ggcnn sees and finds into a picture file."""
+
+from grasping.ros.grasp_picture import main
+
+if __name__ == "__main__":
+    main()
