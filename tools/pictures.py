@@ -121,7 +121,7 @@ def parts() -> None:
 
 def vision() -> None:
     """Calibration and the view for the headset."""
-    _run("rosrun", "vision", "take_pictures.py", str(ROOT / "docs" / "vision" / "pictures"))
+    _run("rosrun", "vision", "take_pictures.py", str(PICTURES))
 
 
 MAKERS = {maker.__name__: maker for maker in (workspace, panel, rig, pick_cup, tag_pose, parts, vision)}

@@ -1,0 +1,62 @@
+"""What makes the pages of the handbook: each step on its own, on small inputs."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from tools import docs_hooks
+from tools.reference import launch_files, markdown, parameters
+from tools.reference.errors import read_entries
+from tools.reference.sources import ROOT
+
+
+def test_cells_cannot_break_a_table():
+    table = markdown.table(["a"], [["one | two\nthree"]])
+    assert table == "| a |\n| --- |\n| one \\| two three |\n"
+
+
+def test_markdown_sees_nothing_of_its_own_in_text():
+    assert markdown.text("*a_b* <c> [d](e)") == "\\*a\\_b\\* \\<c\\> \\[d\\](e)"
+
+
+def test_comments_are_found_by_the_keys_that_lead_there():
+    text = "# head\na: 1  # first\nb:\n  c: '#no'  # second\n  d:\n    e: 2\nf: 3  # third\n"
+    assert parameters._comments(text) == {("a",): "first", ("b", "c"): "second", ("f",): "third"}
+
+
+def test_a_fixed_argument_is_no_argument(tmp_path):
+    file = tmp_path / "x.launch"
+    file.write_text(
+        "<launch><!-- What it is. --><arg name='a' default='1' doc='d'/><arg name='b' value='2'/>"
+        "<arg name='c' doc=''/></launch>"
+    )
+    assert list(launch_files.arguments(file)) == ["a", "c"]
+    assert launch_files._comment(file) == "What it is."
+    assert [launch_files._default(arg) for arg in launch_files.arguments(file).values()] == ["`1`", "must be given"]
+
+
+def test_a_state_has_no_cause():
+    entries = read_entries("kst:\n  - messages: [a b]\n    cause: c\n    cure: d\n  - states: [e f]\n")["kst"]
+    assert [(entry.parts, entry.cause) for entry in entries] == [(("a b",), "c"), (("e f",), "")]
+
+
+@pytest.mark.parametrize(
+    ("source", "text", "shown"),
+    [
+        ("index.md", "[other](faults.md)", "[other](faults.md)"),
+        ("index.md", "[how](../CONTRIBUTING.md)", "how (`CONTRIBUTING.md`)"),
+        ("vision/a.md", "[x](../faults.md#y) [a.py](../../src/a.py)", "[x](../faults.md#y) `src/a.py`"),
+        ("index.md", "![picture](../x.png)", "![picture](../x.png)"),
+    ],
+)
+def test_on_the_site_links_out_of_it_are_places_in_the_repository(source, text, shown):
+    page = SimpleNamespace(file=SimpleNamespace(src_uri=source))
+    assert docs_hooks.on_page_markdown(text, page, None, None) == shown
+
+
+def test_a_folder_in_the_navigation_stands_for_its_pages():
+    expanded = docs_hooks._expanded([{"Decisions": "decisions/"}, "index.md"], ROOT / "docs")
+    assert expanded[0]["Decisions"][:2] == ["decisions/README.md", "decisions/calibrated-arm.md"]
+    assert expanded[1] == "index.md"
