@@ -56,7 +56,7 @@ def test_on_the_site_links_out_of_it_are_places_in_the_repository(source, text, 
     assert docs_hooks.on_page_markdown(text, page, None, None) == shown
 
 
-def test_a_folder_in_the_navigation_stands_for_its_pages():
-    expanded = docs_hooks._expanded([{"Decisions": "decisions/"}, "index.md"], ROOT / "docs")
+def test_a_pattern_in_the_navigation_stands_for_its_pages():
+    expanded = docs_hooks._expanded([{"Decisions": "decisions/*.md"}, "index.md"], ROOT / "docs")
     assert expanded[0]["Decisions"][:2] == ["decisions/README.md", "decisions/calibrated-arm.md"]
     assert expanded[1] == "index.md"

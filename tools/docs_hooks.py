@@ -10,7 +10,7 @@ LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(((?:\.\./)+[^)\s]*)\)")
 
 
 def on_config(config):
-    """Replaces each folder in the navigation by its pages."""
+    """Replaces each pattern in the navigation by its pages."""
     config.nav = _expanded(config.nav, Path(config.docs_dir))
     return config
 
@@ -30,14 +30,14 @@ def on_page_markdown(markdown: str, page, config, files) -> str:
 
 
 def _expanded(nav: list, docs: Path) -> list:
-    """Returns the navigation with `folder/` replaced by the pages in it, the README first."""
+    """Returns the navigation with patterns such as `folder/*.md` replaced by the pages they fit, the README first."""
     expanded = []
     for item in nav:
         title, target = next(iter(item.items())) if isinstance(item, dict) else (None, item)
         if isinstance(target, list):
             pages = _expanded(target, docs)
-        elif target.endswith("/"):
-            found = sorted((docs / target).glob("*.md"), key=lambda p: (p.name != "README.md", p.name))
+        elif "*" in target:
+            found = sorted(docs.glob(target), key=lambda p: (p.name != "README.md", p.name))
             pages = [str(page.relative_to(docs)) for page in found]
         else:
             expanded.append(item)
