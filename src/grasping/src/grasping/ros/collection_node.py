@@ -108,7 +108,7 @@ class GraspCollection:
             try:
                 self._take_picture(message)
             except (ValueError, NoView, tf2_ros.TransformException) as error:
-                self._waits_for = " ".join(str(error).split())
+                self._waits_for = _clause(error)
                 rospy.logwarn_throttle(THROTTLE_S, f"A picture was left out: {self._waits_for}.")
 
     def _take_picture(self, message: Image) -> None:
@@ -176,7 +176,7 @@ class GraspCollection:
                     raise ValueError(f"the place of the tool is older than {STALE_S:g} s")
                 T_base_tool = pose_from_transform(found.transform) @ self._T_flange_tool
             except (ValueError, tf2_ros.TransformException) as error:
-                rospy.logwarn_throttle(THROTTLE_S, f"The hand is watched without effect: {error}.")
+                rospy.logwarn_throttle(THROTTLE_S, f"The hand is watched without effect: {_clause(error)}.")
                 return
             with self._lock:
                 self._take_time(now)
@@ -281,6 +281,11 @@ class GraspCollection:
         if silent or self._waits_for:
             return DiagnosticStatus.WARN, f"waits for {' and '.join(silent)}" if silent else self._waits_for, values
         return DiagnosticStatus.OK, f"{self._episodes} episodes, {self._held} held", values
+
+
+def _clause(error: Exception) -> str:
+    """Returns what an exception says as one line without the full stop that those of tf2 have."""
+    return " ".join(str(error).split()).rstrip(". ")
 
 
 def _play() -> None:
