@@ -27,7 +27,7 @@ from rig_simulation.scenario.assisted_grasp import (
 from rig_simulation.world.scene import Box, Cylinder
 
 LOOK = {"position": np.zeros(2), "yaw": 0.0, "mass": 0.1, "friction": 0.7, "colour": np.ones(3)}
-BOX = Box(size=np.array([0.05, 0.09, 0.10]), **LOOK)
+BOX = Box(size=np.array([0.05, 0.12, 0.10]), **LOOK)
 STEPS = (
     "look", "approach", "wait", "above", "down", "close", "lift", "hold", "lower", "open", "away", "leave", "done"
 )  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig_simulation.world.scene import Box, SceneObject
 
-WIDEST = 0.085
+WIDEST = 0.1
 """A side that is longer does not fit between the fingers."""
 
 
