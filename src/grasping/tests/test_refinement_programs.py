@@ -117,6 +117,10 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, s
         assert of["the person"][name]["near"] == of["the person"][name]["lifted"] == "True"
         assert float(of["the person"][name]["position_mm"]) == pytest.approx(0.0, abs=1e-6)
     assert "| trained |" in (results / "table.md").read_text()
+    call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, tmp_path / "part", "--held-out", "--no-lifting")
+    rows = list(csv.DictReader((tmp_path / "part" / "results.csv").read_text().splitlines()))
+    assert {r["episode"] for r in rows} == {name for name in held if episode_files.is_held_out(name)}
+    assert {r["lifted"] for r in rows} == {""}
 
 
 def test_training_is_over_when_nothing_gets_better():

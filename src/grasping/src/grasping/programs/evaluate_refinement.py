@@ -120,6 +120,8 @@ def main() -> None:
     parser.add_argument(
         "--refinement", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a second network"
     )
+    parser.add_argument("--held-out", action="store_true", help="test on the episodes that training holds out alone")
+    parser.add_argument("--no-lifting", action="store_true", help="lift nothing")
     parser.add_argument("--only", action="append", default=[], metavar="OBJECT", help="test on these things alone")
     parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="as training had it")
     arguments = parser.parse_args()
@@ -130,6 +132,8 @@ def main() -> None:
         training = episode_files.read(arguments.training, without=arguments.without)
         training = [named for named in training if not episode_files.is_held_out(named.name)]
         test = [named for named in episode_files.read(arguments.test, only=arguments.only) if named.episode.held]
+        if arguments.held_out:
+            test = [named for named in test if episode_files.is_held_out(named.name)]
         found = methods(training, arguments.weights, arguments.refinement)
     except (RigError, OSError) as error:
         parser.error(str(error))
@@ -143,7 +147,7 @@ def main() -> None:
             writer.writeheader()
         for named in tqdm(test, unit="episode"):
             missing = [name for name in found if (named.name, name) not in done]
-            at = episodes.scene_of(named.name)
+            at = None if arguments.no_lifting else episodes.scene_of(named.name)
             scene = episodes.situation(*at) if at and missing else None
             for name in missing:
                 line = {**dict.fromkeys(COLUMNS, ""), **row(named, scene, name, found[name])}
