@@ -180,6 +180,14 @@ def test_too_few_episodes_are_refused(data, monkeypatch, capsys, tmp_path):
     assert "too few show a grasp that held" in capsys.readouterr().err
 
 
+def test_nothing_to_learn_from_is_refused(data, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(episode_files, "is_held_out", lambda name: True)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, tmp_path / "results")
+    assert "and 0 to learn from, too few held." in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
+
+
 def test_scenes_and_grasps_are_exported(tmp_path, monkeypatch):
     file = tmp_path / "grasps.json"
     call(monkeypatch, evaluate, "--scenes", "2", "--export", file, "--weights", "GG-CNN2", WEIGHTS)

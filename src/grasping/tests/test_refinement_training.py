@@ -15,6 +15,7 @@ from common.rotations import rotation_about
 from grasping.dataset.episode import Frame
 from grasping.dataset.labels import pose_from_label
 from grasping.depth_image import NETWORK_SIDE, Crop, prepare
+from grasping.evaluation.person_errors import Neighbours, miss
 from grasping.maps import Peak, Smoothing, highest, smoothed
 from grasping.projection import grasp
 from grasping.refinement import INPUT_TURN, OUTPUT_TURN, Refinement, RefinementNetwork, refined_grasp
@@ -175,6 +176,29 @@ def test_the_constant_offset_is_found_and_undone():
 
 def test_nobody_teaches_no_offset():
     assert constant_offset([]) == (0.0,) * 6
+
+
+def test_a_miss_does_not_mind_which_finger_is_which():
+    T = grasp_at(0.02, -0.01, 0.7, 0.4, (0.1, -0.05))
+    found = T @ pose(rotation_about(2, np.pi) @ rotation_about(0, 0.2), (0.003, 0.0, 0.004))
+    missed = miss(T, found)
+    assert (missed.position, missed.rotation) == pytest.approx((0.005, 0.2), abs=1e-7)
+    assert missed.is_near
+    assert not miss(T, T @ pose(rotation_about(2, 0.3))).is_near
+    assert not miss(T, T @ pose(p=(0.021, 0.0, 0.0))).is_near
+
+
+def test_the_nearest_neighbour_of_a_known_frame_is_that_frame():
+    """What the person did there comes back, whichever of the frames it is."""
+    frames = []
+    for k, (row, column) in enumerate(((140, 120), (150, 170), (170, 160))):
+        frame = frame_of(grasp_at(0.01 * k, -0.01, 0.69, 0.1 * k), PEAK._replace(row=row, column=column))
+        frame.depth[180 : 200 + 10 * k, 190:230] = 650
+        frames.append(frame)
+    known = Neighbours(frames)
+    for frame in frames:
+        found = miss(frame.T_camera_grasp, known.grasp(frame))
+        assert (found.position, found.rotation) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 def right_change(maps, target):

@@ -48,7 +48,7 @@ class Neighbours:
     """Predicts what the person did in the most similar frame: the nearest neighbour."""
 
     def __init__(self, frames: list[Frame]) -> None:
-        """Keeps the frames of grasps that held."""
+        """Keeps frames, of which at least one has GGCNN's grasp and the person's in sight, of grasps that held."""
         labelled = [(patch(frame), relative_label(frame)) for frame in frames]
         labelled = [(seen, label) for seen, label in labelled if label is not None]
         self._patches = np.stack([seen for seen, _ in labelled])

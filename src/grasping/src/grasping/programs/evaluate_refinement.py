@@ -134,6 +134,8 @@ def main() -> None:
         test = [named for named in episode_files.read(arguments.test, only=arguments.only) if named.episode.held]
         if arguments.held_out:
             test = [named for named in test if episode_files.is_held_out(named.name)]
+        if not test or not any(named.episode.held for named in training):
+            raise RigError(f"Of {len(test)} episodes to test on and {len(training)} to learn from, too few held.")
         found = methods(training, arguments.weights, arguments.refinement)
     except (RigError, OSError) as error:
         parser.error(str(error))
