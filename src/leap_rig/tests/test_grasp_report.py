@@ -47,7 +47,7 @@ def test_a_grasp_is_told_in_numbers_and_in_words():
     assert (grasp["proposals_seen"], grasp["executed"], grasp["held"]) == (3, 2, True)
     text = as_text(summary)
     for line in (
-        "1: box; 3 proposals seen, 2 executed",
+        "1: box; proposals seen: 3, executed: 2",
         "refused: Control of the arm is off.",
         "failed: the arm followed the hand no more",
         "corrected by hand by 12 mm and -6 deg, lifted 215 mm",

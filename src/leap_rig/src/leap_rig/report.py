@@ -105,7 +105,7 @@ def _grasp(values: dict[str, str]) -> dict:
 
 def _grasp_lines(grasp: dict) -> list[str]:
     what = grasp["object"] or "nothing"
-    lines = [f"    {grasp['round']}: {what}; {grasp['proposals_seen']} proposals seen, {grasp['executed']} executed"]
+    lines = [f"    {grasp['round']}: {what}; proposals seen: {grasp['proposals_seen']}, executed: {grasp['executed']}"]
     lines += [f"       {kind}: {grasp[kind]}" for kind in ("refused", "failed") if grasp[kind]]
     if grasp["correction_mm"] is not None:
         lines.append(
