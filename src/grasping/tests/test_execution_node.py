@@ -188,7 +188,7 @@ def node(ros, wait_until):
 def asked(rig, node, wait_until):
     """A node that has refused once: control was off."""
     rig.control_on = False
-    node.start().ready()
+    node.start(silence=5.0).ready()
     rig.control_on = True
     wait_until(lambda: node.ask("execute") is True, 20.0, "an execution")
     return node
@@ -198,14 +198,15 @@ def test_a_grasp_from_the_proposal_to_the_label(rig, asked, wait_until):
     import rospy
 
     node = asked
-    assert node.now["state"] == "approaching" and (node.now["proposal"], node.now["episode"]) == ("7", "1")
+    node.wait_for("approaching")
+    assert (node.now["proposal"], node.now["episode"]) == ("7", "1")
     np.testing.assert_allclose(rig.checked[-2], translation(0.0, 0.0, -0.12) @ ABOVE, atol=1e-6)
     np.testing.assert_allclose(rig.checked[-1], ABOVE, atol=1e-6)
     desired, duration = rig.held[-1]
     np.testing.assert_allclose(desired, translation(0.0, 0.01, 0.0) @ ABOVE, atol=1e-6)
     assert duration == CONFIG["wait_for_hand"]
     assert "7 is being executed; cancel it first" in node.ask("execute")
-    assert len(node.markers[-1].markers) == 6
+    wait_until(lambda: len(node.markers[-1].markers) == 6, 10.0, "the ghost")
 
     rig.tool, rig.mode = ABOVE, "servo"
     node.wait_for("waiting_for_hand")
@@ -222,7 +223,8 @@ def test_a_grasp_from_the_proposal_to_the_label(rig, asked, wait_until):
     assert (outcome.episode, outcome.proposal.id, outcome.tool.header.frame_id) == (1, 7, "kuka/base_frame")
     assert outcome.tool.pose.position.z == pytest.approx(closed_at[2, 3], abs=1e-6)
     assert 1.0 < (rospy.Time.now() - outcome.header.stamp).to_sec() < 60.0
-    assert len(node.markers[-1].markers) == 1 and rig.held[-1] is not None
+    wait_until(lambda: len(node.markers[-1].markers) == 1, 10.0, "the end of the ghost")
+    assert rig.held[-1] is not None
 
     rig.say_hold("none", "right hand 12 was lost")
     rig.tool = HOME
@@ -236,8 +238,8 @@ def test_a_grasp_from_the_proposal_to_the_label(rig, asked, wait_until):
 
 
 def test_what_is_refused(rig, node, wait_until):
-    rig.control_on = False
-    node.start(answer_time=0.5).ready()
+    rig.control_on, rig.not_held = False, "The tool is not held: a hand is followed."
+    node.start(answer_time=2.0, silence=5.0).ready()
 
     def refused(sentence):
         wait_until(lambda: sentence in str(node.ask("execute")), 20.0, f"{sentence!r}, not {node.ask('execute')!r}")
@@ -249,10 +251,10 @@ def test_what_is_refused(rig, node, wait_until):
     refused("The arm does not reach the grasp")
     rig.grasps, rig.out_of_reach = [rig.grasp(3)], "The outer sphere would move it."
     refused("The outer sphere would move it.")
-    rig.out_of_reach, rig.not_held = "", "The tool is not held: a hand is followed."
+    rig.out_of_reach = ""
     refused("The tool is not held: a hand is followed.")
     rig.answers.clear()
-    refused("It is unknown whether the arm gets there: the service kuka/check_tool_pose did not answer within 0.5 s.")
+    refused("It is unknown whether the arm gets there: the service kuka/check_tool_pose did not answer within 2 s.")
     rig.answers.set()
     rig.say_hold("taken")
     refused("The arm follows a hand; take it away first.")
