@@ -28,12 +28,12 @@ class Finished(NamedTuple):
     Attributes:
         grasp: where and when, and whether it held.
         source: EXECUTION or TELEOPERATION.
-        frames: before it; without rows it is no episode.
+        frames: before it; None: it is no episode.
     """
 
     grasp: SeenGrasp
     source: str
-    frames: KeptFrames
+    frames: KeptFrames | None
 
 
 class Collector:

@@ -64,15 +64,15 @@ class Optics(NamedTuple):
 
 
 class KeptFrames(NamedTuple):
-    """The frames before a grasp, oldest first, and how they were taken; None if there is no frame."""
+    """The frames before a grasp, at least one, oldest first, and how they were taken."""
 
-    optics: Optics | None
+    optics: Optics
     rows: list[KeptFrame]
 
     def episode(
         self, grasp: SeenGrasp, metadata: Metadata, T_flange_tool: np.ndarray, T_tool_grasp: np.ndarray
     ) -> Episode:
-        """Returns the frames, at least one, with the grasp as their label."""
+        """Returns the frames with the grasp as their label."""
         return Episode(
             metadata=metadata,
             camera=self.optics.camera,
@@ -125,7 +125,7 @@ class FrameBuffer:
 
     def add(self, frame: KeptFrame, optics: Optics) -> bool:
         """Keeps a frame. Returns whether it had to drop those before it, because another camera took them."""
-        changed = bool(self._frames) and not _same(optics, self._optics)
+        changed = bool(self._frames) and self._optics is not None and not _same(optics, self._optics)
         if changed:
             self._frames.clear()
         self._optics = optics
@@ -137,11 +137,11 @@ class FrameBuffer:
         self._frames.clear()
         self._tried = None
 
-    def take(self, until: float) -> KeptFrames:
-        """Takes all frames out and returns those that may belong to a grasp at the time `until` [s]."""
+    def take(self, until: float) -> KeptFrames | None:
+        """Takes all frames out and returns those that may belong to a grasp at the time `until` [s]; None for none."""
         rows = [frame for frame in self._frames if until - self._config.longest <= frame.stamp <= until]
         self._frames.clear()
-        return KeptFrames(self._optics, rows)
+        return KeptFrames(self._optics, rows) if rows and self._optics is not None else None
 
 
 def _same(a: Optics, b: Optics) -> bool:

@@ -75,9 +75,9 @@ def offsets(episode: Episode) -> list[Offset]:
     """Returns how the person's grasp lies to GGCNN's, for each frame where both have a place."""
     found = []
     for frame in episode.frames():
-        label = relative_label(frame)
-        if label is not None:
-            position = (inverse(own_grasp(frame).T_camera_grasp) @ frame.T_camera_grasp)[:3, 3]
+        label, own = relative_label(frame), own_grasp(frame)
+        if label is not None and own is not None:
+            position = (inverse(own.T_camera_grasp) @ frame.T_camera_grasp)[:3, 3]
             found.append(Offset(position, label.angle, float(np.linalg.norm(label.tilt))))
     return found
 

@@ -218,7 +218,7 @@ class GraspCollection:
         if finished is None:
             return
         grasp, frames, setup = finished.grasp, finished.frames, self._setup
-        if not frames.rows:
+        if frames is None:
             rospy.logwarn(
                 "A grasp is no episode: no frame was kept since the person began; in %d so far GGCNN took the robot "
                 "for an object.",
