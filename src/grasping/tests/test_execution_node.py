@@ -242,7 +242,7 @@ def test_what_is_refused(rig, node, wait_until):
     node.start(answer_time=2.0, silence=5.0).ready()
 
     def refused(sentence):
-        wait_until(lambda: sentence in str(node.ask("execute")), 20.0, f"{sentence!r}, not {node.ask('execute')!r}")
+        wait_until(lambda: sentence in str(node.ask("execute")), 20.0, repr(sentence))
 
     refused("Control of the arm is off.")
     rig.control_on, rig.grasps, rig.why_none = True, [], "no peak"
