@@ -75,6 +75,18 @@ def test_live_then_stored_then_loaded_without_the_tag(ros, scene, buffer, proces
     assert file.name in again.log_path.read_text()
 
 
+def test_who_saw_the_live_place_also_gets_the_stored_one(ros, scene, buffer, wait_until):
+    """tf2 does not turn a frame that moved into a fixed one."""
+    import rospy
+
+    ros.run("vision", "camera_place_node.py")
+    place(buffer)
+    wait_until(lambda: call("camera_place/store").success, 15.0, "the storing")
+    later = rospy.Time.now() + rospy.Duration(2.0)
+    found = buffer.lookup_transform("kuka/base_frame", OPTICAL, later, rospy.Duration(60.0))
+    assert found.header.stamp == later
+
+
 def test_flange_seen_hangs_below_the_tag(ros, scene, buffer):
     import rospy
 

@@ -7,6 +7,7 @@ without the tag. Mode auto is stored where there is a calibration, and live othe
 
 from __future__ import annotations
 
+import copy
 import threading
 import time
 from collections import deque
@@ -16,6 +17,7 @@ import numpy as np
 import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TransformStamped
 from std_srvs.srv import Trigger, TriggerResponse
 
 from common.config import choice, parse, text
@@ -36,6 +38,9 @@ DEFAULTS = {"mode": AUTO, "detector": "apriltag_ros_continuous_node"}
 FLANGE_WAIT_S = 0.2
 RECENT_S = 3.0
 THROTTLE_S = 5.0
+REPEAT_S = 0.1
+AHEAD = rospy.Duration(2.0 * REPEAT_S)
+"""A repeated place is stamped ahead, so that nobody waits for the next one; it does not move."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,8 @@ class CameraPlace:
         self._refused = 0
         self._message = "waits for the panel"
         self._record: CalibrationRecord | None = None
+        self._stored: TransformStamped | None = None
+        self._was_live = False
         panel, now = setup.panel, rospy.Time.now()
         self._seen = stamped_transform(panel.T_tag_flange, panel.frame, FLANGE_SEEN, now)
         self._static.sendTransform([self._seen])
@@ -67,6 +74,7 @@ class CameraPlace:
         rospy.Service("camera_place/store", Trigger, self._on_store)
         PanelSights(setup.target, self._on_sight)
         Diagnostics("camera_place", self._diagnostics)
+        self._timer = rospy.Timer(rospy.Duration(REPEAT_S), self._repeat)
 
     def _load(self) -> None:
         """Takes the newest stored calibration, where the mode asks for it.
@@ -88,7 +96,7 @@ class CameraPlace:
         record, file = found
         transform = self._frames.camera_link(record.T_base_camera, record.camera_frame, rospy.Time.now())
         self._static.sendTransform([self._seen, transform])
-        self._record = record
+        self._record, self._stored = record, transform
         self._message = (
             f"stored on {record.date}: {record.rms_mm:.2f} mm, {record.rms_deg:.2f} deg in {len(record.views)} views"
         )
@@ -115,10 +123,20 @@ class CameraPlace:
                 self._message = str(error)
                 rospy.logwarn_throttle(THROTTLE_S, f"A sight of the panel is of no use: {error}")
                 return
+            self._was_live = True
             self._broadcaster.sendTransform(transform)
             self._message = "live"
             with self._lock:
                 self._recent.append((time.monotonic(), T_base_flange, sight, optical))
+
+    def _repeat(self, _) -> None:
+        """Repeats the stored place where there was a live one before: tf2 makes no fixed frame of one that moved."""
+        if self._stored is None or not self._was_live:
+            return
+        with while_running():
+            transform = copy.deepcopy(self._stored)
+            transform.header.stamp = rospy.Time.now() + AHEAD
+            self._broadcaster.sendTransform(transform)
 
     def _on_store(self, _) -> TriggerResponse:
         """Stores the mean of the newest sights, if arm and camera stood still."""

@@ -26,14 +26,14 @@ import rospy
 from PIL import Image as Picture
 from python_qt_binding.QtGui import QImage
 from python_qt_binding.QtWidgets import QApplication
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import Image, JointState, PointCloud2
 from websockets.sync.client import connect
 
 from common.errors import DeviceError
 from common.ports import free_port
 
 NAME = "take_pictures"
-WIDTH, COLOURS = 1000, 128
+WIDTH, COLOURS = 1000, 112
 """Of a picture; few colours keep the files small in spite of the camera's noise."""
 SCREEN = (1920, 1080)
 START_S, CALIBRATION_S, END_S = 90.0, 900.0, 20.0
@@ -139,6 +139,8 @@ def _calibration(stage: Stage, folder: Path) -> None:
     stage.start("roslaunch", "vision", "camera_apriltag.launch", *arguments)
     rospy.wait_for_message("tag_detections_image", Image, START_S)
     rospy.set_param("camera_calibration/views/count", VIEWS)
+    fingers = rospy.Publisher("joint_states", JointState, queue_size=1)
+    timer = rospy.Timer(rospy.Duration(0.1), lambda _: fingers.publish(_open_hand()))
     options = ("--ip", "127.0.0.1", "--port", robot, "--velocity", "0.5", "--yes")
     program = stage.start("rosrun", "vision", "calibrate_camera.py", *options)
     if program.wait(CALIBRATION_S) != 0:
@@ -147,6 +149,15 @@ def _calibration(stage: Stage, folder: Path) -> None:
     rospy.wait_for_message("camera/depth_registered/points", PointCloud2, START_S)
     time.sleep(RVIZ_S)
     _shoot(folder / "calibration-rviz.png", (0, 0, 1400, 900))
+    timer.shutdown()
+
+
+def _open_hand() -> JointState:
+    """Returns the joints of the hand, which no driver tells here."""
+    names = ["preshape_1", "preshape_2", *(f"{kind}_joint_{i}" for kind in ("proximal", "distal") for i in (1, 2, 3))]
+    message = JointState(name=[f"reflex/{name}" for name in names], position=[0.0] * len(names))
+    message.header.stamp = rospy.Time.now()
+    return message
 
 
 def _headset(stage: Stage, folder: Path) -> None:
