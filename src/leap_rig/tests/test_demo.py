@@ -110,10 +110,18 @@ def test_the_simulated_person_picks_a_cup_up_and_puts_it_down(demo):
     assert cup["picked_and_placed"] and cup["lifted_mm"] > 195.0 and cup["tilt_deg"] < 5.0
 
 
-@pytest.mark.timeout(500)
+def machine_was_busy(process) -> bool:
+    """Whether frames or answers came too late, as on a machine that is too busy for the rig."""
+    log = process.log_path.read_text()
+    return "no tracking frame came" in log or "No answer in time" in log
+
+
+@pytest.mark.timeout(800)
 def test_a_proposed_grasp_is_corrected_by_hand_lifted_and_put_down(demo):
     process = demo("--scenario", "assisted_grasp")
-    assert process.wait(450) == 0, process.log_path.read_text()
+    if process.wait(350) != 0 and machine_was_busy(process):
+        process = demo("--scenario", "assisted_grasp")
+    assert process.wait(350) == 0, process.log_path.read_text()
     summary = json.loads(process.report.read_text())
     assert summary["scenario"]["step"] == "done" and summary["faults"] == []
     (grasp,) = summary["grasps"]

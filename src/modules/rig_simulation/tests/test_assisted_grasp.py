@@ -189,7 +189,7 @@ def test_what_was_not_held_is_tried_again():
 def test_after_three_tries_the_person_gives_up():
     result, _, ended = work(Rig(slips=9))
     assert result.failure == "after 3 tries: it was not held: no finger pressed"
-    assert len(ended[1].failed) == 3
+    assert len(ended[1].failed) == 3 and result.step == "leave"
 
 
 def test_a_hand_that_is_followed_no_more_goes_out_and_tries_again():
@@ -197,10 +197,11 @@ def test_a_hand_that_is_followed_no_more_goes_out_and_tries_again():
 
     def each(rig, result):
         rig.deaf = result.step == "lift" and rig.episode == 1
+        rig.reason = "no frames came."
 
     result, _, ended = work(rig, each=each)
     assert not result.failure
-    assert ended[1].failed == ("the arm followed the hand no more",)
+    assert ended[1].failed == ("the arm followed the hand no more: no frames came",)
 
 
 def test_an_arm_that_never_arrives_is_called_off():

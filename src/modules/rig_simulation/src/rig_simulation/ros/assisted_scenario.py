@@ -176,7 +176,7 @@ def round_values(grasp: Round) -> dict[str, str]:
 
 def _sentences(told: tuple[str, ...]) -> str:
     """Returns each different sentence once."""
-    return " ".join(dict.fromkeys(told))
+    return "; ".join(dict.fromkeys(sentence.rstrip(".") for sentence in told))
 
 
 def _number(value: float | None) -> str:

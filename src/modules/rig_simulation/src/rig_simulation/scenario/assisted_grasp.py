@@ -249,7 +249,7 @@ class AssistedGrasp:
         if scene.following:
             attempt.followed = now
         elif attempt.followed is not None and now - attempt.followed > self._habits.lost:
-            return self._again("the arm followed the hand no more", now, HIDE)
+            return self._again(f"the arm followed the hand no more: {scene.reason}", now, HIDE)
         result = attempt.work.step(View(scene.grip, seen.top, seen.clearance, scene.following, seen.turn), now)
         if result.step == "close" and attempt.name != "close":
             shift = float(np.linalg.norm((scene.grip - attempt.grip)[:2]))
@@ -285,12 +285,16 @@ class AssistedGrasp:
 
     def _again(self, why: str, now: float, request: str = "") -> Result:
         """Notes why a try failed; the next one begins, or the person gives up."""
+        why = why.rstrip(".")
         self._change(failed=(*self._round.failed, why))
+        given_up = (
+            f"after {self._habits.attempts} tries: {why}" if len(self._round.failed) >= self._habits.attempts else ""
+        )
+        result = self._result(request=request, failure=given_up)
         self._try = None
-        if len(self._round.failed) >= self._habits.attempts:
-            return self._result(request=request, failure=f"after {self._habits.attempts} tries: {why}")
-        self._go("look", now)
-        return self._result(request=request)
+        if not given_up:
+            self._go("look", now)
+        return result
 
     def _nearest(self, scene: Scene) -> tuple[str, float]:
         """Returns the object whose top is nearest to the proposal, and how far that is [m], seen from above."""
