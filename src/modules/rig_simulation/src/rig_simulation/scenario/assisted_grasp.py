@@ -287,13 +287,12 @@ class AssistedGrasp:
         """Notes why a try failed; the next one begins, or the person gives up."""
         why = why.rstrip(".")
         self._change(failed=(*self._round.failed, why))
-        given_up = (
-            f"after {self._habits.attempts} tries: {why}" if len(self._round.failed) >= self._habits.attempts else ""
-        )
-        result = self._result(request=request, failure=given_up)
-        self._try = None
-        if not given_up:
+        if len(self._round.failed) >= self._habits.attempts:
+            result = self._result(request=request, failure=f"after {self._habits.attempts} tries: {why}")
+        else:
+            result = self._result(request=request)
             self._go("look", now)
+        self._try = None
         return result
 
     def _nearest(self, scene: Scene) -> tuple[str, float]:
