@@ -78,6 +78,24 @@ def test_the_view_stands_while_the_table_shakes_and_follows_when_it_turns():
     np.testing.assert_allclose(again, first, atol=1e-6)
 
 
+def test_the_view_follows_a_table_that_turns_about_its_nearest_point():
+    """The distance stays as it was: only the angle says so."""
+    views = table_view()
+    first = views.step(depth_picture(looking_at((0.3, 0.0, 0.7), (0.0, 0.0, 0.0)), [BOX]), CAMERA).T_camera_view
+    turned = views.step(depth_picture(looking_at((0.3, 0.0, 0.7), (0.05, 0.0, 0.0)), [BOX]), CAMERA).T_camera_view
+    assert turned is not first
+
+
+def test_what_is_higher_hides_what_is_below_it():
+    """Of a wall that the camera sees from the side the view shows the top edge alone."""
+    T_base_camera = looking_at((0.5, 0.0, 0.6), (0.0, 0.0, 0.0))
+    view = table_view().step(depth_picture(T_base_camera, [(0.0, 0.0, 0.0, (0.1, 0.1, 0.1))]), CAMERA)
+    T_view_base = inverse(view.T_camera_view) @ inverse(T_base_camera)
+    for y in np.linspace(-0.04, 0.04, 9):
+        u, v = np.rint(view.camera.project((T_view_base @ [0.049, y, 0.1, 1.0])[:3])).astype(int)
+        assert view.depth[v, u] == pytest.approx(YAML["table"]["distance"] - 0.1, abs=6e-3)
+
+
 def test_holes_and_readings_without_meaning_change_nothing_where_there_are_others():
     depth = depth_picture(ABOVE, [BOX])
     whole = table_view().step(depth, CAMERA)
@@ -162,6 +180,18 @@ def test_the_normal_at_a_grasp_is_that_of_its_own_surface(tilt, yaw):
     assert found.reason == ""
     down = T_base_camera[:3, :3] @ found.normal
     assert np.degrees(np.arccos(np.clip(-down[2], -1.0, 1.0))) < 2.0
+
+
+def test_a_thin_thing_before_a_large_background_has_its_own_normal():
+    config = parse(ApproachConfig, {**YAML["approach"], "radius": 0.03})
+    u, v = np.meshgrid(np.arange(640), np.arange(480))
+    rays = CAMERA.rays(np.stack((u, v), axis=-1))
+    depth = np.full((480, 640), 0.9)
+    strip = np.abs(u - 320) < 6
+    n = np.array([0.0, np.sin(0.4), np.cos(0.4)])
+    depth[strip] = (0.8 * n[2] / (rays @ n))[strip]
+    found = surface_at(depth, rays, (320.0, 240.0), 0.8, 570.0, config)
+    np.testing.assert_allclose(found.normal, n, atol=1e-3)
 
 
 def test_where_there_is_no_clear_surface_there_is_a_reason():

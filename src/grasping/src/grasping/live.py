@@ -174,9 +174,11 @@ class Finder:
             if seen is None:
                 candidates.append(_Candidate(peak, np.eye(4), 0.0, False, "there is no reading near it"))
                 continue
-            turned, no_normal, why = self._approached(seen, view, T_base_camera)
-            if refined is not None:
-                turned = refined_grasp(seen, refined, peak)
+            turned, no_normal, why = (
+                self._approached(seen, view, T_base_camera)
+                if refined is None
+                else (refined_grasp(seen, refined, peak), False, "")
+            )
             if turned is None:
                 candidates.append(_Candidate(peak, np.eye(4), 0.0, no_normal, why))
                 continue
