@@ -159,6 +159,18 @@ def test_the_hand_comes_in_only_above_the_proposal():
     np.testing.assert_allclose(shown, [above], atol=2e-3)
 
 
+@pytest.mark.parametrize("turned", [-1.2, 0.5, 1.2])
+def test_the_person_knows_where_the_hand_points_over_a_turned_tool(turned):
+    moves = []
+
+    def each(rig, result):
+        if result.move is not None:
+            moves.append(result.step)
+
+    work(Rig((0.03, 0.0, 0.0), turned), each=each)
+    assert moves.count("above") == 1
+
+
 def test_a_proposal_beside_all_objects_is_never_executed():
     rig = Rig((0.06, 0.0, 0.0))
     result, steps, _ = work(rig)
