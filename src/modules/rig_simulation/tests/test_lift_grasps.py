@@ -81,8 +81,8 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     file.write_text(json.dumps(content()))
     assert main([str(file), "--results", str(results)]) == 0
     text = capsys.readouterr().out
-    assert "| good | 100 (21 to 100), n = 1 | - |" in text
-    assert "| none | 0 (0 to 79), n = 1 | - |" in text
+    assert "| good | 100 (21 to 100), n = 1 | - | - | 100 (21 to 100), n = 1 |" in text
+    assert "| none | 0 (0 to 79), n = 1 | - | 0 (0 to 79), n = 1 | - |" in text
     kept = json.loads(results.read_text())
     kept[0]["rise"] = 7.0
     results.write_text(json.dumps(kept))

@@ -24,6 +24,8 @@ from common.statistics import share
 from rig_simulation.lifting.bench import lift
 
 SCHEMA = 1
+NARROW_M = 0.045
+"""Openings below this are of things that may slip between the hand's two fingers, which stand 52 mm apart."""
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -59,6 +61,7 @@ def _check(scene: dict[str, Any]) -> None:
     for grasp in scene["grasps"]:
         if grasp["T_world_grasp"] is not None:
             check_pose(grasp["T_world_grasp"])
+            float(grasp["width"])
         str(grasp["method"])
 
 
@@ -69,7 +72,8 @@ def try_scene(task: tuple[dict[str, Any], list[str]]) -> list[dict[str, Any]]:
     rows = []
     for grasp in scene["grasps"]:
         if grasp["method"] in names:
-            row = {"scene": scene["scene"], "objects": scene["objects"], "method": grasp["method"]}
+            row = {name: scene[name] for name in ("scene", "objects")}
+            row.update({name: grasp[name] for name in ("method", "width")})
             T = grasp["T_world_grasp"]
             found = T is not None and lift(scene["mjcf"], np.array(scene["qpos"]), np.array(T))._asdict()
             rows.append({**row, **(found or {"lifted": False, "rise": 0.0, "reached": False})})
@@ -82,13 +86,17 @@ def _ignore(_text: str) -> None:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Returns the shares of lifted objects in percent as a Markdown table, in brackets the 95 % Wilson intervals."""
-    lines = ["| method | one object: lifted % | clutter: lifted % |", "| --- | --- | --- |"]
+    groups = {
+        "one object: lifted %": lambda row: row["objects"] == 1,
+        "clutter: lifted %": lambda row: row["objects"] > 1,
+        f"opening below {1000 * NARROW_M:.0f} mm: lifted %": lambda row: (row["width"] or 0.0) < NARROW_M,
+        "wider: lifted %": lambda row: (row["width"] or 0.0) >= NARROW_M,
+    }
+    lines = [f"| method | {' | '.join(groups)} |", "| --- |" + " --- |" * len(groups)]
     for method in dict.fromkeys(row["method"] for row in rows):
-        cells = []
-        for single in (True, False):
-            lifted = [r["lifted"] for r in rows if r["method"] == method and (r["objects"] == 1) == single]
-            cells.append(str(share(lifted)) if lifted else "-")
-        lines.append(f"| {method} | {' | '.join(cells)} |")
+        own = [row for row in rows if row["method"] == method]
+        cells = [[row["lifted"] for row in own if belongs(row)] for belongs in groups.values()]
+        lines.append(f"| {method} | {' | '.join(str(share(c)) if c else '-' for c in cells)} |")
     return "\n".join(lines) + "\n"
 
 
