@@ -22,6 +22,12 @@ def test_every_yaml_is_a_table_or_shown_as_it_is():
     assert not parameters.SCHEMAS.keys() & parameters.AS_IT_IS
 
 
+def test_every_picture_says_where_it_comes_from():
+    folder = pages.ROOT / "docs" / "pictures"
+    said = (folder / "README.md").read_text()
+    assert not [file.name for file in folder.iterdir() if f"`{file.name}`" not in said and file.suffix != ".md"]
+
+
 class TestErrorMessages:
     def test_each_has_a_cause_and_a_cure(self):
         _, left = errors.sort(messages_in_code.sentences(), errors.read_entries(errors.CURES.read_text()))

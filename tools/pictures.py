@@ -106,6 +106,28 @@ def pick_cup() -> None:
     _run("rosrun", "leap_rig", "demo.py", *arguments, "--", *_ports(), ROS_MASTER_URI=f"http://localhost:{free_port()}")
 
 
+def assisted_grasp() -> None:
+    """The simulated person corrects a grasp that the network proposes."""
+    file = PICTURES / "assisted_grasp.png"
+    arguments = ("--headless", "--scenario", "assisted_grasp", "--", *_ports(), f"record:={file} --view 165 -20 1.25")
+    _run("rosrun", "leap_rig", "demo.py", *arguments, ROS_MASTER_URI=f"http://localhost:{free_port()}")
+
+
+def grasping() -> None:
+    """What the network sees and proposes in three scenes, and the same in RViz."""
+    for scene in ("cup", "objects", "scattered"):
+        with _grasps(scene) as master:
+            file = PICTURES / f"grasping_{scene}.png"
+            _run("rosrun", "grasping", "grasp_picture.py", str(file), ROS_MASTER_URI=master)
+    with _screen() as display:
+        environment = {"DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1", "QT_X11_NO_MITSHM": "1"}
+        with _grasps("objects", "rviz:=true", **environment):
+            time.sleep(FOLLOWING_S)
+            _run(
+                sys.executable, "-m", "tools.pictures", "--shoot", str(PICTURES / "grasping_rviz.png"), DISPLAY=display
+            )
+
+
 def tag_pose() -> None:
     """Poses of the single tag by colour alone and with depth."""
     with tempfile.TemporaryDirectory() as folder:
@@ -124,7 +146,10 @@ def vision() -> None:
     _run("rosrun", "vision", "take_pictures.py", str(PICTURES))
 
 
-MAKERS = {maker.__name__: maker for maker in (workspace, panel, rig, pick_cup, tag_pose, parts, vision)}
+MAKERS = {
+    maker.__name__: maker
+    for maker in (workspace, panel, rig, pick_cup, assisted_grasp, grasping, tag_pose, parts, vision)
+}
 
 
 def main() -> None:
@@ -170,7 +195,7 @@ def _run(*command: str, **environment: str) -> None:
 
 @contextlib.contextmanager
 def _started(*command: str, **environment: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Runs a program on a ROS master of its own, and ends it as Ctrl-C does."""
+    """Runs a program on a ROS master of its own, if none is named, and ends it as Ctrl-C does."""
     master = f"http://localhost:{free_port()}"
     program = subprocess.Popen(command, env={**os.environ, "ROS_MASTER_URI": master, **environment}, cwd=ROOT)
     try:
@@ -178,6 +203,21 @@ def _started(*command: str, **environment: str) -> Iterator[subprocess.Popen[byt
     finally:
         program.send_signal(signal.SIGINT)
         program.wait(90.0)
+
+
+@contextlib.contextmanager
+def _grasps(scene: str, *arguments: str, **environment: str) -> Iterator[str]:
+    """Runs the simulated world, its camera and the network; yields the address of their ROS master."""
+    world, *others = (str(free_port()) for _ in range(5))
+    options = ("--port", "--control-port", "--hand-port", "--hand-control-port")
+    ports = (word for pair in zip(options, others) for word in pair)
+    launch = ("roslaunch", "grasping", "grasping.launch", f"port:={world}", "control_port:=0", "image_view:=false")
+    truth = ("rosrun", "rig_simulation", "camera_truth_node.py", f"_port:={world}")
+    master = {"ROS_MASTER_URI": f"http://localhost:{free_port()}", **environment}
+    with _started(
+        "rosrun", "rig_simulation", "world.py", "--scene", scene, "--seed", "1", "--world-port", world, *ports
+    ), _started(*launch, *arguments, **master), _started(*truth, **master):
+        yield master["ROS_MASTER_URI"]
 
 
 @contextlib.contextmanager
