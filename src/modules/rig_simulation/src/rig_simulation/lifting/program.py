@@ -25,7 +25,7 @@ from rig_simulation.lifting.bench import lift
 
 SCHEMA = 1
 NARROW_M = 0.045
-"""Openings below this are of things that may slip between the hand's two fingers, which stand 52 mm apart."""
+"""Openings below this are of slender parts: the hand's two fingers stand 52 mm apart."""
 
 
 def read(path: Path) -> list[dict[str, Any]]:
