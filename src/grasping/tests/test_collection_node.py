@@ -154,8 +154,9 @@ def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status
 
     process = start()
     wait_until(lambda: status()["message"] == "0 episodes, 0 held", 60.0, "that it listens")
+    wait_until(lambda: status()["frames_kept"] == "1", 15.0, "a frame of the tool at rest")
     state("approaching")
-    wait_until(lambda: int(status().get("frames_waiting", 0)) > 0, 15.0, "frames")
+    wait_until(lambda: status()["frames_kept"] == "2", 15.0, "one of the approach, as the one before is dropped")
     rig.say("/grasping/outcome", GraspOutcome(reason="The person gave it up."))
     wait_until(lambda: "is no episode: The person gave it up." in process.log_path.read_text(), 15.0, "the sentence")
     wrong = GraspOutcome(tool=stamped_pose(tool(GRASP_Z), "elsewhere", rospy.Time.now()))
