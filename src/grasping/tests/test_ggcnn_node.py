@@ -184,7 +184,7 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
     np.testing.assert_allclose(pose_from_transform(moved.transform)[:3, 3], T_base[:3, 3], atol=5e-3)
     assert buffer.can_transform(DEPTH_FRAME, "ggcnn/view", rospy.Time(0))
     wait_until(lambda: "ms_network" in status(), PATIENCE_S, "diagnostics")
-    assert status()["message"] == "There are grasps."
+    wait_until(lambda: status()["message"] == "There are grasps.", PATIENCE_S, "a good state")
     assert {"ms_view", "ms_peaks", "ms_poses", "ms_latency", "weights"} <= status().keys()
     assert {t.source for t in times} == {"ggcnn"}
     topics = dict(rospy.get_published_topics("/ggcnn"))
@@ -216,7 +216,7 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
 
     camera.depth = np.full_like(depth, np.nan)
     says("the depth picture holds no reading inside the crop")
-    wait_until(lambda: "no reading inside" in status()["message"], PATIENCE_S, "diagnostics")
+    wait_until(lambda: "no reading inside" in status().get("message", ""), PATIENCE_S, "diagnostics")
     camera.depth = depth_picture(ASIDE, [])
     says("nothing stands on the table")
     camera.depth = np.ascontiguousarray(depth[:240])
@@ -333,6 +333,18 @@ def test_weight_files_are_checked(changes, sentence):
 
     with pytest.raises(RigError, match=sentence):
         load_network(parse(NetworkConfig, {**own_yaml("ggcnn.yaml")["network"], **changes}))
+
+
+def test_the_second_networks_file_is_read(tmp_path):
+    import torch
+
+    from grasping.refinement import Refinement, RefinementNetwork
+    from grasping.ros.weight_files import load_refinement
+
+    torch.save(RefinementNetwork().state_dict(), tmp_path / "refinement.pt")
+    assert isinstance(load_refinement(str(tmp_path / "refinement.pt")), Refinement)
+    with pytest.raises(RigError):
+        load_refinement("ggcnn2.pt")
 
 
 def test_a_wrong_mounting_ends_it_too(ros):
