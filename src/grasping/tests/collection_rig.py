@@ -112,10 +112,10 @@ class PuppetRig:
     def __init__(self):
         import rospy
         from diagnostic_msgs.msg import DiagnosticStatus
-        from grasp_msgs.msg import GraspOutcome
         from sensor_msgs.msg import CameraInfo, Image
         from tf2_msgs.msg import TFMessage
 
+        from grasp_msgs.msg import GraspOutcome
         from reflex_msgs.msg import Hand
 
         kinds = {

@@ -145,9 +145,9 @@ def test_a_person_who_grasps_makes_an_episode_and_may_take_it_back(rig, start, s
 def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status, folder, wait_until):
     import rospy
     from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-    from grasp_msgs.msg import GraspOutcome
 
     from common.ros.conversions import stamped_pose
+    from grasp_msgs.msg import GraspOutcome
 
     def state(name):
         rig.say("/grasping/state", DiagnosticStatus(values=[KeyValue("state", name)]))

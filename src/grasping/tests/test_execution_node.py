@@ -32,9 +32,9 @@ class Rig:
     def __init__(self):
         import rospy
         from diagnostic_msgs.msg import DiagnosticStatus
-        from grasp_msgs.msg import GraspList
         from tf2_msgs.msg import TFMessage
 
+        from grasp_msgs.msg import GraspList
         from reflex_msgs.msg import Hand
         from rig_msgs.msg import KukaStatus
         from rig_msgs.srv import CheckToolPose, HoldTool
@@ -63,9 +63,9 @@ class Rig:
     @staticmethod
     def grasp(number, T=GRASP, reachable=True):
         import rospy
-        from grasp_msgs.msg import Grasp
 
         from common.ros.conversions import stamped_pose
+        from grasp_msgs.msg import Grasp
 
         return Grasp(
             id=number, pose_base=stamped_pose(T, "kuka/base_frame", rospy.Time.now()), width=0.06, reachable=reachable
@@ -114,10 +114,10 @@ class Rig:
 
     def _loop(self):
         import rospy
-        from grasp_msgs.msg import GraspList
         from tf2_msgs.msg import TFMessage
 
         from common.ros.conversions import stamped_transform
+        from grasp_msgs.msg import GraspList
         from reflex_msgs.msg import Hand
         from rig_msgs.msg import KukaStatus
 
@@ -146,9 +146,10 @@ def rig(ros):
 def node(ros, wait_until):
     import rospy
     from diagnostic_msgs.msg import DiagnosticStatus
-    from grasp_msgs.msg import GraspOutcome
     from std_srvs.srv import Trigger
     from visualization_msgs.msg import MarkerArray
+
+    from grasp_msgs.msg import GraspOutcome
 
     class Node:
         states = ros.record("grasping/state", DiagnosticStatus)

@@ -193,6 +193,7 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
 
 def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
     from geometry_msgs.msg import PoseStamped
+
     from grasp_msgs.msg import GraspList
 
     lists, targets = ros.record("ggcnn/out/grasps", GraspList), ros.record("ggcnn/out/target_pose", PoseStamped)
@@ -241,8 +242,9 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
 
 def test_a_torn_picture_is_refused(ros, camera, wait_until):
     import rospy
-    from grasp_msgs.msg import GraspList
     from sensor_msgs.msg import Image
+
+    from grasp_msgs.msg import GraspList
 
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.depth, torn = None, rospy.Publisher("camera/depth/image", Image, queue_size=1)
@@ -272,9 +274,9 @@ def test_a_torn_picture_is_refused(ros, camera, wait_until):
 
 def test_the_arms_controller_is_asked_and_the_way_goes_on_without_it(ros, camera, calibrated, wait_until):
     import rospy
-    from grasp_msgs.msg import GraspList
 
     from common.ros.conversions import pose_from_message
+    from grasp_msgs.msg import GraspList
     from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
 
     lists, asked = ros.record("ggcnn/out/grasps", GraspList), []

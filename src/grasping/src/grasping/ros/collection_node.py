@@ -18,7 +18,6 @@ import numpy as np
 import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus
-from grasp_msgs.msg import GraspOutcome
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, SetBoolResponse
 
@@ -27,6 +26,7 @@ from common.ros.conversions import pose_from_transform, pose_in
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import camera_model_from_info, depth_from_image
 from common.ros.node import run, while_running
+from grasp_msgs.msg import GraspOutcome
 from grasping.dataset.collector import Collector, Finished
 from grasping.dataset.configuration import rig_configuration
 from grasping.dataset.episode import Episode, Metadata

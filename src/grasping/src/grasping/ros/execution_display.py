@@ -6,12 +6,12 @@ import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point
-from grasp_msgs.msg import Grasp, GraspOutcome
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common.poses import translation
 from common.ros.conversions import message_from_pose, stamped_pose
+from grasp_msgs.msg import Grasp, GraspOutcome
 from grasping.execution import OVER, Execution, Outcome
 from grasping.execution_request import Way
 from grasping.ros.execution_inputs import BASE

@@ -8,9 +8,9 @@ import numpy as np
 import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus
-from grasp_msgs.msg import Grasp, GraspList
 
 from common.ros.conversions import pose_from_transform, pose_in
+from grasp_msgs.msg import Grasp, GraspList
 from grasping.dataset.grasp_watch import HandState
 from grasping.execution import NONE, Observation
 from grasping.execution_request import Controller, Proposal, Proposals

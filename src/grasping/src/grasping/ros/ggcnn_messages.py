@@ -7,11 +7,11 @@ import math
 import numpy as np
 import rospy
 from geometry_msgs.msg import Point, PoseStamped
-from grasp_msgs.msg import Grasp, GraspList
 from std_msgs.msg import ColorRGBA, Float32MultiArray, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common.ros.conversions import message_from_pose, stamped_pose
+from grasp_msgs.msg import Grasp, GraspList
 from grasping.live import Proposal
 from grasping.reach import Reach
 

@@ -16,7 +16,6 @@ import tf2_ros
 import torch
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from grasp_msgs.msg import GraspList
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float32MultiArray, Header
 from visualization_msgs.msg import MarkerArray
@@ -28,6 +27,7 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.images import image_message
 from common.ros.node import run
 from common.ros.stage_times import StageTimes
+from grasp_msgs.msg import GraspList
 from grasping import drawing
 from grasping.depth_image import NETWORK_SIDE, Crop, centre_crop, prepare
 from grasping.live import Finder, Findings, Proposal

@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
-from grasp_msgs.msg import GraspList
 from sensor_msgs.msg import CameraInfo, Image
 
 from common.camera_model import CameraModel
@@ -24,6 +23,7 @@ from common.errors import RigError
 from common.ros.conversions import pose_from_message
 from common.ros.images import camera_model_from_info, depth_from_image, picture_from_image
 from common.ros.node import run
+from grasp_msgs.msg import GraspList
 from grasping import drawing
 
 PATIENCE_S = 60.0

@@ -10,11 +10,11 @@ import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from std_srvs.srv import Trigger
 
 from common.ros.conversions import array
 from common.rotations import rotation_from_quaternion
+from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from rig_simulation.control_port import ControlClient
 from rig_simulation.ros.scenario import AT_HOME, FOLLOWING, PERIOD_S, Eyes, Story
 from rig_simulation.scenario.alignment import heading, turn_to
