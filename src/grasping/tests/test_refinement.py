@@ -137,6 +137,7 @@ def bad(key, value):
         (file(bad("offset", torch.zeros(3))), "The array offset has the shape"),
         (file(bad("offset", torch.full((4,), np.nan))), "not finite"),
     ],
+    ids=["no torch file", "empty", "foreign", "shape", "not finite"],
 )
 def test_bad_files_are_refused(data, sentence):
     with pytest.raises(WeightsError, match=sentence):
