@@ -95,7 +95,12 @@ def test_the_plugin_adds_the_panel_and_disconnects_it(ros, plugin_class, wait_un
 
     wait_until(enabled, 20.0, "the status")
     plugin.shutdown_plugin()
-    wait_until(lambda: publisher.get_num_connections() == 0, 20.0, "the end of the subscription")
+
+    def disconnected():
+        publisher.publish(KukaStatus())  # rospy's publishers see that nobody listens when they write
+        return publisher.get_num_connections() == 0
+
+    wait_until(disconnected, 20.0, "the end of the subscription")
     publisher.unregister()
 
 
