@@ -57,12 +57,17 @@ class Screen:
 
         shown = ("search", "--onlyvisible", "--name", TITLE)
         self.window = self._wait_until(lambda: self.xdotool(*shown).split(), LONG_S, "the window")[0]
-        place = dict(re.findall(r"(\w+)=(-?\d+)", self.xdotool("getwindowgeometry", "--shell", self.window)))
-        self.origin = int(place["X"]), int(place["Y"])
         self._twin = ControlPanel()
-        self._twin.resize(int(place["WIDTH"]), int(place["HEIGHT"]))
         self._twin.show()
+        self._follow_window()
         self.wait_for("emergency", RED)
+
+    def _follow_window(self):
+        """Puts the twin where the window is now: Qt may still move and resize one that is already seen."""
+        place = dict(re.findall(r"(\w+)=(-?\d+)", self.xdotool("getwindowgeometry", "--shell", self.window)))
+        if place:  # the window may just have gone
+            self.origin = int(place["X"]), int(place["Y"])
+            self._twin.resize(int(place["WIDTH"]), int(place["HEIGHT"]))
 
     def place(self, name):
         """Returns a point near the upper left corner of a widget, where its background is [px]."""
@@ -86,9 +91,13 @@ class Screen:
         return red, green, blue
 
     def wait_for(self, name, *colours):
-        self._wait_until(
-            lambda: self.colour(name) in colours, LONG_S, f"{name} in one of {colours}, not {self.colour(name)}"
-        )
+        def seen():
+            if self.colour(name) in colours:
+                return True
+            self._follow_window()
+            return False
+
+        self._wait_until(seen, LONG_S, f"{name} in one of {colours}, not {self.colour(name)}")
 
 
 @pytest.fixture(scope="module")
