@@ -76,7 +76,10 @@ def test_publishes_every_frame_and_says_what_it_counts(ros, service, wait_until)
     assert not any(human.left_hand.is_present for human in humans)
     ids = [human.lmc_frame_id for human in humans]
     assert ids == sorted(set(ids))
-    stamps = {human.header.stamp.to_nsec() for human in humans[:20]}
+    wait_until(lambda: stages, 10.0, "the first stage time")
+    begin = len(humans)  # what was sent before the test was connected to the stage times is lost
+    humans.wait(begin + 10)
+    stamps = {human.header.stamp.to_nsec() for human in humans[begin:]}
     wait_until(lambda: stamps <= {s.header.stamp.to_nsec() for s in stages}, 10.0, "the stage times")
     assert {stage.source for stage in stages} == {"leap_motion"}
     status = wait_until(
