@@ -112,12 +112,22 @@ def ros_master(tmp_path_factory):
 
 
 @pytest.fixture
-def ros(ros_master, processes):
-    """The test's own graph: what it starts ends with the test, and the parameters are cleared."""
+def ros(ros_master, processes, monkeypatch):
+    """The test's own graph: what it starts, publishes and hears ends with the test, and the parameters are cleared."""
     import rospy
 
+    topics = []
+    make = rospy.topics.Topic.__init__
+
+    def make_and_keep(topic, *args):
+        make(topic, *args)
+        topics.append(topic)
+
+    monkeypatch.setattr(rospy.topics.Topic, "__init__", make_and_keep)
     yield Graph(processes)
     processes.end_all()
+    for topic in topics:
+        topic.unregister()
     for name in rospy.get_param_names():
         if not name.startswith(("/ros", "/run_id")):
             with contextlib.suppress(KeyError):

@@ -201,9 +201,8 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
     process = start(ros)
     newest(lists, wait_until, lambda m: "no camera_info has come on /camera/depth/camera_info" in m.reason, "no info")
     camera.info = True
-    # The node may still hear the frames of the test before, which are going.
-    unplaced = lambda m: m.grasps and m.grasps[0].pose_base.header.frame_id == ""  # noqa: E731
-    found = newest(lists, wait_until, unplaced, "a grasp before the camera")
+    found = newest(lists, wait_until, lambda m: m.grasps, "a grasp before the camera")
+    assert found.grasps[0].pose_base.header.frame_id == ""
     assert not found.grasps[0].reachable
     assert "tf has no way from camera_depth_optical_frame to kuka/base_frame" in found.grasps[0].reason
     assert targets.wait(1)[-1].header.frame_id == DEPTH_FRAME
