@@ -37,7 +37,7 @@ demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated
 	  $(if $(RECORD),--record "$(RECORD)") $(if $(SCENARIO),--scenario $(SCENARIO)) -- $(ARGS)
 
 test: $(READY) ## all tests
-	@$(IN_WORKSPACE) python -m pytest -n 3 --dist loadfile -m "not rig" && python -m pytest -m rig
+	@$(IN_WORKSPACE) tools/test.sh
 
 test-fast: $(READY) ## the tests that need no ROS, in seconds
 	@.venv/bin/python -m pytest -n 2 --dist loadfile -m "not ros"
