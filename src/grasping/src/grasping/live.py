@@ -17,9 +17,11 @@ from common.poses import inverse, read_only
 from grasping.limits import LimitsConfig, objection
 from grasping.maps import Maps, Peak, Smoothing, peaks, smoothed
 from grasping.predictor import Predictor
-from grasping.projection import Grasp, along, grasp, seen_by
+from grasping.preference import preferred
+from grasping.projection import Grasp, along, grasp, pixel_size, seen_by
 from grasping.refinement import refined_grasp
 from grasping.surface import NORMAL, VERTICAL, ApproachConfig, surface_at
+from grasping.tool_pose import ToolPoseConfig
 from grasping.tracking import AveragingConfig, GraspTracker, MapAverage, Sighting, TrackingConfig
 from grasping.view import CameraView, NoView, TableView, View
 
@@ -34,7 +36,7 @@ class LiveSettings:
         distance: between two peaks [px of the network's picture].
         threshold: lowest quality.
         averaging, tracking, approach, limits: of each step.
-        opening: widest of the hand [m].
+        tool: the hand.
         up: the vertical in kuka/base_frame, shape (3,).
     """
 
@@ -46,7 +48,7 @@ class LiveSettings:
     tracking: TrackingConfig
     approach: ApproachConfig
     limits: LimitsConfig
-    opening: float
+    tool: ToolPoseConfig
     up: np.ndarray
 
 
@@ -58,7 +60,7 @@ class Proposal(NamedTuple):
         T_camera_grasp: filtered, shape (4, 4) [m].
         T_base_grasp: the same in kuka/base_frame, None where that is unknown.
         width: opening [m].
-        quality: about 0 to 1.
+        quality: about 0 to 1, for this hand.
         angle: in the camera's picture, anticlockwise [rad].
         pixel: u, v in the camera's picture [px].
         width_px: opening in the camera's picture [px].
@@ -81,7 +83,7 @@ class Findings(NamedTuple):
 
     Attributes:
         view: what the network saw, None where there was nothing to see.
-        maps: smoothed, None likewise.
+        maps: smoothed, with the quality for this hand; None likewise.
         proposals: the best first.
         reason: why there is none, a clause; empty if there is one.
         normals_missing: proposals whose surface has no clear normal; they keep the view's axis.
@@ -152,6 +154,7 @@ class Finder:
         refined = self._predictor.refined(output, view.picture)
         s = self._settings
         maps = smoothed(output if refined is None else refined.output, view.picture.valid, s.smoothing)
+        maps = preferred(maps, pixel_size(view.picture, view.camera), s.tool, s.threshold)
         found = peaks(maps, s.count, s.distance, s.threshold)
         stages.end("peaks")
         candidates = self._candidates(found, view, refined, T_base_camera)
@@ -184,7 +187,7 @@ class Finder:
                 continue
             T = view.T_camera_view @ turned.T_camera_grasp
             T_base = None if T_base_camera is None else T_base_camera @ T
-            why = objection(T, T_base, turned.width, s.opening, s.limits)
+            why = objection(T, T_base, turned.width, s.tool.max_opening, s.limits)
             candidates.append(_Candidate(peak, T, turned.width, no_normal, why))
         return candidates
 

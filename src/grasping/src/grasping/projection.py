@@ -14,7 +14,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.poses import pose, read_only
 from common.rotations import rotation_about, unit
-from grasping.depth_image import NETWORK_SIDE, Crop
+from grasping.depth_image import NETWORK_SIDE, Crop, Picture
 from grasping.maps import Peak
 
 NEIGHBOURHOOD = 5
@@ -54,6 +54,16 @@ def camera_pixel(peak: Peak, crop: Crop, side: int) -> tuple[float, float]:
     scale = crop.side / side
     # Pixels are squares: their centres, not their corners, lie on each other's grid.
     return crop.column + (peak.column + 0.5) * scale - 0.5, crop.row + (peak.row + 0.5) * scale - 0.5
+
+
+def pixel_size(picture: Picture, camera: CameraModel) -> np.ndarray:
+    """Returns what each pixel of the network's picture shows of the scene, shape (h, w) [m].
+
+    Args:
+        picture: the network's.
+        camera: that took the picture from which it was cut.
+    """
+    return picture.crop.side / len(picture.depth) / camera.K[0, 0] * picture.depth
 
 
 def grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraModel) -> Grasp | None:

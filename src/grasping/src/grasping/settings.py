@@ -114,7 +114,7 @@ class GgcnnSettings:
             self.tracking,
             self.approach,
             self.limits,
-            self.tool.max_opening,
+            self.tool,
             up,
         )
 

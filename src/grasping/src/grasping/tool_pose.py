@@ -32,6 +32,25 @@ class ToolPoseConfig:
     approach: str = choice(VERTICAL, ALONG_GRASP, doc="vertical: the tool points down; grasp: along the grasp's z axis")
     clearance: float = number("m", low=0.0, high=0.5, doc="how far the tool stops before the grasp")
     max_opening: float = number("m", above=0.0, high=0.5, doc="widest thing that the open hand takes")
+    preferred_opening: np.ndarray = vector(
+        2, "m", low=0.0, high=0.5, absent=(0.0, 0.5), doc="least and largest opening that the hand holds best"
+    )
+    outside_quality: float = number(
+        above=0.0,
+        high=1.0,
+        absent=1.0,
+        doc="share of the quality above peaks/threshold that is left where the opening is another; 1 = no preference",
+    )
+    outside_ramp: float = number(
+        "m", above=0.0, high=0.1, absent=0.01, doc="the share falls to that over so much of the opening"
+    )
+
+    def faults(self) -> list[str]:
+        """Names what no single field can check."""
+        low, high = self.preferred_opening
+        if low < high:
+            return []
+        return [f"preferred_opening is [{low:g}, {high:g}], but the least must be below the largest."]
 
 
 def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarray, up=UP) -> np.ndarray:
