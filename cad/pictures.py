@@ -69,7 +69,7 @@ def _apart(file: Path) -> None:
     ET.SubElement(world, "geom", type="cylinder", size=size, pos="0 0 -0.0175", rgba=COLOURS["grey"], **SEEN)
     for part, height, colour in APART:
         add_part(root, world, manifest.stl(part), colour, pos=f"0 0 {height}")
-    render(root, file, 25, -18)
+    render(root, file, 25, -18, target=(0.0, 0.0, 0.05), distance=0.42)
     manifest.record([file], [manifest.stl(part) for part, _, _ in APART])
 
 
@@ -109,6 +109,7 @@ def _arm_and_hand() -> tuple[ET.Element, ET.Element]:
     hand = flange.find("body[@name='reflex/base_link']")
     x, y, z = (float(value) for value in hand.get("pos").split())
     hand.set("pos", f"{x} {y} {z + d.RING / 1000}")
+    hand.remove(hand.find("geom[@type='cylinder']"))  # the printed connectors stand in its place
     return root, flange
 
 

@@ -217,6 +217,16 @@ class TestNumbersOfTheRig:
         assert matrix(joint.find("origin").get("xyz")) == pytest.approx([0.0, 0.0, d.CONNECTOR_LENGTH / 1000])
         assert d.KUKA_CONNECTOR + d.HAND_CONNECTOR == d.CONNECTOR_LENGTH
 
+    @pytest.mark.parametrize("kind", ["visual", "collision"])
+    @pytest.mark.parametrize("urdf", sorted(ROOT.glob("src/modules/rig_description/urdf/*.urdf")), ids=lambda p: p.stem)
+    def test_connectors_are_as_wide_as_in_the_description(self, urdf, kind):
+        shapes = [
+            shape.find("geometry/cylinder")
+            for shape in ET.parse(urdf).findall(f"link[@name='reflex/base_link']/{kind}")
+        ]
+        sizes = [(float(c.get("radius")), float(c.get("length"))) for c in shapes if c is not None]
+        assert sizes == [pytest.approx((d.CONNECTOR_OUTER / 2000, d.CONNECTOR_LENGTH / 1000))]
+
     @pytest.mark.parametrize("mode", ["rt", "ptp"])
     def test_tool_length(self, mode):
         values = yaml.safe_load((ROOT / f"src/kuka_control/config/kuka_params_{mode}.yaml").read_text())

@@ -25,7 +25,11 @@ CONNECTOR_YAW = np.pi
 """The hand is turned by half a turn about the flange's axis: in the calculated home position the tool's x axis points
 back to the base, and so the two fingers point away from it, as those of the person behind the Leap do."""
 
-CONNECTOR_RADIUS = 0.0375
+CONNECTOR_RADIUS = 0.043
+"""Outer radius of the printed connectors (cad/dimensions.py)."""
+
+CONNECTOR_FACES = np.array([0.0, 0.0, -CONNECTOR_LENGTH]), np.zeros(3)
+"""Centres of the connector's faces in the hand's frame."""
 
 TENDON_SPEED = 3.5
 TENDON_TORQUE = 2.5
@@ -94,5 +98,4 @@ def body(link: str) -> Body:
     solid = box(_MASSES[part(link)], *EXTENT[part(link)])
     if link != "base_link":
         return solid
-    faces = np.array([0, 0, -CONNECTOR_LENGTH]), np.zeros(3)
-    return joined([solid, cylinder(_CONNECTOR_MASS, CONNECTOR_RADIUS, *faces)])
+    return joined([solid, cylinder(_CONNECTOR_MASS, CONNECTOR_RADIUS, *CONNECTOR_FACES)])

@@ -6,6 +6,7 @@ Millimetres, in the link's own frame.
 from __future__ import annotations
 
 from rig_description.appearance import FLEXURE, GREY, LINK, PAD, SHELL, Disc
+from rig_description.hand import CONNECTOR_FACES, CONNECTOR_RADIUS
 from rig_description.solids import Mesh, above, below, blend, block, common_part, cut, drum, rod, surface
 
 SWIVEL_CENTRES = ((50.4, -26.0), (50.4, 26.0))
@@ -82,7 +83,8 @@ LOOK = {
 def trim(part: str) -> list[Disc]:
     """Returns the cylinders on a part: connector, knuckles."""
     if part == "base_link":
-        return [Disc(GREY, 37.5, (0.0, 0.0, -26.0), (0.0, 0.0, 0.0))]
+        bottom, top = (tuple(1e3 * face) for face in CONNECTOR_FACES)
+        return [Disc(GREY, 1e3 * CONNECTOR_RADIUS, bottom, top)]
     if part == "proximal":
         return [Disc(FLEXURE, 5.0, (0.0, -9.5, 0.0), (0.0, 9.5, 0.0))]
     return []

@@ -79,7 +79,10 @@ def _flange(root, name: str, height: float) -> None:
 def _hand(root) -> None:
     for name in hand.LINKS:
         part = hand.part(name)
-        link = _link(root, f"reflex/{name}", hand.body(name), _box(*hand.EXTENT[part]))
+        collisions = [_box(*hand.EXTENT[part])]
+        if name == "base_link":
+            collisions.append(_cylinder(hand.CONNECTOR_RADIUS, *hand.CONNECTOR_FACES))
+        link = _link(root, f"reflex/{name}", hand.body(name), *collisions)
         for mesh in hand_shapes.LOOK[part]:
             _shown(link, {"xyz": "0 0 0", "rpy": "0 0 0"}, _mesh(f"reflex/{mesh}"))
         _discs(link, hand_shapes.trim(part), np.eye(3))
@@ -98,14 +101,15 @@ def _hand(root) -> None:
         _movable(joint, j.axis, j.limits, hand.TENDON_SPEED, hand.TENDON_TORQUE)
 
 
-def _link(root, name: str, body: Body, collision):
+def _link(root, name: str, body: Body, *collisions):
     link = ET.SubElement(root, "link", name=name)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=_numbers(body.com), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=_number(body.mass))
     xx, xy, xz, _, yy, yz, _, _, zz = (_number(value, 9) for value in np.asarray(body.inertia).ravel())
     ET.SubElement(inertial, "inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
-    _placed(ET.SubElement(link, "collision"), *collision)
+    for collision in collisions:
+        _placed(ET.SubElement(link, "collision"), *collision)
     return link
 
 
