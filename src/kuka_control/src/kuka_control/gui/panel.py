@@ -28,9 +28,10 @@ STEPS_PER_UNIT = 10
 """The slider moves in tenths."""
 
 EMERGENCY_TIP = (
-    "Ends the controller at once, by force if it hangs; the arm holds its last goal.\n"
+    "Ends the controller at once, by force if it hangs. The arm holds its last goal;\n"
+    "a motion to a point (home, pick-up, zero) runs to its end: only the red button of the smartPad stops that.\n"
     "Keys, while this window has the keyboard: Esc always, the space bar unless Tab has moved the focus.\n"
-    "This is no safety function: keep the red button of the smartPad within reach."
+    "This is no safety function: keep that button within reach."
 )
 EXIT_TIP = "The arm goes to the zero position, then the controller ends."
 LOCKED_TIP = "Switch ROS Control off to change the scaling factor."

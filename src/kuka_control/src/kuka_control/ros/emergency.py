@@ -14,6 +14,8 @@ PATIENCE_S = 0.5
 """How long the controller may take to end by itself."""
 KILL_S = 1.0
 POLL_S = 0.01
+LEFT_BEHIND = "the robot holds its last goal, a motion to a point runs to its end"
+"""What becomes of the arm: the toolbox server has no watchdog, and no command that stops such a motion."""
 SMARTPAD = "Press the red button of the smartPad."
 
 
@@ -43,13 +45,13 @@ def stop(caller: ServiceCaller, process: ControllerProcess | None, host: str) ->
 
 def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
     if _ended(process, deadline):
-        return True, "Emergency Stop: the controller has ended, the robot holds its last goal."
+        return True, f"Emergency Stop: the controller has ended; {LEFT_BEHIND}."
     try:
         controller_process.kill(process)
     except PermissionError:
         return False, f"Emergency Stop: process {process.pid} belongs to another user. {SMARTPAD}"
     if _ended(process, time.monotonic() + KILL_S):
-        return True, "Emergency Stop: the controller hung and its process was ended; the robot holds its last goal."
+        return True, f"Emergency Stop: the controller hung and its process was ended; {LEFT_BEHIND}."
     return False, f"Emergency Stop: process {process.pid} cannot be ended. {SMARTPAD}"
 
 
