@@ -107,7 +107,7 @@ def test_lifting_a_bar(R, place, lifted):
 
 
 def test_the_oracle_lifts_what_it_labels():
-    of = situation(2, 1)
+    of = situation("test", 2, 1)
     chosen = oracle(of)
     outcome = judge(of, chosen)
     assert outcome.rectangle

@@ -95,6 +95,34 @@ def test_evaluation_goes_on(tmp_path, monkeypatch):
     assert "| untrained |" in (tmp_path / "results" / "table.md").read_text()
 
 
+def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkeypatch):
+    package, exported = Path(__file__).parents[1], tmp_path / "grasps.json"
+    tool = tmp_path / "tool_pose.yaml"
+    wide = "preferred_opening: [0.07, 0.12]\noutside_quality: 0.01\n"
+    others = (line for line in (package / "config" / "tool_pose.yaml").read_text().splitlines() if "pre" not in line)
+    tool.write_text(wide + "\n".join(line for line in others if not line.startswith("outside_quality")))
+    network = ["--weights", "net", package / "weights" / "ggcnn2.pt", "--tool", tool]
+    call(monkeypatch, evaluate, "--export", exported, "--scenes", "2", "--split", "validation", *network)
+    scenes = json.loads(exported.read_text())["scenes"]
+    for scene in scenes:
+        widths = {grasp["method"]: grasp["width"] for grasp in scene["grasps"]}
+        assert widths["net, preferred openings"] > 0.06
+    call(monkeypatch, evaluate, "--export", exported, "--scenes", "1")
+    assert json.loads(exported.read_text())["scenes"][0]["qpos"] != scenes[0]["qpos"]
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"), [(None, "No such file"), ("a: [", "while parsing"), ("max_opening: 1", "max_opening is 1")]
+)
+def test_evaluation_refuses_a_bad_hand(tmp_path, monkeypatch, capsys, content, sentence):
+    file = tmp_path / "tool_pose.yaml"
+    if content is not None:
+        file.write_text(content)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, evaluate, tmp_path / "results", "--tool", file)
+    assert sentence in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("kind", ["npy", "png"])
 def test_grasps_of_one_picture(tmp_path, monkeypatch, capsys, kind):
     depth = np.full((480, 640), 0.7, np.float32)

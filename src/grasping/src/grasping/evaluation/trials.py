@@ -34,7 +34,7 @@ class Situation(NamedTuple):
     """A scene and all that is needed to judge grasps in it.
 
     Attributes:
-        number: of the scene in the test split.
+        number: of the scene in its split.
         view: what the camera sees.
         picture: what the network sees.
         widest: opening of the gripper at the table [px].
@@ -82,9 +82,9 @@ class Executed(NamedTuple):
     friction: float
 
 
-def situation(number: int, count: int) -> Situation:
-    """Returns the test scene `number` with `count` objects of the held-out families."""
-    seen = view("test", number, count)
+def situation(split: str, number: int, count: int) -> Situation:
+    """Returns the scene `number` of a split with `count` objects."""
+    seen = view(split, number, count)
     picture = prepare(seen.observed, CROP)
     focal = FOCAL_PX * NETWORK_SIDE / CROP_SIDE
     exact = cv2.resize(seen.exact, (NETWORK_SIDE, NETWORK_SIDE), interpolation=cv2.INTER_NEAREST)

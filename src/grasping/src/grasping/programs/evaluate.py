@@ -2,7 +2,7 @@
 
 Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md. With
 --export scenes and grasps go to a file instead, for whoever lifts with another hand (rosrun rig_simulation
-lift_grasps.py).
+lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines that are there are not made again.
 """
 
 from __future__ import annotations
@@ -13,20 +13,27 @@ import json
 import multiprocessing
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import mujoco
 import numpy as np
 import torch
+import yaml
 from tqdm import tqdm
 
+from common.config import parse
 from common.errors import RigError
 from common.statistics import share
 from grasping import maps, weights
+from grasping.depth_image import Picture
 from grasping.evaluation import heuristics, trials
-from grasping.predictor import frozen, run
+from grasping.predictor import PredictorSettings, frozen, run
+from grasping.preference import preferred
 from grasping.programs.make_dataset import ignore_warning
+from grasping.projection import pixel_size
 from grasping.synthetic.scene import world_xml
+from grasping.tool_pose import ToolPoseConfig
 
 COLUMNS = ("scene", "objects", "method", *trials.Outcome._fields)
 EXPORT_SCHEMA = 1
@@ -35,29 +42,45 @@ NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
 """As the reference experiments smooth; the node's wider blur is for the moving camera."""
 
 
+class Trained(NamedTuple):
+    """A network to be tried.
+
+    Attributes:
+        file: of its weights.
+        tool: the hand whose openings it prefers, None where it knows no hand.
+    """
+
+    file: Path
+    tool: ToolPoseConfig | None
+
+
 @lru_cache(maxsize=8)
-def network_method(path: Path):
-    """Returns the grasp finder of a weight file."""
-    network = frozen(weights.load(path.read_bytes()).network)
+def network(file: Path) -> torch.jit.ScriptModule:
+    """Returns the network of a weight file."""
+    return frozen(weights.load(file.read_bytes()).network)
 
-    def find(picture, _widest, _rng):
-        return maps.highest(maps.smoothed(run(network, picture.input), picture.valid, NETWORK_SMOOTHING))
 
-    return find
+def network_grasp(picture: Picture, trained: Trained) -> maps.Peak:
+    """Returns the best grasp of a network."""
+    found = maps.smoothed(run(network(trained.file), picture.input), picture.valid, NETWORK_SMOOTHING)
+    if trained.tool is not None:
+        size = pixel_size(picture, trials.camera())
+        found = preferred(found, size, trained.tool, PredictorSettings.threshold)
+    return maps.highest(found)
 
 
 def try_scene(task) -> list[dict]:
     """Returns the rows of all methods that are still missing for one scene."""
-    number, missing, files = task
-    of, chosen = chosen_grasps(number, missing, files)
+    split, number, missing, trained = task
+    of, chosen = chosen_grasps(split, number, missing, trained)
     row = {"scene": number, "objects": len(of.view.scene.objects)}
     return [{**row, "method": name, **trials.judge(of, peak)._asdict()} for name, peak in chosen.items()]
 
 
 def export_scene(task) -> dict:
     """Returns one scene and all methods' grasps in it, as the file of --export has them."""
-    number, names, files = task
-    of, chosen = chosen_grasps(number, names, files)
+    split, number, names, trained = task
+    of, chosen = chosen_grasps(split, number, names, trained)
     tried = {name: trials.executed(of, peak) for name, peak in chosen.items()}
     friction = next((t.friction for t in tried.values() if t is not None), trials.FRICTION[0])
     return {
@@ -76,19 +99,20 @@ def export_scene(task) -> dict:
     }
 
 
-def chosen_grasps(number: int, names, files) -> tuple[trials.Situation, dict]:
+def chosen_grasps(split: str, number: int, names, trained) -> tuple[trials.Situation, dict]:
     """Returns a scene and what each method chooses in it."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    of = trials.situation(number, 1 if number % 2 == 0 else 3 + number // 2 % 3)
+    of = trials.situation(split, number, 1 if number % 2 == 0 else 3 + number // 2 % 3)
     chosen = {}
     for name in names:
         if name == "oracle":
             chosen[name] = trials.oracle(of)
+        elif name in trained:
+            chosen[name] = network_grasp(of.picture, trained[name])
         else:
-            find = heuristics.HEURISTICS.get(name) or network_method(files[name])
-            chosen[name] = find(of.picture, of.widest, np.random.default_rng([7, number]))
+            chosen[name] = heuristics.HEURISTICS[name](of.picture, of.widest, np.random.default_rng([7, number]))
     return of, chosen
 
 
@@ -146,20 +170,37 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", help="where the results go")
     parser.add_argument("--scenes", type=int, default=300, help="how many")
     parser.add_argument("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
+    parser.add_argument(
+        "--split",
+        choices=("test", "validation"),
+        default="test",
+        help="test: families that training never saw; validation: new scenes of its own, to choose by",
+    )
+    parser.add_argument(
+        "--tool",
+        type=Path,
+        metavar="FILE",
+        help="a tool_pose.yaml: try each network with that hand's preferred openings as well",
+    )
     parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
     parser.add_argument("--export", type=Path, metavar="FILE", help="write scenes and grasps there, lift nothing")
     arguments = parser.parse_args()
     if (arguments.folder is None) == (arguments.export is None):
         parser.error("Either a folder for the results is needed, or --export.")
-    files = {name: Path(file) for name, file in arguments.weights}
+    trained = {}
     try:
-        for file in files.values():
-            weights.load(file.read_bytes())
-    except (OSError, RigError) as error:
+        tool = arguments.tool and parse(ToolPoseConfig, yaml.safe_load(arguments.tool.read_text(encoding="utf-8")))
+        for name, file in arguments.weights:
+            weights.load(Path(file).read_bytes())
+            trained[name] = Trained(Path(file), None)
+            if tool:
+                trained[f"{name}, preferred openings"] = Trained(Path(file), tool)
+    except (OSError, RigError, yaml.YAMLError) as error:
         parser.error(str(error))
-    methods = ["oracle", *heuristics.HEURISTICS, *files]
+    methods = ["oracle", *heuristics.HEURISTICS, *trained]
     if arguments.export is not None:
-        export(arguments.export, [(number, methods, files) for number in range(arguments.scenes)], arguments.processes)
+        every = [(arguments.split, number, methods, trained) for number in range(arguments.scenes)]
+        export(arguments.export, every, arguments.processes)
         return
     arguments.folder.mkdir(parents=True, exist_ok=True)
     results = arguments.folder / "results.csv"
@@ -169,7 +210,7 @@ def main() -> None:
     for number in range(arguments.scenes):
         missing = [m for m in methods if (number, m) not in done]
         if missing:
-            tasks.append((number, missing, files))
+            tasks.append((arguments.split, number, missing, trained))
     with results.open("a", newline="") as file, multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if not rows:
@@ -178,4 +219,4 @@ def main() -> None:
             writer.writerows(new)
             file.flush()
             rows += new
-    (arguments.folder / "table.md").write_text(table(rows, methods) + "\n" + calibration(rows, files))
+    (arguments.folder / "table.md").write_text(table(rows, methods) + "\n" + calibration(rows, trained))
