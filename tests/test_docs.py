@@ -28,6 +28,17 @@ def test_every_picture_says_where_it_comes_from():
     assert not [file.name for file in folder.iterdir() if f"`{file.name}`" not in said and file.suffix != ".md"]
 
 
+@pytest.mark.parametrize("kind", ["scripts/*.py", "launch/*.launch"])
+def test_every_program_and_launch_file_is_on_the_page_of_its_package(kind):
+    folder = pages.ROOT / "docs" / "handbook" / "packages"
+    missing = []
+    for file in sorted(pages.ROOT.glob(f"src/**/{kind}")):
+        package = file.relative_to(pages.ROOT / "src").parts[0]
+        if file.name not in (folder / f"{package}.md").read_text():
+            missing.append(f"{package}.md: {file.name}")
+    assert not missing
+
+
 class TestErrorMessages:
     def test_each_has_a_cause_and_a_cure(self):
         _, left = errors.sort(messages_in_code.sentences(), errors.read_entries(errors.CURES.read_text()))
