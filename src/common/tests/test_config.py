@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import choice, flag, integer, keys, number, parse, path, required, text, vector
+from common.config import choice, flag, integer, keys, number, parse, parse_part, path, required, text, vector
 from common.errors import ConfigError
 
 
@@ -71,6 +71,14 @@ def test_the_range_and_unit_are_named():
 
 def test_all_faults_are_reported_at_once():
     assert len(faults(angle=-1, size=0, stray=1)) == 3
+
+
+def test_a_part_of_a_file_adds_its_faults_to_those_of_the_others():
+    found = ["The table has no legs."]
+    assert parse_part(Example, {**GOOD, "size": 0}, "objects/1/", found) is None
+    assert found[0] == "The table has no legs." and found[1].startswith("objects/1/size is 0, ")
+    part = parse_part(Example, {**GOOD, "kind": "box"}, "objects/2/", found, others=("kind",))
+    assert part is not None and part.size == 10 and len(found) == 2
 
 
 def test_missing_and_unknown_keys_are_faults_unless_they_belong_to_others():

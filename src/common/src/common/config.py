@@ -126,6 +126,17 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     raise ConfigError(faults)
 
 
+def parse_part(
+    schema: type[Schema], values: Mapping[str, Any], prefix: str, faults: list[str], others: Iterable[str] = ()
+) -> Schema | None:
+    """Returns one part of a file as `parse` does, or None after adding what is wrong with it to `faults`."""
+    try:
+        return parse(schema, values, prefix, others)
+    except ConfigError as error:
+        faults += error.faults
+        return None
+
+
 class Key(NamedTuple):
     """One key of a schema, for tables: its type in a word, its range and unit where it has them, its meaning."""
 

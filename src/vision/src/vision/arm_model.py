@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from common.poses import read_only
 
@@ -40,18 +41,18 @@ class ArmModel:
         self.lower = read_only(self._model.lowerPositionLimit + MARGIN_RAD)
         self.upper = read_only(self._model.upperPositionLimit - MARGIN_RAD)
 
-    def flange(self, q) -> np.ndarray:
+    def flange(self, q: ArrayLike) -> np.ndarray:
         """Returns T_base_flange, shape (4, 4) [m], with the joints at q, shape (7,) [rad]."""
         pin.framesForwardKinematics(self._model, self._data, np.asarray(q, dtype=float))
         return self._data.oMf[self._flange].homogeneous
 
-    def spine(self, q) -> np.ndarray:
+    def spine(self, q: ArrayLike) -> np.ndarray:
         """Returns base, shoulder, elbow, wrist and flange, shape (5, 3) [m]: the arm as a chain of straight pieces."""
         T = self.flange(q)
         joints = [self._data.oMf[frame].translation for frame in self._frames]
         return np.array([np.zeros(3), *joints, T[:3, 3]])
 
-    def joints_for(self, T_base_flange: np.ndarray, start) -> np.ndarray | None:
+    def joints_for(self, T_base_flange: np.ndarray, start: ArrayLike) -> np.ndarray | None:
         """Returns joints, shape (7,) [rad], that bring the flange there, or None if none are found from `start`."""
         goal = pin.SE3(T_base_flange[:3, :3], T_base_flange[:3, 3])
         q = np.clip(np.asarray(start, dtype=float), self.lower, self.upper)

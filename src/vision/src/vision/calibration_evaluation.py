@@ -10,6 +10,7 @@ import pinocchio as pin
 from common.poses import inverse, pose
 from common.rotations import rotation_angle
 from vision.calibration import CalibrationConfig, Sight, judge, view_from
+from vision.hand_eye import View
 
 T_BASE_CAMERA = pose([[-0.5, 0.0, -np.sqrt(0.75)], [np.sqrt(0.75), 0.0, -0.5], [0.0, -1.0, 0.0]], (1.1, 0.2, 0.7))
 """Where the camera stands in truth; which place that is does not matter."""
@@ -63,7 +64,7 @@ def calibrate(
         arm: standard deviations of the arm's errors along and about each axis [m, rad].
         rng: source of these errors.
     """
-    views = []
+    views: list[View] = []
     for shown in pictures:
         T_base_flange = T_BASE_CAMERA @ shown.T_truth @ inverse(T_flange_panel)
         shift, turn = (sd * rng.normal(size=3) for sd in arm)

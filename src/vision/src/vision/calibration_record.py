@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from common.config import choice, number, parse, text, vector
+from common.config import choice, number, parse_part, text, vector
 from common.errors import ConfigError
 from common.poses import pose, read_only
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
@@ -80,6 +80,7 @@ class _View:
 
 
 HEAD = ("date", "kind", "robot", "flange", "panel", "camera", "camera_frame", "rms_mm", "rms_deg", "point_sd_mm")
+VIEW_POSES = ("T_base_flange", "T_camera_panel")
 POSES = {"T_base_camera": "camera in kuka/base_frame", "T_flange_panel": "panel in the flange"}
 
 
@@ -131,8 +132,8 @@ def record_from_mapping(values: Any) -> CalibrationRecord:
     faults: list[str] = []
     if not isinstance(values, Mapping):
         raise ConfigError([f"A calibration is a mapping of keys to values, not {type(values).__name__}."])
-    head = _part(_Head, values, "", faults, (*POSES, "views"))
-    poses = {key: _pose(values.get(key), f"{key}/", faults) for key in POSES}
+    head = parse_part(_Head, values, "", faults, (*POSES, "views"))
+    T_base_camera, T_flange_panel = (_pose(values.get(key), f"{key}/", faults) for key in POSES)
     views, errors = [], []
     entries = values.get("views")
     if not isinstance(entries, list):
@@ -140,16 +141,19 @@ def record_from_mapping(values: Any) -> CalibrationRecord:
         entries = []
     for i, entry in enumerate(entries):
         where = f"views[{i}]/"
-        view = _part(_View, entry, where, faults, ("T_base_flange", "T_camera_panel"))
-        if view is not None:
-            places = [_pose(entry.get(key), f"{where}{key}/", faults) for key in ("T_base_flange", "T_camera_panel")]
-            views.append(View(*places, read_only(view.covariance.reshape(6, 6))))
+        view = parse_part(_View, entry, where, faults, VIEW_POSES)
+        if view is None:
+            continue
+        T_base_flange, T_camera_panel = (_pose(entry.get(key), f"{where}{key}/", faults) for key in VIEW_POSES)
+        if T_base_flange is not None and T_camera_panel is not None:
+            views.append(View(T_base_flange, T_camera_panel, read_only(view.covariance.reshape(6, 6))))
             errors.append(view.error)
-    if faults:
+    if faults or T_base_camera is None or T_flange_panel is None:
         raise ConfigError(faults)
     return CalibrationRecord(
         **{key: getattr(head, key) for key in HEAD},
-        **poses,
+        T_base_camera=T_base_camera,
+        T_flange_panel=T_flange_panel,
         errors=read_only(np.reshape(errors, (-1, 2))),
         views=tuple(views),
     )
@@ -160,19 +164,11 @@ def _mapping_from_pose(T: np.ndarray) -> dict[str, list[float]]:
 
 
 def _pose(values: Any, where: str, faults: list[str]) -> np.ndarray | None:
-    read = _part(_Pose, values, where, faults)
+    read = parse_part(_Pose, values, where, faults)
     if read is None:
         return None
     try:
         return read_only(pose(rotation_from_quaternion(read.quaternion), read.position))
     except ValueError as error:
         faults.append(f"{where}quaternion: {error}.")
-        return None
-
-
-def _part(schema, values: Any, where: str, faults: list[str], others: tuple[str, ...] = ()):
-    try:
-        return parse(schema, values, where, others=others)
-    except ConfigError as error:
-        faults.extend(error.faults)
         return None

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from apriltag_ros.tag_pose import covariance
 from common.camera_model import CameraModel
@@ -112,10 +113,17 @@ class ViewPlanner:
     """
 
     def __init__(
-        self, config: ViewsConfig, arm: ArmModel, camera: CameraModel, points, plate, T_flange_panel, R_world_base
-    ):
-        self._config, self._arm, self._camera, self._points = config, arm, camera, np.asarray(points)
-        self._T_flange_panel, self._up = T_flange_panel, np.asarray(R_world_base)[2]
+        self,
+        config: ViewsConfig,
+        arm: ArmModel,
+        camera: CameraModel,
+        points: np.ndarray,
+        plate: float,
+        T_flange_panel: np.ndarray,
+        R_world_base: np.ndarray,
+    ) -> None:
+        self._config, self._arm, self._camera, self._points = config, arm, camera, points
+        self._T_flange_panel, self._up = T_flange_panel, R_world_base[2]
         side = np.linspace(-plate / 2.0, plate / 2.0, GRID)
         self._plate = np.array([(x, y, 0.0) for x in side for y in side])
 
@@ -143,7 +151,8 @@ class ViewPlanner:
     def choose(self, candidates: list[Place], T_base_camera: np.ndarray) -> list[Place]:
         """Returns the places that together make the calibration surest, at most as many as the configuration says."""
         gains = [self._information(place, T_base_camera) for place in candidates]
-        total, chosen, left = PRIOR * np.eye(12), [], list(range(len(candidates)))
+        chosen: list[Place] = []
+        total, left = PRIOR * np.eye(12), list(range(len(candidates)))
         while left and len(chosen) < self._config.count:
             best = max(left, key=lambda i: np.linalg.slogdet(total + gains[i])[1])
             total = total + gains[best]
@@ -151,45 +160,43 @@ class ViewPlanner:
             chosen.append(candidates[best])
         return chosen
 
-    def tour(self, places: list[Place], q, T_base_camera: np.ndarray) -> list[Leg]:
+    def tour(self, places: list[Place], q: ArrayLike, T_base_camera: np.ndarray) -> list[Leg]:
         """Returns the way from q, shape (7,) [rad], to the places.
 
         Always the nearest is next to which the way, all joints together, is clear, directly or by the start; places
         without such a way are left out.
         """
-        start, left, legs, q = np.radians(self._config.start), list(places), [], np.asarray(q)
+        start, left, legs, here = np.radians(self._config.start), list(places), [], np.asarray(q)
         while left:
-            left.sort(key=lambda place: float(np.max(np.abs(place.q - q))))
+            left.sort(key=lambda place: float(np.max(np.abs(place.q - here))))
             for place in left:
                 ways = ([place.q], [start, place.q])
-                way = next((way for way in ways if self._ways_clear(q, way, T_base_camera)), None)
+                way = next((way for way in ways if self._ways_clear(here, way, T_base_camera)), None)
                 if way is not None:
                     legs.append(Leg(place, tuple(read_only(goal) for goal in way)))
                     left.remove(place)
-                    q = place.q
+                    here = place.q
                     break
             else:
                 break
         return legs
 
-    def _ways_clear(self, q, way, T_base_camera: np.ndarray) -> bool:
+    def _ways_clear(self, q: np.ndarray, way: list[np.ndarray], T_base_camera: np.ndarray) -> bool:
         return all(self.way_clear(a, b, T_base_camera) for a, b in zip([q, *way[:-1]], way))
 
-    def way_back(self, q, legs: list[Leg], T_base_camera: np.ndarray) -> list[np.ndarray]:
+    def way_back(self, q: ArrayLike, legs: list[Leg], T_base_camera: np.ndarray) -> list[np.ndarray]:
         """Returns joints to go to one after the other from the end of the legs, which began at q, back to the start.
 
         It goes back on its own track until the way to the start is clear; empty if that never is.
         """
         start = np.radians(self._config.start)
         track = [np.asarray(q), *(goal for leg in legs for goal in leg.way)]
-        way: list[np.ndarray] = []
-        for here, before in zip(track[::-1], [*track[-2::-1], None]):
+        for i, here in enumerate(track[::-1]):
             if self.way_clear(here, start, T_base_camera):
-                return [*way, start]
-            way.append(before)
+                return [*track[::-1][1 : i + 1], start]
         return []
 
-    def way_clear(self, q, goal, T_base_camera: np.ndarray) -> bool:
+    def way_clear(self, q: np.ndarray, goal: np.ndarray, T_base_camera: np.ndarray) -> bool:
         """Returns whether the arm can go from q to goal, shape (7,) [rad], with all joints together.
 
         Where it comes too near to something at q already, it may not come nearer.
@@ -199,7 +206,7 @@ class ViewPlanner:
         way = (q + part * (goal - q) for part in np.linspace(0.0, 1.0, steps)[1:])
         return all(self.clearance(joints, T_base_camera) > least for joints in way)
 
-    def clearance(self, q, T_base_camera: np.ndarray) -> float:
+    def clearance(self, q: ArrayLike, T_base_camera: np.ndarray) -> float:
         """Returns how far arm, hand and panel at q are from table, camera and arm, less what they should be [m]."""
         spine, plate, hand = self._bodies(q)
         held = np.concatenate((plate, hand[1:]))
@@ -213,7 +220,7 @@ class ViewPlanner:
             *(np.min(_distances(held, a, b)) - ARM_RADIUS_M for a, b in zip(spine[:3], spine[1:4])),
         )
 
-    def seen(self, q, T_base_camera: np.ndarray) -> bool:
+    def seen(self, q: ArrayLike, T_base_camera: np.ndarray) -> bool:
         """Returns whether the whole panel is in the picture, and the arm not before it."""
         T_base_panel = self._arm.flange(q) @ self._T_flange_panel
         corners = self._points @ T_base_panel[:3, :3].T + T_base_panel[:3, 3]
@@ -236,7 +243,7 @@ class ViewPlanner:
             )
         )
 
-    def _bodies(self, q) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _bodies(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         spine, T_base_flange = self._arm.spine(q), self._arm.flange(q)
         T_base_panel = T_base_flange @ self._T_flange_panel
         plate = self._plate @ T_base_panel[:3, :3].T + T_base_panel[:3, 3]

@@ -17,6 +17,7 @@ from itertools import combinations
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from common.poses import inverse, pose, read_only
 
@@ -100,7 +101,7 @@ def solve(views: list[View], seed: int = 0) -> HandEye:
     X, Z, covariance, chi2_ratio = _least_squares(kept, X, Z)
     errors = np.array([_error(view, X, Z) for view in views])
     covariance = covariance * max(1.0, chi2_ratio)
-    return HandEye(*map(read_only, (Z, X, covariance)), fits, read_only(errors), chi2_ratio)
+    return HandEye(read_only(Z), read_only(X), read_only(covariance), fits, read_only(errors), chi2_ratio)
 
 
 def camera_pose(view: View, T_flange_panel: np.ndarray) -> np.ndarray:
@@ -147,7 +148,7 @@ def scales(views: list[View], result: HandEye) -> tuple[np.ndarray, np.ndarray]:
     return 1.0 + too_much, np.sqrt(variances)
 
 
-def point_sd(result: HandEye, point) -> float:
+def point_sd(result: HandEye, point: ArrayLike) -> float:
     """Returns the standard deviation of a point that the camera measured exactly, in the base [m].
 
     Args:
@@ -172,7 +173,9 @@ def check_motion(views: list[View]) -> None:
         )
 
 
-def information(T_base_flange, T_flange_panel, T_base_camera, covariance) -> np.ndarray:
+def information(
+    T_base_flange: np.ndarray, T_flange_panel: np.ndarray, T_base_camera: np.ndarray, covariance: np.ndarray
+) -> np.ndarray:
     """Returns what a view would add to the inverse of the calibration's covariance, shape (12, 12)."""
     J = _jacobian(T_base_flange, T_flange_panel, T_base_camera)
     return J.T @ np.linalg.solve(covariance, J)
@@ -190,7 +193,7 @@ def _robust_start(views: list[View], rng: np.random.Generator) -> tuple[np.ndarr
         except Degenerate:
             continue
         start = _closed_form(chosen)
-        median = np.median([_square(view, *start) for view in views])
+        median = float(np.median([_square(view, *start) for view in views]))
         if median < least:
             best, least = start, median
     return _closed_form(views) if best is None else best
@@ -216,7 +219,7 @@ def _nearest_rotation(M: np.ndarray) -> np.ndarray:
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
 
 
-def _least_squares(views: list[View], X: np.ndarray, Z: np.ndarray):
+def _least_squares(views: list[View], X: np.ndarray, Z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Returns T_flange_panel, T_base_camera, their covariance, and the mean weighed square of the errors."""
     whitenings = [_whitening(view) for view in views]
     for _ in range(MAX_STEPS):

@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import sysconfig
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -62,8 +63,8 @@ class OpenniCamera:
         self._config = config
         self._models = {"rgb": rgb, "depth": depth}
         self._openni = _library()
-        self._device = None
-        self._streams: dict[str, object] = {}
+        self._device: Any = None
+        self._streams: dict[str, Any] = {}
 
     def connect(self) -> str:
         """Opens the device, starts both streams and returns the device's name.
@@ -122,7 +123,7 @@ class OpenniCamera:
                 self._device.close()
             self._device = None
 
-    def _start(self, name: str, sensor, pixels) -> None:
+    def _start(self, name: str, sensor: Any, pixels: Any) -> None:
         size, rate = (self._models[name].width, self._models[name].height), self._config.rate
         try:
             stream = self._device.create_stream(sensor)
@@ -165,7 +166,7 @@ def _library() -> ModuleType:
     return openni2
 
 
-def _picture(name: str, frame) -> np.ndarray:
+def _picture(name: str, frame: Any) -> np.ndarray:
     """Returns a copy of the frame's pixels; the library uses its memory again."""
     kind, channels = (np.uint8, 3) if name == "rgb" else (np.uint16, 1)
     row = frame.width * channels * np.dtype(kind).itemsize

@@ -133,7 +133,7 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
     weights = (squares[np.argmin(squares.sum(axis=1))] < (GATE_SD * noise) ** 2).astype(float)
     for _ in range(ROUNDS):
         a = np.linalg.solve((rays * weights[:, None]).T @ rays, (rays * weights[:, None]).T @ w)
-        error = w - rays @ a
+        error = np.subtract(w, rays @ a)
         sd = np.clip(MAD_TO_SD * np.median(np.abs(error[weights > 0.0])), 1e-3 * noise, noise)
         weights = np.clip(1.0 - (error / (TUKEY_SD * sd)) ** 2, 0.0, None) ** 2
     inside = weights > 0.0
@@ -172,9 +172,9 @@ def _outline(camera: CameraModel, T: np.ndarray, edge: float, inset: float) -> n
         return None
     polygon = np.rint(np.clip(camera.project(corners), -1e4, 1e4)).astype(np.int32)
     mask = np.zeros((camera.height, camera.width), np.uint8)
-    cv2.fillConvexPoly(mask, polygon, 1)
+    cv2.fillConvexPoly(mask, polygon, (1,))
     size = 2 * int(np.ceil(inset)) + 1
-    return cv2.erode(mask, np.ones((size, size), np.uint8), borderValue=1).astype(bool)
+    return cv2.erode(mask, np.ones((size, size), np.uint8), borderValue=(1,)).astype(bool)
 
 
 def _none(reason: str, pixels: int = 0, cover: float = 0.0, inliers: float = 0.0) -> PlaneFit:

@@ -93,7 +93,7 @@ def depth_pose(
     noise = corner_noise(rays, rgb.K, config)
     colour = colour_estimate(T_rgb_panel, points, rgb.K, noise)
     fit = fit_panel(depth_picture, depth, inverse(T_rgb_depth) @ T_rgb_panel, plate, config)
-    if fit.a is None:
+    if fit.a is None or fit.covariance is None:
         return DepthPose(colour, None, None, fit, np.nan, fit.reason)
     a, a_covariance = plane_seen_from(T_rgb_depth, fit.a, fit.covariance)
     plane = plane_estimate(points, rays, rgb.K, noise, a, a_covariance)
@@ -145,14 +145,14 @@ def plane_estimate(
         a, covariance: the plane in the colour camera's frame, shape (3,) [1/m], and (3, 3) [1/m^2].
     """
     T = _pose_on_plane(points, rays, a)
-    J_plane = [_change(T, _pose_on_plane(points, rays, a + step)) for step in DIFFERENCE * np.eye(3)]
-    J_corner = []
+    by_plane = [_change(T, _pose_on_plane(points, rays, a + step)) for step in DIFFERENCE * np.eye(3)]
+    by_corner = []
     for i in range(len(rays)):
         for axis in range(2):
             moved = rays.copy()
             moved[i, axis] += DIFFERENCE
-            J_corner.append(_change(T, _pose_on_plane(points, moved, a)) / K[axis, axis])
-    J_plane, J_corner = np.array(J_plane).T / DIFFERENCE, np.array(J_corner).T / DIFFERENCE
+            by_corner.append(_change(T, _pose_on_plane(points, moved, a)) / K[axis, axis])
+    J_plane, J_corner = np.array(by_plane).T / DIFFERENCE, np.array(by_corner).T / DIFFERENCE
     return Estimate(read_only(T), read_only(J_plane @ covariance @ J_plane.T + J_corner @ noise @ J_corner.T))
 
 

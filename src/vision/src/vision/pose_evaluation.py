@@ -69,7 +69,9 @@ def cells(trials: list[Trial]) -> list[tuple[float, float]]:
     return sorted({(t.distance, t.tilt) for t in trials})
 
 
-def values(trials: list[Trial], method: str, quantity: str, distance=None, tilt=None) -> np.ndarray:
+def values(
+    trials: list[Trial], method: str, quantity: str, distance: float | None = None, tilt: float | None = None
+) -> np.ndarray:
     """Returns a quantity of Errors for all trials with a pose, of one distance and one tilt if these are given."""
     return np.array(
         [

@@ -28,7 +28,7 @@ def refined(
     better = []
     for sight, grey in seen:
         found = refiner.refine(grey, camera, sight.T_camera_panel)
-        if found.refused:
+        if found.covariance is None:
             return [sight for sight, _ in seen], found.refused
         better.append(replace(sight, T_camera_panel=found.T_camera_tag, covariance=found.covariance))
     return better, ""

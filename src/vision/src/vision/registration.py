@@ -42,8 +42,8 @@ class Registration:
         u, v = np.meshgrid(np.arange(rgb.width), np.arange(rgb.height))
         self._x = ((u - K[0, 2]) / K[0, 0]).astype(np.float32)
         self._y = ((v - K[1, 2]) / K[1, 1]).astype(np.float32)
-        raw = self.camera.project(rgb.rays(np.stack((u, v), axis=-1)) @ rgb.R.T)
-        self._raw_maps = cv2.convertMaps(raw.astype(np.float32), None, cv2.CV_16SC2, nninterpolation=True)
+        raw = self.camera.project(rgb.rays(np.stack((u, v), axis=-1)) @ rgb.R.T).astype(np.float32)
+        self._raw_maps = cv2.convertMaps(raw[..., 0], raw[..., 1], cv2.CV_16SC2, nninterpolation=True)
 
     def rectify(self, colour: np.ndarray) -> np.ndarray:
         """Returns the colour picture, shape (height, width, 3), without distortion.
@@ -80,7 +80,7 @@ class Registration:
     def as_taken(self, registered: np.ndarray) -> np.ndarray:
         """Returns registered depth in the pixels of the raw colour picture, shape (height, width), float32 [m], NaN =
         none."""
-        return cv2.remap(registered, *self._raw_maps, cv2.INTER_NEAREST, borderValue=np.nan)
+        return cv2.remap(registered, *self._raw_maps, cv2.INTER_NEAREST, borderValue=(np.nan,))
 
     def cloud(self, registered: np.ndarray, rectified: np.ndarray) -> np.ndarray:
         """Returns the points, shape (height, width), type POINT, in the rectified colour camera's frame.

@@ -56,6 +56,7 @@ class StereoView:
             rgb.K, rgb.D, rgb.R, self.camera.K, (rgb.width, rgb.height), cv2.CV_16SC2
         )
         self._half_fb = 0.5 * self.camera.K[0, 0] * config.eye_distance
+        self.screen: Plain | Lens
         if config.lens == "none":
             self.screen = Plain(self.camera)
         else:
@@ -87,7 +88,7 @@ class StereoView:
             shift = round(self._half_fb / self._config.flat_distance)
             return EyePictures(_moved(flat, shift), _moved(flat, -shift), False)
         # No blend between an edge and the wall behind it.
-        z = cv2.remap(depth, *self._maps, cv2.INTER_NEAREST, borderValue=float("nan"))
+        z = cv2.remap(depth, *self._maps, cv2.INTER_NEAREST, borderValue=(float("nan"),))
         shift = self._half_fb * inverse_depth(z, self._config.nearest, self._config.flat_distance)
         left, right = (shifted(flat, eye_map(shift, eye)) for eye in (LEFT, RIGHT))
         return EyePictures(left, right, True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.camera_model import CameraModel
 
@@ -28,7 +29,7 @@ COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))
 """For red, green, blue: constant and r2 part of the factor beyond 1."""
 
 
-def directions(pixels, eye: int, colour: int = GREEN) -> np.ndarray:
+def directions(pixels: ArrayLike, eye: int, colour: int = GREEN) -> np.ndarray:
     """Returns tan(angle) to the right and down, shape (..., 2), at which display pixels are seen.
 
     Args:
@@ -39,7 +40,7 @@ def directions(pixels, eye: int, colour: int = GREEN) -> np.ndarray:
     xy = (np.asarray(pixels, dtype=float) - CENTRES[eye]) * (PITCH_M / SCALE_M)
     r2 = (xy * xy).sum(axis=-1, keepdims=True)
     constant, with_r2 = COLOURS[colour]
-    return xy * np.polynomial.polynomial.polyval(r2, RADIAL) * (1.0 + constant + with_r2 * r2)
+    return xy * np.polyval(RADIAL[::-1], r2) * (1.0 + constant + with_r2 * r2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,7 @@ class Plain:
         return np.hstack((left, right))
 
 
-def _eye_maps(camera: CameraModel, magnification: float, eye: int, colours) -> _EyeMaps:
+def _eye_maps(camera: CameraModel, magnification: float, eye: int, colours: tuple[int, ...]) -> _EyeMaps:
     """Returns the maps of the part of an eye's half in which some colour shows something of the camera's picture."""
     pixels = np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), axis=-1)
     found = [

@@ -54,7 +54,9 @@ class StreamWatch:
         self._name, self._config = name, config
         self._stamp: float | None = None
         self._digest: int | None = None
-        self._new_stamp = self._new_digest = self._last = None
+        self._last: float | None = None
+        self._new_stamp: float | None = None
+        self._new_digest: float | None = None
         self._filled = 1.0
         self._times: deque[float] = deque()
 
@@ -98,7 +100,7 @@ class StreamWatch:
     def health(self, now: float) -> Health:
         """Returns the state at the time `now` [s]."""
         limit = self._config.silence
-        if self._last is None:
+        if self._last is None or self._new_stamp is None:
             return Health("waiting", f"The {self._name} has sent nothing yet.")
         if now - self._last > limit:
             return Health("vanished", f"The {self._name} vanished: nothing for {now - self._last:.1f} s.")

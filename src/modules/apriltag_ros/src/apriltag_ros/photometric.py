@@ -91,8 +91,9 @@ class PhotometricRefiner:
             raise ValueError(
                 f"a grey picture of {camera.width} x {camera.height} is needed, not {grey.shape} {grey.dtype}"
             )
-        views = [TagView.of(pattern, grey, camera, T_start) for pattern in self._patterns]
-        cut = [str(pattern.tag.id) for pattern, view in zip(self._patterns, views) if view is None]
+        shown = [TagView.of(pattern, grey, camera, T_start) for pattern in self._patterns]
+        views = [view for view in shown if view is not None]
+        cut = [str(pattern.tag.id) for pattern, view in zip(self._patterns, shown) if view is None]
         if cut:
             return _refusal(T_start, f"the tags {', '.join(cut)} are cut off by the picture's edge")
         clipped = float(np.mean(np.concatenate([(view.grey == 0) | (view.grey == 255) for view in views])))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from apriltag_ros.target import TagPlace, Target
-from common.config import choice, flag, integer, number, parse, text
+from common.config import choice, flag, integer, number, parse, parse_part, text
 from common.errors import ConfigError
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
@@ -114,7 +114,7 @@ def _standalone(values: Mapping[str, Any], faults: list[str]) -> list[Target]:
     found = []
     for i, entry in enumerate(_entries(values, "standalone_tags", faults)):
         where = f"standalone_tags[{i}]/"
-        tag = _read(_Standalone, entry, where, faults, ("name",))
+        tag = parse_part(_Standalone, entry, where, faults, ("name",))
         if tag is not None:
             found.append(Target(_name(entry, f"tag_{tag.id}", where, faults), (TagPlace(tag.id, tag.size),)))
     return found
@@ -128,11 +128,12 @@ def _bundles(values: Mapping[str, Any], faults: list[str]) -> list[Target]:
             faults.append(f"tag_bundles[{i}] is {entry!r}, but must be a mapping with the keys name and layout.")
             continue
         layout = _entries(entry, "layout", faults, where)
-        members = [_member(item, f"{where}layout[{k}]/", faults) for k, item in enumerate(layout)]
+        read = [_member(item, f"{where}layout[{k}]/", faults) for k, item in enumerate(layout)]
+        members = tuple(member for member in read if member is not None)
         if not layout:
             faults.append(f"{where}layout has no tags.")
-        elif None not in members:
-            found.append(Target(_name(entry, f"bundle_{i}", where, faults), tuple(members)))
+        elif len(members) == len(layout):
+            found.append(Target(_name(entry, f"bundle_{i}", where, faults), members))
     return found
 
 
@@ -157,21 +158,13 @@ def _entries(values: Mapping[str, Any], key: str, faults: list[str], prefix: str
     return entries
 
 
-def _read(schema, entry, where: str, faults: list[str], others: tuple[str, ...] = ()):
-    try:
-        return parse(schema, entry, where, others=others)
-    except ConfigError as error:
-        faults.extend(error.faults)
-        return None
-
-
 def _name(entry: Mapping[str, Any], default: str, where: str, faults: list[str]) -> str:
-    read = _read(_Name, {"name": entry.get("name", default)}, where, faults)
+    read = parse_part(_Name, {"name": entry.get("name", default)}, where, faults)
     return default if read is None else read.name
 
 
-def _member(entry, where: str, faults: list[str]) -> TagPlace | None:
-    member = _read(_Member, entry, where, faults)
+def _member(entry: Any, where: str, faults: list[str]) -> TagPlace | None:
+    member = parse_part(_Member, entry, where, faults)
     if member is None:
         return None
     try:

@@ -103,7 +103,9 @@ class TagView:
         M = np.linalg.inv(T[:3, [0, 1, 3]])
         places = cv2.transform(self.rays, (self.A @ M).astype(np.float32))
         places = places[..., :2] / places[..., 2:]
-        crisp = cv2.remap(self.bitmap, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        crisp = cv2.remap(  # type: ignore[call-overload]  # cv2's types do not know that both maps may be in one array
+            self.bitmap, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
         soft = cv2.GaussianBlur(crisp, (0, 0), SUB * blur, borderType=cv2.BORDER_REPLICATE)
         softer = cv2.GaussianBlur(crisp, (0, 0), SUB * (blur + BLUR_STEP_PX), borderType=cv2.BORDER_REPLICATE)
         shown, across, down, change = (

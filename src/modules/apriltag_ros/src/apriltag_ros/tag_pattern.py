@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from functools import lru_cache
 
 import apriltag
@@ -11,7 +12,7 @@ from apriltag_ros.settings import FAMILIES
 
 
 @lru_cache(maxsize=1)
-def _library():
+def _library() -> ctypes.CDLL:
     return apriltag.Detector().libc
 
 

@@ -27,6 +27,7 @@ CLEAR_RATIO = 2.0
 """From this ratio of the two reprojection errors on there is no doubt about the pose (reference: vision, 6.3)."""
 
 PLANE_TOLERANCE_M = 1e-6
+NO_DISTORTION = np.zeros(5)
 MAX_STEPS = 40
 LAST_GAIN = 1e-12
 """The refinement ends when a step makes the sum of squares less by no greater share than this."""
@@ -77,8 +78,8 @@ def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: 
     if len(points) < 4:
         raise ValueError(f"a pose needs four corners at least, not {len(points)}")
     ideal = camera.rays(pixels)[:, :2] * (camera.K[0, 0], camera.K[1, 1]) + camera.K[:2, 2]
-    candidates = [_refined(points, ideal, camera.K, rvec, tvec) for rvec, tvec in _starts(points, ideal, camera.K)]
-    candidates = sorted((c for c in candidates if c is not None), key=lambda c: c[1])
+    ends = [_refined(points, ideal, camera.K, rvec, tvec) for rvec, tvec in _starts(points, ideal, camera.K)]
+    candidates = sorted((end for end in ends if end is not None), key=lambda c: c[1])
     if not candidates:
         raise ValueError(f"no pose has the corners {pixels.round(1).tolist()} in front of the camera")
     candidates = [candidates[0], *(c for c in candidates[1:] if _different(c[0], candidates[0][0]))][:2]
@@ -86,7 +87,8 @@ def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: 
     if len(candidates) == 2 and hint is not None and candidates[1][1] < CLEAR_RATIO * candidates[0][1]:
         candidates.sort(key=lambda c: rotation_angle(hint.T @ c[0][:3, :3]))
         chosen_by = HINT
-    (T, rms), other = candidates[0], candidates[1] if len(candidates) == 2 else None
+    T, rms = candidates[0]
+    other = candidates[1] if len(candidates) == 2 else None
     return TagPose(
         read_only(T),
         read_only(covariance(T, points, camera.K)),
@@ -134,18 +136,20 @@ def _starts(points: np.ndarray, ideal: np.ndarray, K: np.ndarray) -> list[tuple[
     starts = []
     for method in (cv2.SOLVEPNP_IPPE, cv2.SOLVEPNP_SQPNP) if flat else (cv2.SOLVEPNP_SQPNP,):
         with contextlib.suppress(cv2.error):
-            found, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, ideal, K, None, flags=method)
+            found, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, ideal, K, NO_DISTORTION, flags=method)
             starts += list(zip(rvecs, tvecs)) if found else []
     return starts
 
 
-def _refined(points, ideal, K, rvec, tvec) -> tuple[np.ndarray, float] | None:
+def _refined(
+    points: np.ndarray, ideal: np.ndarray, K: np.ndarray, rvec: np.ndarray, tvec: np.ndarray
+) -> tuple[np.ndarray, float] | None:
     """Returns the pose with the least squares and its rms [px], or None if a corner is not in front of the camera."""
     T, damping = pose(cv2.Rodrigues(rvec)[0], tvec.ravel()), 1e-6
     residual = _residual(T, points, ideal, K)
+    if residual is None:
+        return None
     for _ in range(MAX_STEPS):
-        if residual is None:
-            return None
         J = corner_jacobian(T, points, K).reshape(-1, 6)
         H = J.T @ J
         step = np.linalg.solve(H + damping * np.diag(np.diag(H)), -J.T @ residual)
@@ -162,7 +166,7 @@ def _refined(points, ideal, K, rvec, tvec) -> tuple[np.ndarray, float] | None:
     return T, float(np.sqrt(residual @ residual / len(points)))
 
 
-def _residual(T, points, ideal, K) -> np.ndarray | None:
+def _residual(T: np.ndarray, points: np.ndarray, ideal: np.ndarray, K: np.ndarray) -> np.ndarray | None:
     seen = points @ T[:3, :3].T + T[:3, 3]
     if not np.all(np.isfinite(seen)) or np.any(seen[:, 2] <= 0.0):
         return None
