@@ -42,3 +42,57 @@ def test_a_node_that_is_interrupted_while_it_publishes_ends(ros, processes, wait
     wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
     log = process.log_path.read_text()
     assert process.returncode == 0 and "Traceback" not in log, log
+
+
+DISPOSABLE = """
+import atexit, sys, threading
+import rospy
+from common.errors import RigError
+from common.ros.node import run
+
+def main():
+    atexit.register(threading.Event().wait)  # an interpreter that is taken apart never ends
+    rospy.on_shutdown(lambda: print("saved"))
+    print("works")
+    {work}
+
+run("worker", main, disposable=True)
+"""
+
+
+def start_disposable(processes, work):
+    # Without PYTHONUNBUFFERED, as users run it: what was printed must not be lost.
+    return processes.start(sys.executable, "-c", DISPOSABLE.format(work=work), env={"PYTHONUNBUFFERED": ""})
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_disposable_node_ends_wherever_it_is(ros, processes, wait_until, name):
+    busy = "rospy.set_param('busy', True)\n    while True: sum(range(10000))"
+    process = start_disposable(processes, busy)
+    wait_until(lambda: ros_has("/busy"), 20.0, "work")
+    process.send_signal(getattr(signal, name))
+    process.send_signal(signal.SIGINT)
+    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
+    assert (process.returncode, process.log_path.read_text()) == (0, "works\nsaved\n")
+
+
+@pytest.mark.parametrize(
+    ("work", "code", "said"),
+    [
+        ("pass", 0, ""),
+        ("rospy.signal_shutdown('enough'); rospy.spin()", 0, ""),
+        ("raise RigError('There is no rig.')", 1, "/worker: There is no rig.\n"),
+    ],
+)
+def test_a_disposable_node_that_has_done_its_work_ends(ros, processes, wait_until, work, code, said):
+    process = start_disposable(processes, work)
+    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
+    log = process.log_path.read_text()
+    assert process.returncode == code, log
+    assert "works\n" in log and "saved\n" in log and said in log and "Traceback" not in log
+
+
+def ros_has(name):
+    import rospy
+
+    return rospy.has_param(name)

@@ -1,7 +1,11 @@
 #!/usr/bin/env python3
 """Records what the camera saw and where a person then grasped."""
 
-from grasping.ros.collection_node import main
+import signal
+
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # while torch loads there is nothing yet to end in order
+
+from grasping.ros.collection_node import main  # noqa: E402
 
 if __name__ == "__main__":
     main()

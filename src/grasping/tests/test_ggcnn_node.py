@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -347,6 +349,24 @@ def test_the_second_networks_file_is_read(tmp_path):
     assert isinstance(load_refinement(str(tmp_path / "refinement.pt")), Refinement)
     with pytest.raises(RigError):
         load_refinement("ggcnn2.pt")
+
+
+@pytest.mark.parametrize("moment", ["its libraries load", "its networks load", "it works"])
+def test_interrupted_it_ends_whatever_it_does(ros, camera, wait_until, moment):
+    from grasp_msgs.msg import GraspList
+
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    process = start(ros)
+    maps = f"/proc/{process.pid}/maps"
+    condition = {
+        "its libraries load": lambda: "libtorch" in Path(maps).read_text(),
+        "its networks load": lambda: "tool: grip_in_tool" in process.log_path.read_text(),
+        "it works": lambda: len(lists) > 0,
+    }[moment]
+    wait_until(condition, PATIENCE_S, moment)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == (-signal.SIGINT if moment == "its libraries load" else 0)
+    assert "Traceback" not in process.log_path.read_text()
 
 
 def test_a_wrong_mounting_ends_it_too(ros):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import os
 import signal
 import sys
 import threading
@@ -17,17 +19,37 @@ CLOCK_S = 10.0
 CLOCK_POLL_S = 0.05
 
 
-def run(name: str, main: Callable[[], None]) -> None:
+def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     """Starts the node `name`, runs `main` to its end and exits the process.
 
     The exit code is 0 when main returns or ROS shuts down, 1 after a RigError: its sentence goes to the log and to the
     standard error stream. Any other exception is a defect of the program and keeps its traceback.
+
+    Args:
+        name: of the node.
+        main: what it does.
+        disposable: the process leaves as soon as ROS has shut down and what was given to rospy.on_shutdown is done,
+            wherever main is, and without taking the interpreter's objects apart. For nodes with torch: both take
+            seconds, and many times that where other programs come first.
     """
     try:
         rospy.init_node(name)
     except rospy.exceptions.ROSInitException:
         sys.exit(1)  # interrupted before it began
-    _shut_down_beside_the_main_thread()
+    _shut_down_beside_the_main_thread(disposable)
+    code = _code_of(main)
+    if disposable:
+        rospy.signal_shutdown("main has ended")
+        for thread in threading.enumerate():  # one of them may shut ROS down
+            if thread is not threading.current_thread() and not thread.daemon:
+                thread.join()
+        _leave(code)
+    if code:
+        sys.exit(code)
+
+
+def _code_of(main: Callable[[], None]) -> int:
+    """Runs main and returns the exit code."""
     try:
         _wait_for_clock()
         main()
@@ -38,7 +60,17 @@ def run(name: str, main: Callable[[], None]) -> None:
         for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
             rospy.logfatal("%s: %s", rospy.get_name(), sentence)
         rospy.signal_shutdown("fault")
-        sys.exit(1)
+        return 1
+    return 0
+
+
+def _leave(code: int) -> None:
+    """Ends the process here and now."""
+    logging.shutdown()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+            stream.flush()
+    os._exit(code)
 
 
 def _wait_for_clock() -> None:
@@ -60,18 +92,30 @@ def _wait_for_clock() -> None:
         time.sleep(CLOCK_POLL_S)
 
 
-def _shut_down_beside_the_main_thread() -> None:
+def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands.
 
     Its handler closes the topics in the main thread. If that was just publishing, it holds the lock of a topic's queue,
     and the handler waits for that lock for ever: the node neither ends nor goes on.
+
+    Args:
+        leave: end the process afterwards.
     """
 
-    def shut_down(number: int, _) -> None:
-        threading.Thread(target=rospy.signal_shutdown, args=(f"signal-{number}",), name="shutdown").start()
+    def shut_down(reason: str) -> None:
+        rospy.signal_shutdown(reason)
+        if leave:
+            _leave(0)
+
+    threads: list[threading.Thread] = []
+
+    def handle(number: int, _) -> None:
+        if not threads:  # a second one would not wait for the first
+            threads.append(threading.Thread(target=shut_down, args=(f"signal-{number}",), name="shutdown"))
+            threads[0].start()
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, shut_down)
+        signal.signal(number, handle)
 
 
 @contextlib.contextmanager

@@ -306,14 +306,14 @@ def _play() -> None:
 def _run() -> None:
     setup = read_setup()
     node = GraspCollection(setup)
+    rospy.on_shutdown(node.close)
     if setup.config.from_bag:
         if not node.wait_for_publishers(PLAYER_S):
             raise RigError("The recording holds no depth pictures, camera_info or hand_state under their names.")
         _play()
     rospy.spin()
-    node.close()
 
 
 def main() -> None:
     """Runs the node until ROS shuts down."""
-    run("grasp_collection", _run)
+    run("grasp_collection", _run, disposable=True)

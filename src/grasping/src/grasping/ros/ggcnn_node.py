@@ -220,4 +220,4 @@ def _run() -> None:
 
 def main() -> None:
     """Runs the node until ROS shuts down."""
-    run("ggcnn", _run)
+    run("ggcnn", _run, disposable=True)
