@@ -191,6 +191,30 @@ def wait_until_fixture():
     return wait_until
 
 
+def suspend(pid: int) -> None:
+    """Stops a process as Ctrl-Z does, and returns when all its threads stand still.
+
+    The signal alone takes effect later on a busy machine: until then a thread may carry out what is asked of it.
+    """
+    os.kill(pid, signal.SIGSTOP)
+    wait_until(lambda: all(_state(thread) == "T" for thread in Path(f"/proc/{pid}/task").iterdir()), 10.0, "the halt")
+
+
+@pytest.fixture(name="suspend")
+def suspend_fixture():
+    """The function suspend."""
+    return suspend
+
+
+def _state(thread: Path) -> str:
+    """Returns the state of a thread (proc(5), field 3 of stat); "T" once it is stopped or has ended."""
+    try:
+        stat = (thread / "stat").read_text(errors="replace")
+    except (FileNotFoundError, ProcessLookupError):
+        return "T"
+    return stat[stat.rindex(")") + 2]
+
+
 def _master_answers(uri: str) -> bool:
     import xmlrpc.client
 

@@ -38,9 +38,9 @@ def test_a_controller_is_found_and_ended(start):
     processes_of_controllers.kill(found)
 
 
-def test_a_stopped_controller_runs_and_is_ended(start):
+def test_a_stopped_controller_runs_and_is_ended(start, suspend):
     process = start("a (name) with controller.py")
-    os.kill(process.pid, signal.SIGSTOP)
+    suspend(process.pid)
     found = processes_of_controllers.find(process.pid)
     assert processes_of_controllers.runs(found)
     processes_of_controllers.kill(found)

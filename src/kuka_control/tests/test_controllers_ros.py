@@ -447,10 +447,10 @@ def test_the_emergency_exit_ends_at_once_and_leaves_the_connection_alone(robot, 
     assert "connection to the robot is closed" not in node.log
 
 
-def test_the_emergency_exit_works_while_the_robot_hangs(robot, start):
+def test_the_emergency_exit_works_while_the_robot_hangs(robot, start, suspend):
     node = start()
     node.wait_for_mode("homing")
-    robot.process.send_signal(signal.SIGSTOP)
+    suspend(robot.process.pid)
     try:
         assert node.call("exit_app_emergency", "exitAppEmergency").success
         assert node.wait_for_end(10.0) == 2

@@ -49,6 +49,9 @@ def panel(ros, application, failures):
     yield widget
     widget.link.close()
     widget.close()
+    for thread in threading.enumerate():
+        if thread.name == "watch":  # it unsubscribes at its end, which must not be later than that of the test's graph
+            thread.join(LONG_S)
 
 
 @pytest.fixture
@@ -193,8 +196,8 @@ def test_a_controller_that_comes_goes_and_comes_again(panel, start, see):
     assert "is on" in panel.answer.full
 
 
-def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controller, see):
-    controller.send_signal(signal.SIGSTOP)
+def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controller, see, suspend):
+    suspend(controller.pid)
     click(panel.control)
     see(lambda: "it hangs" in panel.status.full, "the sentence")
     assert not panel.control.isEnabled() and panel.status.property("tone") == "fault"
@@ -206,8 +209,8 @@ def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controll
     assert not panel.control.isChecked()
 
 
-def test_emergency_stop_ends_a_controller_that_hangs(panel, controller, see):
-    controller.send_signal(signal.SIGSTOP)
+def test_emergency_stop_ends_a_controller_that_hangs(panel, controller, see, suspend):
+    suspend(controller.pid)
     click(panel.emergency)
     see(lambda: controller.poll() is not None, "the end of the process")
     assert controller.returncode == -signal.SIGKILL
@@ -234,10 +237,10 @@ def test_emergency_stop_again_and_again(panel, controller, see):
     assert "Emergency Stop" in panel.answer.full
 
 
-def test_emergency_stop_on_another_machine_is_a_call_alone(panel, start, see):
+def test_emergency_stop_on_another_machine_is_a_call_alone(panel, start, see, suspend):
     process = start("--host", "far-away")
     see(panel.control.isEnabled, "the controller")
-    process.send_signal(signal.SIGSTOP)
+    suspend(process.pid)
     click(panel.emergency)
     see(lambda: "on far-away did not confirm it" in panel.answer.full, "the sentence")
     assert process.poll() is None and "smartPad" in panel.answer.full
@@ -249,11 +252,11 @@ def test_emergency_stop_on_another_machine_is_a_call_alone(panel, start, see):
     see(lambda: "ends at once" in panel.answer.full, "the sentence")
 
 
-def test_emergency_stop_never_ends_a_process_that_is_no_controller(panel, processes, start, see):
+def test_emergency_stop_never_ends_a_process_that_is_no_controller(panel, processes, start, see, suspend):
     other = processes.start("sleep", "60")
     process = start("--pid", str(other.pid))
     see(panel.control.isEnabled, "the controller")
-    process.send_signal(signal.SIGSTOP)
+    suspend(process.pid)
     click(panel.emergency)
     see(lambda: "did not confirm it" in panel.answer.full, "the sentence")
     assert other.poll() is None and process.poll() is None

@@ -189,7 +189,7 @@ def ended(wait_until, process):
     return process.returncode
 
 
-def test_a_person_clicks(ros, screen, panel, fake, wait_until):
+def test_a_person_clicks(ros, screen, panel, fake, wait_until, suspend):
     shown = panel()
     screen.wait_for("control", LOCKED)
     controller = fake()
@@ -203,7 +203,7 @@ def test_a_person_clicks(ros, screen, panel, fake, wait_until):
         screen.wait_for(name, GREY)
     screen.click("control")
     screen.wait_for("reset", LOCKED)
-    controller.send_signal(signal.SIGSTOP)
+    suspend(controller.pid)
     screen.wait_for("status", FAULT)
     screen.wait_for("control", LOCKED)
     screen.click("emergency")
@@ -227,7 +227,7 @@ def test_a_key_stops(ros, screen, panel, fake, wait_until, key):
     assert ended(wait_until, controller) == 2
 
 
-def test_the_panel_of_the_real_controller(ros, screen, panel, wait_until):
+def test_the_panel_of_the_real_controller(ros, screen, panel, wait_until, suspend):
     import rospy
     from std_msgs.msg import String
 
@@ -255,7 +255,7 @@ def test_the_panel_of_the_real_controller(ros, screen, panel, wait_until):
     screen.wait_for("control", LOCKED)
     again = ros.run("kuka_control", "real_time_controller.py")
     screen.wait_for("control", GREY)
-    again.send_signal(signal.SIGSTOP)
+    suspend(again.pid)
     screen.click("emergency")
     assert ended(wait_until, again) == -signal.SIGKILL
     screen.wait_for("control", LOCKED)

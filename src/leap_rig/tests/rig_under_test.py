@@ -161,6 +161,10 @@ class RigUnderTest:
         """Sends a signal to a node."""
         os.kill(self.pid(name), number)
 
+    def suspend(self, name: str) -> None:
+        """Lets a node stand still, as if it hung."""
+        self._shared.suspend(self.pid(name))
+
     def exit_code(self, name: str) -> int:
         """Waits until a node ends and returns its exit code."""
         if name in self._started:

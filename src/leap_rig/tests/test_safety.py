@@ -179,7 +179,7 @@ def test_the_emergency_button_ends_the_controller_and_the_arm_stands(rig, way):
     else:
         process = controller_process.find(rig.status.pid)
         if "hanging" in way:
-            rig.signal(CONTROLLER, signal.SIGSTOP)
+            rig.suspend(CONTROLLER)
         ended, sentence = emergency.stop(ServiceCaller([emergency.SERVICE]), process, socket.gethostname())
         assert ended, sentence
         assert rig.exit_code(CONTROLLER) == (-signal.SIGKILL if "hanging" in way else 2)
