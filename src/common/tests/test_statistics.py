@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from common.statistics import median, share
+from common.statistics import median, paired_difference, share
 
 
 @pytest.mark.parametrize(
@@ -39,3 +39,31 @@ def test_interval_of_a_median_holds_it_and_narrows():
 def test_a_median_of_nothing_is_refused():
     with pytest.raises(ValueError, match="no median"):
         median([])
+
+
+@pytest.mark.parametrize("statistic", [np.mean, np.median])
+def test_a_paired_difference_does_not_mind_what_the_pairs_have_in_common(statistic):
+    rng = np.random.default_rng(0)
+    common, one, other = rng.normal(0.0, 100.0, 300), rng.normal(1.0, 1.0, 300), rng.normal(0.0, 1.0, 300)
+    found, easy = (paired_difference(one + c, other + c, np.mean) for c in (common, 0.0))
+    assert found == pytest.approx(easy, abs=1e-9)
+    found = paired_difference(one, other, statistic)
+    assert found.low < 1.0 < found.high
+    assert found.is_clear
+    same = paired_difference(one, one, statistic)
+    assert same == (0.0, 0.0, 0.0)
+    assert not same.is_clear
+
+
+def test_the_interval_of_a_paired_difference_is_as_wide_as_it_should_be():
+    rng = np.random.default_rng(1)
+    one, other = rng.normal(0.0, 1.0, 400), rng.normal(0.0, 1.0, 400)
+    found = paired_difference(one, other)
+    assert found.high - found.low == pytest.approx(2 * 1.96 * np.sqrt(2.0) / 20.0, rel=0.15)
+    assert str(found).startswith(f"{found.value:+.1f} (")
+
+
+@pytest.mark.parametrize(("one", "other"), [([], []), ([1.0], [1.0, 2.0])])
+def test_no_pairs_are_refused(one, other):
+    with pytest.raises(ValueError, match="make no pairs"):
+        paired_difference(one, other)

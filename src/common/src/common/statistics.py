@@ -1,8 +1,8 @@
-"""Shares and medians with their confidence intervals."""
+"""Shares, medians and differences with their confidence intervals."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Callable, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,3 +69,46 @@ def median(values: ArrayLike, seed: int = 0) -> Median:
     rng = np.random.default_rng(seed)
     found = np.median(rng.choice(values, (RESAMPLES, len(values))), axis=1)
     return Median(float(np.median(values)), *(float(v) for v in np.percentile(found, (2.5, 97.5))))
+
+
+class Difference(NamedTuple):
+    """How much more one thing has than another, tried on the same cases, and its 95 % bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the interval leaves out zero."""
+        return self.low > 0.0 or self.high < 0.0
+
+    def __str__(self) -> str:
+        """Returns difference and interval."""
+        return f"{self.value:+.1f} ({self.low:+.1f} to {self.high:+.1f})"
+
+
+def paired_difference(
+    one: ArrayLike, other: ArrayLike, statistic: Callable[..., np.ndarray] = np.mean, seed: int = 0
+) -> Difference:
+    """Returns a statistic of one thing's values less that of the other's.
+
+    Whole cases are drawn anew, so that what is common to both, as how hard a case is, does not widen the interval.
+
+    Args:
+        one: its value in each case, shape (n,).
+        other: the other thing's in the same cases, shape (n,).
+        statistic: numpy's mean or median.
+        seed: of the bootstrap.
+
+    Raises:
+        ValueError: there are no cases, or not as many of the one as of the other.
+    """
+    pairs = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
+    n = len(pairs[0])
+    if not n or len(pairs[1]) != n:
+        raise ValueError(f"{n} values and {len(pairs[1])} make no pairs")
+    drawn = np.random.default_rng(seed).integers(0, n, (RESAMPLES, n))
+    a, b = (statistic(values[drawn], axis=1) for values in pairs)
+    value = float(statistic(pairs[0]) - statistic(pairs[1]))
+    return Difference(value, *(float(v) for v in np.percentile(a - b, (2.5, 97.5))))
