@@ -1,9 +1,10 @@
 """Compares what predicts a person's grasps, on episodes that no training saw; resumable.
 
-GGCNN alone as the episodes recorded it, with the person's constant offset, the nearest neighbour among the training
-episodes, and GGCNN with the second network: how far from the person's grasp, in the last frame of each episode whose
-grasp held. Where the episodes are simulated, each grasp is tried by lifting in MuJoCo too, hand wide open. Results go
-to results.csv, one line a grasp, and table.md.
+GGCNN alone, with the person's constant offset, the nearest neighbour among the training episodes, and GGCNN with the
+second network: how far from the person's grasp, in the last frame of each episode whose grasp held; all maps are
+smoothed alike. Where the episodes are simulated, each grasp is tried by lifting in MuJoCo too, hand wide open, and the
+bound is what the simulated person intended: the grasp without the tremor, which nobody can foresee. Results go to
+results.csv, one line a grasp, and table.md, with the differences over the same episodes.
 """
 
 from __future__ import annotations
@@ -20,23 +21,35 @@ import torch
 from tqdm import tqdm
 
 from common.errors import RigError
-from common.statistics import median, share
+from common.poses import inverse
+from common.statistics import median, paired_difference, share
 from grasping import refinement, weights
 from grasping.dataset.labels import own_grasp, pose_from_label, windowed
-from grasping.evaluation.person_errors import Neighbours, miss
+from grasping.evaluation.person_errors import NEAR_M, Neighbours, miss
 from grasping.predictor import Predictor, PredictorSettings
 from grasping.programs import episode_files
-from grasping.programs.evaluate import kept_rows
+from grasping.programs.evaluate import NETWORK_SMOOTHING, kept_rows
 from grasping.programs.make_dataset import ignore_warning
 from grasping.synthetic import episodes
 from grasping.training.refinement_examples import constant_offset, offset_label
 
-COLUMNS = ("episode", "object", "method", "position_mm", "rotation_deg", "near", "lifted")
-PERSON = "the person"
+FIRST = 3
+"""So many of a method's grasps are what a person is offered."""
+COLUMNS = ("episode", "object", "method", "position_mm", "rotation_deg", "near", "nearest_of_3_mm", "lifted")
+ALONE, OFFSET, NEIGHBOUR, BOUND = "GGCNN alone", "GGCNN + constant offset", "nearest neighbour", "bound: without tremor"
+MEASURES = {
+    "position error mm, median": (np.median, lambda r: float(r["position_mm"] or "inf")),
+    "within 20 mm %": (np.mean, lambda r: 100.0 * _within(r["position_mm"])),
+    "rotation error deg, median": (np.median, lambda r: float(r["rotation_deg"] or "inf")),
+    "within 20 mm and 15 deg %": (np.mean, lambda r: 100.0 * (r["near"] == "True")),
+    "one of three within 20 mm %": (np.mean, lambda r: 100.0 * _within(r["nearest_of_3_mm"])),
+    "lifted %": (np.mean, lambda r: 100.0 * (r["lifted"] == "True")),
+}
+"""Columns of the tables: what is made of the episodes' values, and the value of a line of results.csv."""
 
 
 def methods(training: list[episode_files.Named], first: Path, second: list[tuple[str, str]]) -> dict:
-    """Returns for each name what makes of a frame a pose before the camera, shape (4, 4) [m], or None.
+    """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first.
 
     Args:
         training: episodes that teach the offset and the neighbours.
@@ -50,65 +63,102 @@ def methods(training: list[episode_files.Named], first: Path, second: list[tuple
     frames = [f for named in training if named.episode.held for f in named.episode.frames()]
     offset, neighbours = constant_offset(frames), Neighbours(frames)
     network = weights.load(first.read_bytes()).network
+    predict = _predicting(network, None)
+
+    def own(frame):
+        frames = (frame._replace(peak=peak) for peak in predict(frame).peaks)
+        return [f for f in frames if own_grasp(f) is not None]
+
     found = {
-        "GGCNN alone": lambda frame: _pose(own_grasp(frame)),
-        "GGCNN + constant offset": lambda frame: pose_from_label(frame, offset_label(frame, offset)),
-        "nearest neighbour": neighbours.grasp,
-        PERSON: lambda frame: frame.T_camera_grasp,
+        ALONE: lambda frame: [own_grasp(f).T_camera_grasp for f in own(frame)],
+        OFFSET: lambda frame: [pose_from_label(f, offset_label(f, offset)) for f in own(frame)],
+        NEIGHBOUR: lambda frame: [neighbours.grasp(f) for f in own(frame)[:1]],
     }
     for name, file in second:
         found[name] = _refined(network, refinement.load(Path(file).read_bytes()))
     return found
 
 
-def _refined(network, second: refinement.Refinement):
+def _predicting(network, second: refinement.Refinement | None):
+    """Returns what makes the prediction for a frame."""
+
     @lru_cache(maxsize=2)
     def predictor(side: int) -> Predictor:
-        return Predictor(network, PredictorSettings(side), second)
+        settings = PredictorSettings(side, smoothing=NETWORK_SMOOTHING, count=FIRST, threshold=0.0)
+        return Predictor(network, settings, second)
 
-    def grasp(frame):
-        camera = windowed(frame.camera, frame.crop)
-        return _pose(predictor(frame.crop.side).predict(frame.depth_m, camera).grasps[0])
-
-    return grasp
+    return lambda frame: predictor(frame.crop.side).predict(frame.depth_m, windowed(frame.camera, frame.crop))
 
 
-def _pose(grasp):
-    return None if grasp is None else grasp.T_camera_grasp
+def _refined(network, second: refinement.Refinement):
+    predict = _predicting(network, second)
+    return lambda frame: [g.T_camera_grasp for g in predict(frame).grasps if g is not None]
 
 
-def row(named: episode_files.Named, scene, name: str, method) -> dict:
-    """Returns the line of one method's grasp in an episode; nothing is lifted where no scene is known."""
+def row(named: episode_files.Named, scene, name: str, method, lift: bool) -> dict:
+    """Returns the line of one method's grasp in an episode.
+
+    Args:
+        named: the episode.
+        scene: that it shows, None where it is no simulated one; only then the bound is known, and grasps are lifted.
+        name: of the method.
+        method: as `methods` has it.
+        lift: whether to lift.
+    """
     frame = named.episode.frame(len(named.episode) - 1)
-    found = method(frame)
-    line = {"episode": named.name, "object": named.episode.metadata.object, "method": name}
-    if found is None:
-        return {**line, "near": False, "lifted": "" if scene is None else False}
-    missed = miss(frame.T_camera_grasp, found)
-    lifted = "" if scene is None else episodes.held(scene, frame.T_base_camera @ found)
-    line.update(position_mm=1000.0 * missed.position, rotation_deg=np.degrees(missed.rotation), near=missed.is_near)
-    return {**line, "lifted": lifted}
+    line = {**dict.fromkeys(COLUMNS, ""), "episode": named.name, "object": named.episode.metadata.object}
+    line.update(method=name, near="False")
+    if name == BOUND:
+        found = [inverse(frame.T_base_camera) @ episodes.intended(scene, named.episode)]
+    else:
+        found = method(frame)
+    lift = lift and scene is not None
+    if not found:
+        return {**line, "lifted": "False" if lift else ""}
+    misses = [miss(frame.T_camera_grasp, T) for T in found]
+    line.update(position_mm=1000.0 * misses[0].position, rotation_deg=np.degrees(misses[0].rotation))
+    line.update(near=str(misses[0].is_near), nearest_of_3_mm=1000.0 * min(m.position for m in misses))
+    if lift:
+        line["lifted"] = str(episodes.held(scene, frame.T_base_camera @ found[0]))
+    return line
 
 
-def table(rows: list[dict], names) -> str:
-    """Returns the results as a Markdown table; in brackets the 95 % intervals."""
-    lines = [
-        "| method | position error mm, median | rotation error deg, median | within 20 mm and 15 deg % | lifted % |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+def _within(millimetres) -> bool:
+    return millimetres != "" and float(millimetres) < 1000.0 * NEAR_M
+
+
+def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
+    """Returns the results as Markdown, and the differences of the second networks to GGCNN alone and with the offset;
+    in brackets the 95 % intervals.
+
+    Args:
+        rows: lines of results.csv.
+        names: of all methods.
+        second: of second networks.
+    """
+    of = {name: {r["episode"]: r for r in rows if r["method"] == name} for name in (*names, *second)}
+    measures = {k: v for k, v in MEASURES.items() if k != "lifted %" or any(r["lifted"] != "" for r in rows)}
+    lines = [_line("method", *measures), _line(*["---"] * (1 + len(measures)))]
     for name in names:
-        own = [r for r in rows if r["method"] == name]
         cells = []
-        for column in COLUMNS[3:]:
-            values = [str(r[column]) for r in own if r[column] != ""]
-            if not values:
-                cells.append("-")
-            elif column in ("near", "lifted"):
-                cells.append(str(share([v == "True" for v in values])))
-            else:
-                cells.append(str(median([float(v) for v in values])))
-        lines.append(f"| {name} | {' | '.join(cells)} |")
+        for statistic, value in measures.values():
+            values = [value(r) for r in of[name].values()]
+            cells.append(str(median(values) if statistic is np.median else share(np.array(values) > 0.0)))
+        lines.append(_line(name, *cells))
+    lines += ["", _line("difference", *measures), _line(*["---"] * (1 + len(measures)))]
+    for name in second:
+        for other in (ALONE, OFFSET):
+            episodes_of = sorted(of[name].keys() & of[other].keys())
+            cells = [
+                str(paired_difference(*([value(of[m][e]) for e in episodes_of] for m in (name, other)), statistic))
+                for statistic, value in measures.values()
+            ]
+            lines.append(_line(f"{name} less {other}", *cells))
     return "\n".join(lines) + "\n"
+
+
+def _line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def main() -> None:
@@ -139,21 +189,23 @@ def main() -> None:
         found = methods(training, arguments.weights, arguments.refinement)
     except (RigError, OSError) as error:
         parser.error(str(error))
+    if all(episodes.scene_of(named.name) for named in test):
+        found[BOUND] = None
     arguments.folder.mkdir(parents=True, exist_ok=True)
     results = arguments.folder / "results.csv"
     rows = kept_rows(results)
     done = {(r["episode"], r["method"]) for r in rows}
     with results.open("a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if not rows:
             writer.writeheader()
         for named in tqdm(test, unit="episode"):
             missing = [name for name in found if (named.name, name) not in done]
-            at = None if arguments.no_lifting else episodes.scene_of(named.name)
+            at = episodes.scene_of(named.name)
             scene = episodes.situation(*at) if at and missing else None
             for name in missing:
-                line = {**dict.fromkeys(COLUMNS, ""), **row(named, scene, name, found[name])}
+                line = row(named, scene, name, found[name], not arguments.no_lifting)
                 writer.writerow(line)
                 rows.append(line)
             file.flush()
-    (arguments.folder / "table.md").write_text(table(rows, found))
+    (arguments.folder / "table.md").write_text(tables(rows, list(found), [name for name, _ in arguments.refinement]))

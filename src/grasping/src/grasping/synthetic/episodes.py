@@ -70,6 +70,19 @@ def situation(split: str, number: int) -> Situation:
     return Situation(seen, of_pixels, exact, friction, inverse(person.base_in_world(seen.camera)))
 
 
+def intended(of: Situation, made: Episode) -> np.ndarray:
+    """Returns the grasp of an episode as the simulated person meant it, without its tremor, T_base_grasp, shape (4, 4)
+    [m]: no prediction can be expected to be nearer.
+
+    Args:
+        of: the scene of the episode.
+        made: the episode.
+    """
+    who = person.Person(**made.metadata.configuration["person"])
+    steady = who._replace(tremor_m=0.0, tremor_rad=0.0)
+    return _grasp(of, steady, np.random.default_rng(0))
+
+
 def held(of: Situation, T_base_grasp: np.ndarray, opening: float = samples.GRIPPER.opening) -> bool:
     """Returns whether the gripper, open by `opening` [m], lifts something there."""
     T_world_grasp = inverse(of.T_base_world) @ T_base_grasp
