@@ -14,7 +14,16 @@ from common.camera_model import pinhole
 from grasping.depth_image import NETWORK_SIDE, centre_crop, prepare
 from grasping.maps import Peak
 from grasping.projection import grasp
-from grasping.refinement import COARSE, INPUT_TURN, OUTPUT_TURN, Refinement, RefinementNetwork, load, refined_grasp
+from grasping.refinement import (
+    COARSE,
+    INPUT_TURN,
+    OUTPUT_TURN,
+    Refinement,
+    RefinementNetwork,
+    inputs,
+    load,
+    refined_grasp,
+)
 from grasping.weights import WeightsError
 
 CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
@@ -78,6 +87,21 @@ def test_a_shifted_picture_gives_shifted_changes(rows, columns):
     # The border's zeros are felt as far as the layers reach, 1 + 2 (1 + 2 + 4 + 8 + 1) pixels, and the shift.
     inner = (..., slice(40, 60), slice(40, 60))
     torch.testing.assert_close(found[inner], wanted[inner], rtol=1e-4, atol=1e-5 * float(wanted.abs().max()))
+
+
+def test_a_leaning_camera_sees_the_same_heights():
+    """Two things equally high on a table that leans away look alike to the network."""
+    row, column = np.indices(SHAPE)
+    table = 1.0 / (1.4 + 0.001 * (row - 240.0))
+    depth = table.copy()
+    for part in ((slice(200, 240), slice(160, 220)), (slice(300, 340), slice(400, 460))):
+        depth[part] -= 0.05
+    picture = prepare(depth.astype(np.float32), centre_crop(SHAPE))
+    seen = inputs(np.zeros((4, NETWORK_SIDE, NETWORK_SIDE), np.float32), picture)
+    heights = seen[4]
+    np.testing.assert_allclose(heights[heights > 0.025], 0.05, atol=0.025)
+    assert np.median(heights[heights > 0.025]) == pytest.approx(0.05, abs=0.001)
+    assert np.median(np.abs(heights[heights < 0.025])) < 0.001
 
 
 def test_a_constant_offset_moves_the_maps_and_keeps_the_grasps_depth():

@@ -67,7 +67,7 @@ def test_an_example_says_where_the_person_grasped(x, y, z, angle, tilt):
     one = example(frame_of(grasp_at(x, y, z, angle, tilt)), held=True)
     u, v = CAMERA.project(np.array([x, y, z]))
     assert (one.column, one.row) == pytest.approx(((u + 0.5) * 0.375 - 0.5, (v + 0.5) * 0.375 - 0.5))
-    assert one.depth + one.mean == pytest.approx(z, abs=1e-6)
+    assert one.height == pytest.approx(0.7 - z, abs=1e-6)
     assert np.cos(2.0 * (one.angle - angle)) == pytest.approx(1.0, abs=1e-9)
     np.testing.assert_allclose(one.tilt, tilt, atol=1e-9)
 
@@ -92,7 +92,7 @@ def test_a_turned_example_is_the_example_of_the_turned_scene(turn, right, down):
     assert _middle(target.place[0].numpy()) == pytest.approx((turned.row + down, turned.column + right), abs=0.05)
     assert np.cos(2.0 * (float(target.angle[0]) - turned.angle)) == pytest.approx(1.0, abs=1e-6)
     np.testing.assert_allclose(target.tilt[0], turned.tilt, atol=1e-6)
-    assert float(target.depth[0]) == pytest.approx(one.depth)
+    assert float(target.height[0]) == pytest.approx(one.height)
     # GGCNN's peak turns as the grasp does.
     x, y, _ = R @ np.array([peak.column - 149.5, peak.row - 149.5, 0.0])
     best = np.unravel_index(int(maps[0, 0].argmax()), (SIDE, SIDE))
@@ -208,7 +208,7 @@ def right_change(maps, target):
     change[:, 0] = torch.log(target.place.clamp(min=1e-9)) / 20.0 - maps[:, 0]
     change[:, 1] = torch.cos(2.0 * target.angle)[:, None, None] - maps[:, 1]
     change[:, 2] = torch.sin(2.0 * target.angle)[:, None, None] - maps[:, 2]
-    change[:, 4] = target.depth[:, None, None] - maps[:, 4]
+    change[:, 4] = maps[:, 4] - target.height[:, None, None]
     change[:, 5:] = target.tilt[:, :, None, None]
     return change
 

@@ -1,9 +1,9 @@
 """The second network: GGCNN's maps in, the same maps after what a person was seen to do, and the rest of the pose.
 
-A small network looks at GGCNN's maps and the depth and adds to them, pixel by pixel: where the person would rather
-grasp, at which angle, how wide, how much deeper than the surface, and with which tilt. What the person does always,
-like grasping a centimetre to the right, is a constant offset beside it. Untrained, both are zero, and GGCNN's maps come
-back bit by bit.
+A small network looks at GGCNN's maps and at heights above the table, and adds to the maps, pixel by pixel: where the
+person would rather grasp, at which angle, how wide, how much deeper than the surface, and with which tilt. What the
+person does always, like grasping a centimetre to the right, is a constant offset beside it. Untrained, both are zero,
+and GGCNN's maps come back bit by bit.
 
 The maps are those of the network's picture, before they are smoothed. Offset and tilt have the camera's axes: x right,
 y down.
@@ -26,6 +26,7 @@ from grasping.depth_image import Picture
 from grasping.maps import Peak
 from grasping.projection import Grasp
 from grasping.quarter_turns import Features, FromMaps, ToMaps
+from grasping.table_depth import table_depth
 
 SHRINK = 2
 """Pixels of the network's picture, in rows and in columns, to one of the second network's."""
@@ -34,7 +35,7 @@ COARSE = 2
 SIGN, VECTOR = torch.tensor([[-1.0]]), torch.tensor([[0.0, 1.0], [-1.0, 0.0]])
 SCALAR = -SIGN
 INPUT_TURN = torch.block_diag(SCALAR, SIGN, SIGN, SCALAR, SCALAR)
-"""How quality, cos, sin, width and depth turn with the picture."""
+"""How quality, cos, sin, width and height turn with the picture."""
 OUTPUT_TURN = torch.block_diag(SCALAR, SIGN, SIGN, SCALAR, SCALAR, VECTOR)
 """How the changes of quality, cos, sin and width, the step along z and the tilt turn."""
 INPUT_SCALE = (2.0, 1.0, 1.0, 4.0, 20.0)
@@ -81,7 +82,7 @@ class RefinementNetwork(nn.Module):
         """Returns the changes of quality, cos, sin and width, dz [m] and the tilt [rad], shape (n, 7, h, w).
 
         Args:
-            x: GGCNN's maps and the depth less its mean [m], shape (n, 5, h, w), at a `SHRINK`th of their size.
+            x: GGCNN's maps and the height above the table [m], shape (n, 5, h, w), at a `SHRINK`th of their size.
         """
         # With the channels last a processor is three times as fast.
         x = F.relu(self.first((x * self.input_scale).contiguous(memory_format=torch.channels_last)))
@@ -89,6 +90,16 @@ class RefinementNetwork(nn.Module):
         for layer in self.rest:
             x = x + F.relu(layer(x))
         return F.interpolate(self.last(x) * self.output_scale, scale_factor=COARSE, mode="bilinear")
+
+
+def inputs(output: np.ndarray, picture: Picture) -> np.ndarray:
+    """Returns what the second network looks at, shape (5, h, w), float32.
+
+    Args:
+        output: of the first network, shape (4, h, w).
+        picture: that it saw.
+    """
+    return np.concatenate([output, (table_depth(picture) - picture.depth)[None]]).astype(np.float32)
 
 
 class Refinement:
@@ -104,7 +115,7 @@ class Refinement:
             output: of the first network, shape (4, h, w), float32; h and w are even.
             picture: that it saw.
         """
-        maps = np.concatenate([output, picture.input[None]]).astype(np.float32)
+        maps = inputs(output, picture)
         with torch.no_grad():
             small = F.avg_pool2d(torch.from_numpy(maps)[None], SHRINK)
             change = F.interpolate(self._network(small), scale_factor=SHRINK, mode="bilinear")[0].numpy()

@@ -28,7 +28,7 @@ class Targets(NamedTuple):
     Attributes:
         place: about the person's pixel, sum 1, shape (n, SIDE, SIDE); zero in synthetic scenes.
         held: 1 where the person's grasp held, 0 where it failed, shape (n,).
-        depth: of the grasp less the picture's mean, shape (n,) [m].
+        height: of the grasp above the table, along the optical axis, shape (n,) [m].
         angle: shape (n,) [rad].
         tilt: without the constant one, shape (n, 2) [rad].
         is_scene: 1 for a synthetic scene, shape (n,).
@@ -39,7 +39,7 @@ class Targets(NamedTuple):
 
     place: torch.Tensor
     held: torch.Tensor
-    depth: torch.Tensor
+    height: torch.Tensor
     angle: torch.Tensor
     tilt: torch.Tensor
     is_scene: torch.Tensor
@@ -98,7 +98,7 @@ def _moved(one: Example | Scene, offset: np.ndarray, turn: float, shift: tuple[f
     """Returns maps and targets of one picture, turned and shifted."""
     maps, forward = moved_maps(one.maps, turn, shift)
     blank = np.zeros((SIDE, SIDE), np.float32)
-    made = {"maps": maps, "place": blank, "held": 0.0, "depth": 0.0, "angle": 0.0, "tilt": np.zeros(2)}
+    made = {"maps": maps, "place": blank, "held": 0.0, "height": 0.0, "angle": 0.0, "tilt": np.zeros(2)}
     made.update(is_scene=float(isinstance(one, Scene)), graspable=blank, grasp_angle=blank, grasp_width=blank)
     if isinstance(one, Scene):
         size = (SIDE, SIDE)
@@ -110,7 +110,7 @@ def _moved(one: Example | Scene, offset: np.ndarray, turn: float, shift: tuple[f
     # The camera's y axis points down: anticlockwise in the picture is a negative turn about its z axis.
     c, s = np.cos(turn), np.sin(turn)
     tilt = np.array([[c, s], [-s, c]]) @ (one.tilt - offset[2:])
-    made.update(place=place_target(row, column), held=float(one.held), depth=one.depth, tilt=tilt)
+    made.update(place=place_target(row, column), held=float(one.held), height=one.height, tilt=tilt)
     made.update(angle=one.angle + turn)
     return made
 

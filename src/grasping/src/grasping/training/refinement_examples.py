@@ -14,6 +14,7 @@ from grasping.dataset.episode import Frame
 from grasping.dataset.labels import RelativeLabel, map_pixel, relative_label, tilt_and_angle
 from grasping.depth_image import NETWORK_SIDE, Crop, prepare
 from grasping.refinement import SHRINK
+from grasping.table_depth import table_depth
 
 SIDE = NETWORK_SIDE // SHRINK
 SAME_PLACE_M = 0.04
@@ -24,10 +25,10 @@ class Example(NamedTuple):
     """A frame of a person's episode.
 
     Attributes:
-        maps: GGCNN's quality, cos, sin and width, and the depth less its mean [m], shape (5, SIDE, SIDE), float16.
+        maps: GGCNN's quality, cos, sin and width, and the height above the table [m], shape (5, SIDE, SIDE), float16.
         row: of the person's grasp; may lie outside.
         column: likewise.
-        depth: of the grasp less the picture's mean [m].
+        height: of the grasp above the table, along the optical axis [m].
         angle: in the picture, anticlockwise [rad].
         tilt: of the approach about the camera's x and y axes, shape (2,) [rad].
         held: whether the grasp held.
@@ -37,7 +38,7 @@ class Example(NamedTuple):
     maps: np.ndarray
     row: float
     column: float
-    depth: float
+    height: float
     angle: float
     tilt: np.ndarray
     held: bool
@@ -91,9 +92,11 @@ def example(frame: Frame, held: bool) -> Example | None:
     except ValueError:
         return None
     row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, SIDE)
-    maps = np.concatenate([[shrunk(m.astype(np.float32)) for m in frame.maps], [shrunk(picture.input)]])
-    depth = float(T[2, 3] - picture.mean)
-    return Example(maps.astype(np.float16), row, column, depth, angle, tilt, held, picture.mean)
+    table = table_depth(picture)
+    seen = [shrunk(m.astype(np.float32)) for m in (*frame.maps, table - picture.depth)]
+    near = tuple(int(np.clip(SHRINK * i, 0, NETWORK_SIDE - 1)) for i in (row, column))
+    height = float(table[near] - T[2, 3])
+    return Example(np.stack(seen).astype(np.float16), row, column, height, angle, tilt, held, picture.mean)
 
 
 def scene(output: np.ndarray, sample) -> Scene:

@@ -46,7 +46,7 @@ def losses(maps: torch.Tensor, change: torch.Tensor, target: Targets) -> Losses:
     person, held = 1.0 - target.is_scene, target.held * (1.0 - target.is_scene)
     bell = target.place
     agreement = _cos_of_twice(cos, sin, target.angle[:, None, None])
-    depth = (maps[:, 4] + change[:, 4] - target.depth[:, None, None]) / DEPTH_SCALE_M
+    depth = (maps[:, 4] - change[:, 4] - target.height[:, None, None]) / DEPTH_SCALE_M
     tilt = (change[:, 5:] - target.tilt[:, :, None, None]) / TILT_SCALE_RAD
     of_place = held * (bell * (torch.log(bell.clamp(min=LEAST)) - logs)).sum((1, 2))
     near = (bell / bell.amax((1, 2), keepdim=True).clamp(min=LEAST) * logs.exp()).sum((1, 2))
