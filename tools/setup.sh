@@ -8,16 +8,16 @@ log=${LEAP_RIG_LOG:-build/setup.log}
 : >"$log"
 
 if [ -t 1 ]; then clear_line=$'\r\033[K' line_end=''; else clear_line='' line_end=$'\n'; fi
-last_shown=-10
+last_shown=-10 shown_at=0
 
 headline() { printf '%s\n' "$1"; last_shown=-10; }
 
-# progress PERCENT TEXT: one line that is overwritten on a terminal; a line every tenth elsewhere.
+# progress PERCENT TEXT: one line that is overwritten on a terminal; elsewhere a line every tenth, or after 20 s.
 progress() {
   local percent=$1 text=$2 bar
   if [ -z "$clear_line" ]; then
-    [ $((percent - last_shown)) -ge 10 ] || return 0
-    last_shown=$percent
+    [ $((percent - last_shown)) -ge 10 ] || [ $((SECONDS - shown_at)) -ge 20 ] || return 0
+    last_shown=$percent shown_at=$SECONDS
   fi
   printf -v bar '%*s' $((percent / 4)) ''
   printf '%s  [%-25s] %3d %%  %.60s%s' "$clear_line" "${bar// /#}" "$percent" "$text" "$line_end"
@@ -73,7 +73,8 @@ make_environment() {
       echo "$line" >>"$log"
       case $line in
         Collecting*|"Requirement already satisfied"*) count=$((count + 1)); progress $((count < 2 * total ? count * 45 / total : 90)) "$line" ;;
-        Installing*) progress 95 "installing" ;;
+        *Downloading*|*"Building wheel"*) progress $((count < 2 * total ? count * 45 / total : 90)) "${line#"${line%%[! ]*}"}" ;;
+        Installing*) progress 95 "installing them, which takes a minute or two" ;;
         pip-failed) exit 1 ;;
       esac
     done || failed "Installing the Python requirements failed."

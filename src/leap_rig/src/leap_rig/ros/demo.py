@@ -25,7 +25,7 @@ from kuka_msgs.srv import exitApp
 from leap_rig.recorder import Recorder
 from leap_rig.report import as_text, summarise
 from leap_rig.ros.listener import RigListener
-from leap_rig.ros.live_status import LiveStatus
+from leap_rig.ros.live_status import CLEAR_LINE, COMPLAINT, LiveStatus
 
 CONTROLLER = "kuka_real_time_node"
 READY_TIMEOUT_S = 90.0
@@ -152,6 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
         print("No screen found (DISPLAY is not set), so RViz and the panel are left out.")
     launch_file = Path(rospkg.RosPack().get_path("leap_rig")) / "launch" / "demo.launch"
     deaths = Deaths()
+    os.environ["ROSCONSOLE_FORMAT"] = (CLEAR_LINE if sys.stdout.isatty() else "") + COMPLAINT
     uuid = roslaunch.rlutil.get_or_generate_uuid(None, False)
     parent = roslaunch.parent.ROSLaunchParent(
         uuid,

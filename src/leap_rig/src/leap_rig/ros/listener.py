@@ -10,7 +10,6 @@ import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import String
 
@@ -30,12 +29,11 @@ FRESH_S = 0.2
 
 
 class RigListener:
-    """Feeds a Recorder. `mode` is the controller's mode, `warnings` what nodes complained of since the last look."""
+    """Feeds a Recorder. `mode` is the controller's mode."""
 
     def __init__(self, recorder: Recorder) -> None:
         self.recorder = recorder
         self.mode = ""
-        self.warnings: list[str] = []
         self._lock = threading.Lock()
         self._T_flange_tool: np.ndarray | None = None
         self._subscribers: list[rospy.Subscriber] = []
@@ -51,7 +49,6 @@ class RigListener:
             ("simulation/scenario", DiagnosticStatus, self._scenario, 10),
             ("kuka/mode", String, self._mode, 50),
             ("reflex_takktile/hand_state", Hand, self._hand, 1),
-            ("/rosout", Log, self._log, 100),
         ):
             self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=queue))
 
@@ -89,10 +86,6 @@ class RigListener:
 
     def _mode(self, message: String) -> None:
         self.mode = message.data
-
-    def _log(self, message: Log) -> None:
-        if message.level >= Log.WARN:
-            self.warnings.append(f"{message.name}: {message.msg}")
 
     def _hand(self, message: Hand) -> None:
         with self._lock:

@@ -7,9 +7,16 @@ import time
 
 from leap_rig.ros.listener import RigListener
 
+CLEAR_LINE = "\r\033[K"
+COMPLAINT = "[${severity}] ${node}: ${message}"
+"""ROSCONSOLE_FORMAT of the nodes."""
+
 
 class LiveStatus:
-    """One live line on a terminal, a line every five seconds elsewhere; complaints of the nodes in full."""
+    """One live line on a terminal, a line every five seconds elsewhere.
+
+    Warnings of the nodes come from the nodes themselves; `COMPLAINT` is the form that fits between the live lines.
+    """
 
     def __init__(self) -> None:
         self._terminal = sys.stdout.isatty()
@@ -22,9 +29,6 @@ class LiveStatus:
         """Prints what is new, if it is time."""
         now = time.monotonic()
         recorder = listener.recorder
-        warnings, listener.warnings = listener.warnings, []
-        for warning in warnings:
-            self.say(warning)
         if now < self._next:
             return
         self._next = now + self._period
@@ -47,4 +51,4 @@ class LiveStatus:
             print()
 
     def _print(self, text: str) -> None:
-        print(f"\r\033[K{text}" if self._terminal else text, end="", flush=True)
+        print(f"{CLEAR_LINE}{text}" if self._terminal else text, end="", flush=True)

@@ -25,7 +25,6 @@ from rig_simulation.faults_camera import CAMERA_FAULTS, Exposure, Stream
 
 HOST = "127.0.0.1"
 RETRY_PERIOD_S = 0.5
-REMIND_S = 10.0
 TIMEOUT_S = 1.0
 SMOOTHING = 0.1
 """Weight of the newest value in the times that diagnostics show."""

@@ -19,13 +19,14 @@ from common.poses import inverse, pose
 from common.ros.conversions import stamped_transform
 from common.rotations import rotation_from_zyx
 from rig_simulation.control_port import ControlClient
+from rig_simulation.ros.silence import Silence
 from rig_simulation.world.model import camera_link_pose
 from rig_simulation.world.scene import scene_from
 
 NAME = "camera_truth"
 BASE_FRAME, CAMERA_FRAME = "kuka/base_frame", "camera_link"
 DEFAULTS = {"host": "127.0.0.1", "port": 30021}
-PERIOD_S, REMIND_S, TIMEOUT_S = 1.0, 10.0, 2.0
+PERIOD_S, TIMEOUT_S = 1.0, 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,12 +50,14 @@ def main() -> None:
     client = ControlClient(config.host, config.port, TIMEOUT_S)
     broadcaster = tf2_ros.StaticTransformBroadcaster()
     published: np.ndarray | None = None
+    silence = Silence()
     while not rospy.is_shutdown():
         try:
             T_base_camera = camera_in_base(client.ask("scene"))
         except DeviceError as error:
-            rospy.logwarn_throttle(REMIND_S, "%s", error)
+            silence.goes_on(error)
         else:
+            silence.is_over()
             if published is None or not np.array_equal(published, T_base_camera):
                 published = T_base_camera
                 broadcaster.sendTransform(stamped_transform(T_base_camera, BASE_FRAME, CAMERA_FRAME, rospy.Time.now()))

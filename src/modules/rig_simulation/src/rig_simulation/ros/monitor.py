@@ -21,12 +21,12 @@ from common.config import integer, parse, text
 from common.errors import DeviceError
 from common.rotations import quaternion_from_rotation
 from rig_simulation.control_port import ControlClient
+from rig_simulation.ros.silence import Silence
 
 BASE_FRAME = "kuka/base_frame"
 FLANGE_PERIOD_S = 0.01
 STATUS_PERIOD_S = 0.1
 RETRY_PERIOD_S = 0.5
-REMIND_S = 10.0
 TIMEOUT_S = 1.0
 SHOWN = ("mode", "tcp_speed", "max_tcp_speed", "stops", "goals", "safety_stop", "connected")
 DEFAULTS = {"host": "127.0.0.1", "port": 30011}
@@ -56,14 +56,16 @@ class Monitor:
     def run(self) -> None:
         """Polls until ROS shuts down; waits where the controller does not answer."""
         next_poll = time.monotonic()
+        silence = Silence()
         while not rospy.is_shutdown():
             try:
                 state = self._client.ask("state")
             except DeviceError as error:
-                rospy.logwarn_throttle(REMIND_S, "%s", error)
+                silence.goes_on(error)
                 self._publish_status(DiagnosticStatus.ERROR, str(error), {})
                 next_poll = time.monotonic() + RETRY_PERIOD_S
             else:
+                silence.is_over()
                 self._publish(state)
                 next_poll = max(next_poll + FLANGE_PERIOD_S, time.monotonic())
             time.sleep(max(0.0, next_poll - time.monotonic()))

@@ -20,11 +20,11 @@ from common.rotations import quaternion_from_rotation, rotation_from_quaternion,
 from rig_msgs.msg import ObjectState, ObjectStates
 from rig_msgs.srv import SetScene, SetSceneRequest, SetSceneResponse
 from rig_simulation.control_port import ControlClient
+from rig_simulation.ros.silence import Silence
 
 NAME = "world_monitor"
 BASE_FRAME = "kuka/base_frame"
 RETRY_PERIOD_S = 0.5
-REMIND_S = 10.0
 TIMEOUT_S = 2.0
 DEFAULTS = {"host": "127.0.0.1", "port": 30021, "rate": 30.0}
 
@@ -51,11 +51,13 @@ class WorldMonitor:
     def run(self) -> None:
         """Polls until ROS shuts down; waits where the world does not answer."""
         due = time.monotonic()
+        silence = Silence()
         while not rospy.is_shutdown():
             try:
                 self._publish(self._client.ask("objects"))
+                silence.is_over()
             except DeviceError as error:
-                rospy.logwarn_throttle(REMIND_S, "%s", error)
+                silence.goes_on(error)
                 due = time.monotonic() + RETRY_PERIOD_S
             else:
                 due = max(due + self._period, time.monotonic())

@@ -21,6 +21,7 @@ from common.poses import inverse
 from common.rotations import quaternion_from_rotation
 from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient
+from rig_simulation.ros.silence import Silence
 from rig_simulation.view.forces import Arrow, PairForce, arrows, pair_forces, short
 from rig_simulation.view.shapes import BALL, BOX, CYLINDER, Shape, base_pose, beyond, shapes
 
@@ -29,7 +30,6 @@ FRAME = "kuka/base_frame"
 DEFAULTS = {"host": "127.0.0.1", "port": 30021, "rate": 10.0}
 TIMEOUT_S = 1.0
 RETRY_PERIOD_S = 0.5
-REMIND_S = 10.0
 LIFETIME_S = 1.0
 """Markers of a world that is gone vanish after this time."""
 
@@ -60,6 +60,7 @@ class WorldView:
     def run(self) -> None:
         """Publishes until ROS shuts down; waits where the world does not answer."""
         due = time.monotonic()
+        silence = Silence()
         while not rospy.is_shutdown():
             due = max(due + self._period, time.monotonic())
             if self._objects.get_num_connections() or self._contacts.get_num_connections():
@@ -67,9 +68,10 @@ class WorldView:
                     self._world.follow()
                     contacts = self._client.ask("contacts")["contacts"]
                 except DeviceError as error:
-                    rospy.logwarn_throttle(REMIND_S, "%s", error)
+                    silence.goes_on(error)
                     due = time.monotonic() + RETRY_PERIOD_S
                 else:
+                    silence.is_over()
                     self._publish(contacts)
             time.sleep(max(0.0, due - time.monotonic()))
 
