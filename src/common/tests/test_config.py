@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import choice, flag, integer, keys, number, parse, parse_part, path, required, text, vector
+from common.config import REQUIRED, choice, flag, integer, keys, number, parse, parse_part, path, required, text, vector
 from common.errors import ConfigError
 
 
@@ -97,15 +97,15 @@ def test_not_a_mapping():
         parse(Example, 7, "kuka/")
 
 
-def test_keys_tell_type_range_unit_and_meaning():
+def test_keys_tell_type_range_unit_meaning_and_default():
     assert keys(Example) == [
-        ("robot", "one of", "LBR7R800, LBR14R820", "", "the arm"),
-        ("angle", "number", "(0, 180)", "deg", ""),
-        ("size", "whole number", "[1, 100]", "", ""),
-        ("centre", "3 numbers", "", "m", ""),
-        ("home", "true or false", "", "", ""),
-        ("host", "text", "", "", ""),
-        ("file", "absolute path, or empty", "", "", ""),
+        ("robot", "one of", "LBR7R800, LBR14R820", "", "the arm", REQUIRED),
+        ("angle", "number", "(0, 180)", "deg", "", REQUIRED),
+        ("size", "whole number", "[1, 100]", "", "", REQUIRED),
+        ("centre", "3 numbers", "", "m", "", REQUIRED),
+        ("home", "true or false", "", "", "", REQUIRED),
+        ("host", "text", "", "", "", REQUIRED),
+        ("file", "absolute path, or empty", "", "", "", ""),
     ]
 
 

@@ -162,8 +162,9 @@ def test_the_hand_calibrates_then_follows_and_opens(ros, driver, tracker, wait_u
     times = ros.record("rig/stage_times", TimeReference)
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     tracker.show(make_hand(20.0))
-    ros.launch("leap_hand", "leap_hand_solo.launch")
+    process = ros.launch("leap_hand", "leap_hand_solo.launch")
     wait_until(lambda: is_near(driver, FIST), 40.0, "the fist")
+    assert "Force limit" not in process.log_path.read_text()
     assert driver.calls == ["calibrate_fingers", "calibrate_tactile"]
     assert driver.commands_at_calls == [0, 0]
     wait_until(lambda: times, 5.0, "a stage time")
@@ -271,6 +272,18 @@ def test_without_the_hands_state_no_finger_closes(ros, driver, tracker, wait_unt
     tracker.show(make_hand(20.0))
     sent = len(driver.commands)
     wait_until(lambda: len(driver.commands) > sent + 20, 10.0, "more commands")
+    assert is_near(driver, np.zeros(4))
+
+
+def test_a_hand_whose_state_never_comes_is_complained_of(ros, driver, tracker, wait_until):
+    import rospy
+
+    rospy.set_param("leap_hand", LIMITS)
+    driver.fall_silent()
+    tracker.show(make_hand(20.0))
+    process = ros.run("leap_hand", "leap_hand_node.py")
+    words = "Force limit: no state of the robot hand came yet: no finger closes."
+    wait_until(lambda: words in process.log_path.read_text(), 40.0, "the complaint")
     assert is_near(driver, np.zeros(4))
 
 

@@ -1,7 +1,7 @@
 """Typed configuration: a frozen dataclass is the schema of one yaml mapping.
 
 Each field says its type, unit and range; `parse` reports every fault at once, each as one sentence that names the key,
-the value and what is allowed. Defaults live in the yaml alone, so a missing key is a fault, and so is an unknown one.
+the value and what is allowed. A missing key is a fault, and so is an unknown one: defaults live in the yaml alone.
 
     @dataclass(frozen=True)
     class TeleopConfig:
@@ -10,7 +10,8 @@ the value and what is allowed. Defaults live in the yaml alone, so a missing key
         def faults(self):                       # optional: what no single field can check
             return []
 
-A field made with `absent` came later than the files that people have: a file without it means that value.
+A field made with `absent` may be missing, which means that value: it came later than the files that people have, or
+it is a node's private parameter, for which there is no file.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ def number(
     return _field(_Number(unit, low, high, above, below), doc, absent)
 
 
-def integer(unit: str = "", *, low: Bound = None, high: Bound = None, doc: str = "") -> Any:
+def integer(unit: str = "", *, low: Bound = None, high: Bound = None, doc: str = "", absent: Any = REQUIRED) -> Any:
     """A whole number within [low, high]."""
-    return _field(_Integer(unit, low, high, None, None), doc)
+    return _field(_Integer(unit, low, high, None, None), doc, absent)
 
 
 def vector(
@@ -71,9 +72,9 @@ def flag(doc: str = "", absent: Any = REQUIRED) -> Any:
     return _field(_Flag(), doc, absent)
 
 
-def text(doc: str = "") -> Any:
-    """A string that is not empty."""
-    return _field(_Text(), doc)
+def text(doc: str = "", absent: Any = REQUIRED, empty: bool = False) -> Any:
+    """A string that is not empty, unless it may be."""
+    return _field(_Text(empty), doc, absent)
 
 
 def path(doc: str = "", absent: Any = REQUIRED) -> Any:
@@ -81,9 +82,9 @@ def path(doc: str = "", absent: Any = REQUIRED) -> Any:
     return _field(_Path(), doc, absent)
 
 
-def choice(*options: str, doc: str = "") -> Any:
+def choice(*options: str, doc: str = "", absent: Any = REQUIRED) -> Any:
     """One of the given strings."""
-    return _field(_Choice(options), doc)
+    return _field(_Choice(options), doc, absent)
 
 
 def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", others: Iterable[str] = ()) -> Schema:
@@ -138,19 +139,24 @@ def parse_part(
 
 
 class Key(NamedTuple):
-    """One key of a schema, for tables: its type in a word, its range and unit where it has them, its meaning."""
+    """One key of a schema, for tables: its type in a word, its range and unit where it has them, its meaning, and the
+    value that stands for a missing key, REQUIRED where it must be there."""
 
     name: str
     type: str
     range: str
     unit: str
     meaning: str
+    absent: Any
 
 
 def keys(schema: type) -> list[Key]:
     """Returns the keys of the schema in their order."""
     columns = ((f, f.metadata["kind"].columns()) for f in dataclasses.fields(schema))
-    return [Key(f.name, kind, interval, unit, f.metadata["doc"]) for f, (kind, interval, unit) in columns]
+    return [
+        Key(f.name, kind, interval, unit, f.metadata["doc"], f.metadata["absent"])
+        for f, (kind, interval, unit) in columns
+    ]
 
 
 def required(schema: type) -> tuple[str, ...]:
@@ -264,17 +270,20 @@ class _Flag:
         return "true or false", "", ""
 
 
+@dataclasses.dataclass(frozen=True)
 class _Text:
+    empty: bool
+
     def read(self, value: Any) -> Any:
-        if not isinstance(value, str) or not value.strip():
+        if not isinstance(value, str) or not (self.empty or value.strip()):
             raise ValueError
         return value
 
     def allowed(self) -> str:
-        return "a string that is not empty"
+        return "a string" if self.empty else "a string that is not empty"
 
     def columns(self) -> tuple[str, str, str]:
-        return "text", "", ""
+        return "text, or empty" if self.empty else "text", "", ""
 
 
 class _Path:

@@ -13,6 +13,16 @@ FINGERS = ("index", "middle", "thumb", "spread")
 
 
 @dataclass(frozen=True)
+class NodeConfig:
+    """The private parameters of the node."""
+
+    hand_only: bool = flag(doc="run without waiting for kuka/gripper_control", absent=True)
+    service_timeout: float = number(
+        "s", above=0.0, doc="how long to wait for the services of the hand's driver", absent=60.0
+    )
+
+
+@dataclass(frozen=True)
 class HandConfig:
     """The parameters under `leap_hand/`: per finger [open, closed], of the human and of the robot hand; force limit."""
 

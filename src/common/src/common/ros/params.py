@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Iterable
+from typing import Any
 
 import rospy
 
@@ -19,6 +20,26 @@ FEW = 3
 """More missing keys than these are no slip in a file: the file was not loaded."""
 
 REMIND_S = 5.0
+
+
+def private_values() -> dict[str, Any]:
+    """Returns what the node was given as private parameters."""
+    return rospy.get_param("~", {})
+
+
+def private_config(schema: type[Schema], section: str = "", others: Iterable[str] = ()) -> Schema:
+    """Returns the node's private parameters, or those of one section.
+
+    Args:
+        schema: a frozen dataclass of common.config; a key that nobody gave has its value `absent`.
+        section: the parameters ~section/...; empty: those of the node itself.
+        others: keys that may stand beside the schema's own.
+
+    Raises:
+        ConfigError: a parameter is missing, unknown or out of range.
+    """
+    values = private_values().get(section, {}) if section else private_values()
+    return parse(schema, values, prefix=f"~{section}/" if section else "~", others=others)
 
 
 def wait_for_param(name: str):

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Bool
 
-from common.config import flag, number, parse
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
-from common.ros.params import wait_for_config
+from common.ros.params import private_config, wait_for_config
 from common.ros.stage_times import StageTimes
-from leap_hand.config import HandConfig
+from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import ForceLimit, LimitedCommand
 from leap_hand.ros.calibration import calibrate
 from leap_hand.ros.hand_state import state_from_hand
@@ -28,15 +26,8 @@ from reflex_msgs.msg import Hand, RadianServoCommands
 WATCH_PERIOD_S = 0.1
 HUMAN_BUFFER_BYTES = 2**20
 """Room for many messages: rospy drops all but the newest only among those that it has read."""
-PRIVATE_DEFAULTS = {"hand_only": True, "service_timeout": 60.0}
-
-
-@dataclass(frozen=True)
-class NodeConfig:
-    """The node's private parameters."""
-
-    hand_only: bool = flag(doc="run without waiting for kuka/gripper_control")
-    service_timeout: float = number("s", above=0.0, doc="how long to wait for the services of the hand's driver")
+FIRST_STATE_S = 2.0
+"""The hand's state comes so soon after the node has subscribed to it."""
 
 
 class TeleopNode:
@@ -55,6 +46,12 @@ class TeleopNode:
         )
         self._stage_times = StageTimes("leap_hand")
         Diagnostics("leap_hand", self._diagnostics)
+        self._felt = threading.Event()
+        rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
+
+    def run(self) -> None:
+        """Follows the person's hand as soon as the robot hand is felt, and watches the stream until ROS shuts down."""
+        self._felt.wait(FIRST_STATE_S)
         rospy.Subscriber("kuka/gripper_control", Bool, self._on_gripper, queue_size=1)
         rospy.Subscriber(
             "leap_motion/leap_device",
@@ -64,10 +61,6 @@ class TeleopNode:
             buff_size=HUMAN_BUFFER_BYTES,
             tcp_nodelay=True,
         )
-        rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
-
-    def watch(self) -> None:
-        """Watches the stream until ROS shuts down."""
         while not rospy.is_shutdown():
             with self._lock:
                 self._carry_out(self._teleop.silence(time.monotonic()))
@@ -88,6 +81,7 @@ class TeleopNode:
         with while_running(), self._lock:
             if self._force_limit.feel(state_from_hand(hand), time.monotonic()) and self._wanted is not None:
                 self._send(self._wanted)
+            self._felt.set()
 
     def _carry_out(self, result: HandResult | None) -> None:
         """Sends the command of a result, and says what changed."""
@@ -127,10 +121,10 @@ class TeleopNode:
 
 
 def _run() -> None:
-    node = parse(NodeConfig, {**PRIVATE_DEFAULTS, **rospy.get_param("~", {})}, prefix="~")
+    node = private_config(NodeConfig)
     config = wait_for_config(HandConfig, "leap_hand")
     calibrate(node.service_timeout)
-    TeleopNode(Teleop(config, node.hand_only), ForceLimit(config)).watch()
+    TeleopNode(Teleop(config, node.hand_only), ForceLimit(config)).run()
 
 
 def main() -> None:
