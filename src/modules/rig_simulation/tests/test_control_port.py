@@ -120,6 +120,22 @@ def test_the_client_comes_back_after_the_port_did(port):
     client.close()
 
 
+def test_a_request_that_is_being_answered_ends_before_the_port_does():
+    begun, go_on, ended = threading.Event(), threading.Event(), threading.Event()
+
+    def take_long():
+        begun.set()
+        go_on.wait(30.0)
+        ended.set()
+
+    with ControlPort({"take_long": take_long}) as port, socket.create_connection((port.host, port.port), 30.0) as s:
+        s.sendall(b'{"do": "take_long"}\n')
+        assert begun.wait(30.0)
+        threading.Timer(0.3, go_on.set).start()
+        port.close()
+        assert ended.is_set()
+
+
 def test_a_silent_port_times_out():
     with socket.create_server(("127.0.0.1", 0)) as silent:
         client = ControlClient("127.0.0.1", silent.getsockname()[1], 0.1)

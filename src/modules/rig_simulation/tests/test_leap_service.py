@@ -217,6 +217,26 @@ def test_our_client_follows_a_restart_on_the_same_port(start, wait_until):
         client.close()
 
 
+def test_a_request_that_is_being_answered_when_the_service_ends_is_carried_out(start, wait_until):
+    def refused():
+        try:
+            socket.create_connection((service.host, service.port), 5.0).close()
+        except ConnectionRefusedError:
+            return True
+
+    def play_late():
+        service.stop()
+        wait_until(refused, 10.0, "the end of the service's port")
+        ended.wait(0.3)
+        service._play()
+
+    ended = threading.Event()
+    service = start(playing=False, calls={"play_late": play_late})
+    with pytest.raises(DeviceError, match="does not answer"):  # its connection is closed by then
+        ask(service, "play_late")
+    wait_until(lambda: service._playback.playing, 3.0, "the request to be carried out")
+
+
 def test_a_port_in_use_and_a_foreign_address_are_refused(start):
     service = start()
     with pytest.raises(DeviceError, match="Cannot listen"):

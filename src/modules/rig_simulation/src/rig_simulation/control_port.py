@@ -23,7 +23,8 @@ MAX_LINE_BYTES = 65536
 MAX_CLIENTS = 16
 POLL_S = 0.5
 HALF_LINE_TIMEOUT_S = 5.0
-CLOSE_TIMEOUT_S = 2.0
+CLOSE_TIMEOUT_S = 10.0
+"""Longest wait for a request that is being answered; to build another world takes seconds on a busy machine."""
 
 
 class ControlPort:
@@ -42,7 +43,7 @@ class ControlPort:
     def __init__(self, handlers: Mapping[str, Callable[..., Any]], host: str = "127.0.0.1", port: int = 0) -> None:
         self._handlers = {name: (handler, inspect.signature(handler)) for name, handler in handlers.items()}
         self._closed = threading.Event()
-        self._clients: set[socket.socket] = set()
+        self._clients: dict[socket.socket, threading.Thread] = {}
         self._lock = threading.Lock()
         self._listener = listen(host, port, "the control port", backlog=MAX_CLIENTS)
         self._listener.settimeout(POLL_S)
@@ -51,16 +52,22 @@ class ControlPort:
         self._acceptor.start()
 
     def close(self) -> None:
-        """Ends all connections and frees the port; may be called twice."""
+        """Ends all connections and frees the port; may be called twice.
+
+        Requests that are being answered come to their end first: a thread that is still inside the physics when the
+        program ends would crash it.
+        """
         self._closed.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         with self._lock:
+            serving = list(self._clients.values())
             for client in self._clients:
                 with contextlib.suppress(OSError):
                     client.shutdown(socket.SHUT_RDWR)
-        if threading.current_thread() is not self._acceptor:
-            self._acceptor.join(CLOSE_TIMEOUT_S)
+        deadline = time.monotonic() + CLOSE_TIMEOUT_S
+        for thread in (self._acceptor, *serving):
+            thread.join(max(0.0, deadline - time.monotonic()))
         self._listener.close()
 
     def __enter__(self) -> ControlPort:
@@ -81,8 +88,9 @@ class ControlPort:
                 if self._closed.is_set() or len(self._clients) >= MAX_CLIENTS:
                     client.close()
                     continue
-                self._clients.add(client)
-            threading.Thread(target=self._serve, args=(client,), name="control client", daemon=True).start()
+                thread = threading.Thread(target=self._serve, args=(client,), name="control client", daemon=True)
+                self._clients[client] = thread
+                thread.start()  # in the lock: nobody is to wait for its end before it has begun
 
     def _serve(self, client: socket.socket) -> None:
         try:
@@ -104,7 +112,7 @@ class ControlPort:
             pass
         finally:
             with self._lock:
-                self._clients.discard(client)
+                self._clients.pop(client)
             client.close()
 
     def _answer(self, line: bytes) -> dict[str, Any]:

@@ -121,7 +121,8 @@ class LeapService:
         try:
             self._loop.run_until_complete(self._serve())
         finally:
-            self._control.close()
+            # Requests that are being answered wait for the loop.
+            self._loop.run_until_complete(self._loop.run_in_executor(None, self._control.close))
             self._loop.close()
 
     def stop(self) -> None:
