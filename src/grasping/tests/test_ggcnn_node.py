@@ -311,7 +311,7 @@ def test_the_arms_controller_is_asked_and_the_way_goes_on_without_it(ros, camera
         ({"peaks__count": 0}, "~peaks/count is 0, but must be a whole number in [1, 50]"),
         ({"sppeed": 3}, "~sppeed is not a known key"),
         ({"network__weights": "/nowhere/a.pt"}, "The file /nowhere/a.pt cannot be read"),
-        ({"refine": True, "view": "camera", "refinement_weights": "/nowhere/b.pt"}, "The file /nowhere/b.pt cannot"),
+        ({"refine": True, "refinement_weights": "/nowhere/b.pt"}, "The file /nowhere/b.pt cannot"),
     ],
 )
 def test_what_it_cannot_work_with_ends_it_with_a_sentence(ros, changes, sentence):
@@ -339,16 +339,24 @@ def test_weight_files_are_checked(changes, sentence):
         load_network(parse(NetworkConfig, {**own_yaml("ggcnn.yaml")["network"], **changes}))
 
 
-def test_the_second_networks_file_is_read(tmp_path):
+def test_the_second_networks_file_is_read_and_is_for_one_view(tmp_path):
     import torch
 
-    from grasping.refinement import Refinement, RefinementNetwork
+    from grasping.refinement import RefinementNetwork, content
     from grasping.ros.weight_files import load_refinement
+    from grasping.view import CAMERA, TABLE
 
-    torch.save(RefinementNetwork().state_dict(), tmp_path / "refinement.pt")
-    assert isinstance(load_refinement(str(tmp_path / "refinement.pt")), Refinement)
+    network, file = RefinementNetwork(), str(tmp_path / "refinement.pt")
+    for view, other in ((CAMERA, TABLE), (TABLE, CAMERA)):
+        torch.save(content(network, view), file)
+        assert load_refinement(file, view).view == view
+        with pytest.raises(RigError, match=f"learned with view: {view}, but view is {other}"):
+            load_refinement(file, other)
+    torch.save(network.state_dict(), file)
+    with pytest.raises(RigError, match="does not say in which view it learned"):
+        load_refinement(file, CAMERA)
     with pytest.raises(RigError):
-        load_refinement("ggcnn2.pt")
+        load_refinement("ggcnn2.pt", CAMERA)
 
 
 @pytest.mark.parametrize("moment", ["its libraries load", "its networks load", "it works"])
@@ -367,6 +375,25 @@ def test_interrupted_it_ends_whatever_it_does(ros, camera, wait_until, moment):
     process.send_signal(signal.SIGINT)
     assert process.wait(PATIENCE_S) == (-signal.SIGINT if moment == "its libraries load" else 0)
     assert "Traceback" not in process.log_path.read_text()
+
+
+@pytest.mark.parametrize("view", ["camera", "table"])
+def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, calibrated, wait_until, tmp_path, view):
+    import torch
+
+    from common.ros.conversions import pose_from_message
+    from grasp_msgs.msg import GraspList
+    from grasping.refinement import RefinementNetwork, content
+
+    network, file = RefinementNetwork(), tmp_path / "refinement.pt"
+    network.offset[2] = 0.2  # a tilt about the view's x axis
+    torch.save(content(network, view), file)
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    start(ros, view=view, refine=True, refinement_weights=str(file), reach__ask=False, peaks__threshold=0.05)
+    found = newest(lists, wait_until, lambda m: m.grasps, "a grasp")
+    approach = pose_from_message(found.grasps[0].pose_camera)[:3, 2]
+    axis = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0) if view == "table" else (0.0, 0.0, 1.0)
+    assert approach @ axis == pytest.approx(np.cos(0.2), abs=0.01)
 
 
 def test_a_wrong_mounting_ends_it_too(ros):

@@ -23,7 +23,7 @@ from grasping.limits import LimitsConfig, objection
 from grasping.live import Finder, Findings
 from grasping.predictor import Predictor, PredictorSettings
 from grasping.reach import Reach, ReachBook, ReachConfig
-from grasping.refinement import Refined
+from grasping.refinement import Refined, Refinement, RefinementNetwork
 from grasping.settings import overlaid, sentences, settings_from
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -161,15 +161,82 @@ class Deeper:
         return Refined(output, 0.01 * flat, 0.1 * flat, 0.0 * flat)
 
 
-def test_the_second_network_moves_and_tilts_the_grasp():
-    changes = {"view": "camera", "approach": {"kind": "camera"}}
-    plain = look(finder(changes), ABOVE).proposals[0]
-    refined = look(finder(changes, refinement=Deeper()), ABOVE).proposals[0]
-    T = inverse(plain.T_camera_grasp) @ refined.T_camera_grasp
-    assert T[2, 3] == pytest.approx(0.01, abs=1e-6)
-    np.testing.assert_allclose(
-        refined.T_camera_grasp[:3, 2], rotation_about(0, 0.1) @ plain.T_camera_grasp[:3, 2], atol=1e-6
-    )
+def learned() -> Refinement:
+    """Returns a second network that changes what it sees, without a constant offset."""
+    torch.manual_seed(1)
+    network = RefinementNetwork()
+    network.last.weight.data.normal_(0.0, 0.003)
+    return Refinement(network)
+
+
+VIEWS = pytest.mark.parametrize("view", ["camera", "table"])
+
+
+@VIEWS
+@pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
+def test_an_untrained_second_network_changes_nothing_bit_by_bit(view, place):
+    changes = {"view": view, "approach": {"kind": "camera"}, "peaks": {"threshold": 0.01}}
+    plain = look(finder(changes), place, pictures=3)
+    refined = look(finder(changes, refinement=Refinement(RefinementNetwork())), place, pictures=3)
+    for a, b in zip(plain.maps, refined.maps):
+        np.testing.assert_array_equal(a, b)
+    assert len(plain.proposals) == len(refined.proposals) > 0
+    for a, b in zip(plain.proposals, refined.proposals):
+        np.testing.assert_array_equal(a.T_base_grasp, b.T_base_grasp)
+        assert (a.width, a.quality, a.peak) == (b.width, b.quality, b.peak)
+
+
+@VIEWS
+@pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
+def test_the_second_network_moves_and_tilts_the_grasp_in_the_axes_of_the_view(view, place):
+    changes = {"view": view, "approach": {"kind": "camera"}, "peaks": {"threshold": 0.01}}
+    plain, refined = look(finder(changes), place), look(finder(changes, refinement=Deeper()), place)
+    T_view_camera = inverse(refined.view.T_camera_view)
+    before, after = (T_view_camera @ found.proposals[0].T_camera_grasp for found in (plain, refined))
+    assert after[2, 3] - before[2, 3] == pytest.approx(0.01, abs=1e-6)
+    np.testing.assert_allclose(after[:2, 3] / after[2, 3], before[:2, 3] / before[2, 3], atol=1e-6)
+    half_turn = np.diag([-1.0, -1.0, 1.0])  # the same grasp
+    turns = [rotation_about(0, 0.1) @ before[:3, :3] @ same for same in (np.eye(3), half_turn)]
+    assert min(np.abs(after[:3, :3] - R).max() for R in turns) < 1e-6
+
+
+def approach_in_base(azimuth: float, elevation: float) -> np.ndarray:
+    """Returns where `Deeper` says to grasp along in the table's view of a camera that stands there."""
+    x, y, z = np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
+    place = looking_at((0.8 * x, 0.8 * y, 0.8 * z), (0.0, 0.0, 0.0))
+    found = look(finder({"approach": {"kind": "camera"}}, refinement=Deeper()), place)
+    return found.proposals[0].T_base_grasp[:3, 2]
+
+
+def test_above_the_table_its_axes_turn_with_the_cameras_heading_and_do_not_lean_with_it():
+    first = approach_in_base(0.4, 0.8)
+    np.testing.assert_allclose(approach_in_base(0.4, 1.1), first, atol=0.01)
+    np.testing.assert_allclose(approach_in_base(1.1, 0.8), rotation_about(2, 0.7) @ first, atol=0.01)
+    assert np.hypot(*first[:2]) == pytest.approx(np.sin(0.1), abs=0.01)
+
+
+class Middle(Nearest):
+    """A network that calls good what is in the middle of what is near."""
+
+    def forward(self, depth):
+        quality, *others = super().forward(depth).split(1, dim=1)
+        return torch.cat([2.0 * torch.nn.functional.avg_pool2d(quality, 41, 1, 20), *others], dim=1)
+
+
+@VIEWS
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_what_it_learned_of_things_does_not_depend_on_the_cameras_heading(view, quarters):
+    changes = {"view": view, "approach": {"kind": "camera"}}
+    turned = ABOVE @ pose(rotation_about(2, 0.5 * np.pi * quarters))
+
+    def best(place, refinement=None):
+        boxes = (BOX, (-0.09, 0.04, 0.0, (0.05, 0.04, 0.05)))
+        return look(finder(changes, Middle(), refinement), place, boxes).proposals[0].T_base_grasp
+
+    plain, a, b = best(ABOVE), best(ABOVE, learned()), best(turned, learned())
+    assert np.linalg.norm((plain - a)[:3, 3]) > 0.005
+    np.testing.assert_allclose(a[:3, 3], b[:3, 3], atol=5e-3)  # the pixels lie elsewhere
+    np.testing.assert_allclose(a[:3, 2], b[:3, 2], atol=0.02)
 
 
 def test_pictures_for_people():
@@ -193,7 +260,6 @@ def test_pictures_for_people():
         ({"view": "sideways"}, "view is 'sideways', but must be one of camera, table"),
         ({"peaks": {"count": 0}}, "peaks/count is 0"),
         ({"limits": {"x": [1.0, -1.0]}}, "limits/x is"),
-        ({"refine": True}, "view must be camera"),
         ({"unknown": 1}, "unknown is not a known key"),
         ({"network": {"speed": 1}}, "network/speed is not a known key"),
         ({"tracking": 7}, "tracking/ is 7"),

@@ -20,10 +20,12 @@ from grasping.refinement import (
     OUTPUT_TURN,
     Refinement,
     RefinementNetwork,
+    content,
     inputs,
     load,
     refined_grasp,
 )
+from grasping.view import VIEWS
 from grasping.weights import WeightsError
 
 CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
@@ -152,6 +154,12 @@ def bad(key, value):
     return state
 
 
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_file_names_the_view_in_which_it_learned(view):
+    assert load(file(content(trained(), view))).view == view
+    assert load(file(trained().state_dict())).view is None
+
+
 @pytest.mark.parametrize(
     ("data", "sentence"),
     [
@@ -160,8 +168,10 @@ def bad(key, value):
         (file({"a": torch.zeros(3)}), "lacks"),
         (file(bad("offset", torch.zeros(3))), "The array offset has the shape"),
         (file(bad("offset", torch.full((4,), np.nan))), "not finite"),
+        (file(bad("view", torch.tensor(2.0))), "names no view"),
+        (file(bad("view", torch.zeros(2))), "names no view"),
     ],
-    ids=["no torch file", "empty", "foreign", "shape", "not finite"],
+    ids=["no torch file", "empty", "foreign", "shape", "not finite", "view", "views"],
 )
 def test_bad_files_are_refused(data, sentence):
     with pytest.raises(WeightsError, match=sentence):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,17 @@ def test_episodes_are_made_once_and_read_as_recorded_ones(data, monkeypatch):
     assert paths[1].stat().st_mtime_ns == kept
 
 
+@pytest.mark.parametrize("views", [("camera", "table"), ("above",)])
+def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(data, tmp_path, monkeypatch, capsys, views):
+    for i, view in enumerate(views):
+        episode = store.decode((data / f"{episodes.file_name('person', i)}.npz").read_bytes())
+        metadata = replace(episode.metadata, configuration={"view": view})
+        (tmp_path / f"{i}.npz").write_bytes(store.encode(replace(episode, metadata=metadata)))
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run")
+    assert f"of the views {', '.join(views)}, whose grasps have other axes" in capsys.readouterr().err
+
+
 def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
     """Without bias and tremor the grasp lies on the surface that the camera sees."""
     who = episodes.person.Person(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0)
@@ -98,7 +110,7 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, s
     assert json.loads((run / "settings.json").read_text())["episodes"] == 3
     content = (run / "weights.pt").read_bytes()
     assert len(content) < 100_000
-    refinement.load(content)
+    assert refinement.load(content).view == "camera"
     results = tmp_path / "results"
     untrained = tmp_path / "untrained.pt"
     torch.save(refinement.RefinementNetwork().state_dict(), untrained)

@@ -53,8 +53,8 @@ def test_from_wherever_the_camera_looks_the_view_shows_the_table_from_above(plac
     assert found == pytest.approx(T_base_view[2, 3] - 0.08, abs=6e-3)
     # What is no box is table: nothing is nearer than its top, and little of the view is nearer than the table.
     assert view.depth.min() > T_base_view[2, 3] - 0.08 - 6e-3
-    assert 0.01 < view.picture.valid.mean() < 0.06
-    np.testing.assert_array_equal(view.picture.valid, view.depth < np.float32(YAML["table"]["distance"]))
+    assert 0.01 < view.graspable.mean() < 0.06
+    np.testing.assert_array_equal(view.graspable, view.depth < np.float32(YAML["table"]["distance"]))
 
 
 def test_the_views_input_is_the_networks():
@@ -106,8 +106,8 @@ def test_holes_and_readings_without_meaning_change_nothing_where_there_are_other
     torn[::5, ::7] = -1.0
     torn[::11, ::3] = 0.0
     seen = table_view().step(torn, CAMERA)
-    both = whole.picture.valid & seen.picture.valid
-    assert both.sum() > 0.9 * whole.picture.valid.sum()
+    both = whole.graspable & seen.graspable
+    assert both.sum() > 0.9 * whole.graspable.sum()
     same = np.abs(seen.depth[both] - whole.depth[both]) < 4e-3
     assert same.mean() > 0.99  # the others are at edges
 

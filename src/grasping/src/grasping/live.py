@@ -153,8 +153,7 @@ class Finder:
         output, _ = self._average.step(output, view.picture.depth)
         refined = self._predictor.refined(output, view.picture)
         s = self._settings
-        maps = smoothed(output if refined is None else refined.output, view.picture.valid, s.smoothing)
-        maps = preferred(maps, pixel_size(view.picture, view.camera), s.tool, s.threshold)
+        maps = maps_of(output if refined is None else refined.output, view, s)
         found = peaks(maps, s.count, s.distance, s.threshold)
         stages.end("peaks")
         candidates = self._candidates(found, view, refined, T_base_camera)
@@ -212,6 +211,18 @@ class Finder:
         if not candidates:
             return f"no peak of the quality is above {self._settings.threshold:.2f}"
         return f"the best grasp is not told: {candidates[0].objection}"
+
+
+def maps_of(output: np.ndarray, view: View, settings: LiveSettings) -> Maps:
+    """Returns the maps in which peaks are looked for: smoothed, and with what the hand prefers.
+
+    Args:
+        output: of the networks, shape (4, h, w).
+        view: what they saw.
+        settings: smoothing, threshold and hand.
+    """
+    maps = smoothed(output, view.graspable, settings.smoothing)
+    return preferred(maps, pixel_size(view.picture, view.camera), settings.tool, settings.threshold)
 
 
 class _Candidate(NamedTuple):

@@ -5,8 +5,9 @@ person would rather grasp, at which angle, how wide, how much deeper than the su
 person does always, like grasping a centimetre to the right, is a constant offset beside it. Untrained, both are zero,
 and GGCNN's maps come back bit by bit.
 
-The maps are those of the network's picture, before they are smoothed. Offset and tilt have the camera's axes: x right,
-y down.
+The maps are those of the network's picture, before they are smoothed. Offset and tilt have the axes of the camera that
+sees it, x right and y down: of the real one, or of the imagined one above the table. What was learned in one view is
+wrong in the other, so a weight file names its view.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from grasping.maps import Peak
 from grasping.projection import Grasp
 from grasping.quarter_turns import Features, FromMaps, ToMaps
 from grasping.table_depth import table_depth
+from grasping.view import VIEWS
+from grasping.weights import WeightsError
 
 SHRINK = 2
 """Pixels of the network's picture, in rows and in columns, to one of the second network's."""
@@ -42,6 +45,8 @@ INPUT_SCALE = (2.0, 1.0, 1.0, 4.0, 20.0)
 OUTPUT_SCALE = (1.0, 1.0, 1.0, 0.25, 0.05, 0.2, 0.2)
 """Make all inputs and outputs about 1: widths are about 0.3, depths [m] and tilts [rad] small."""
 FEATURES = 6
+VIEW = "view"
+"""Entry of a weight file beside the weights: place of the view's name in `view.VIEWS`."""
 DILATIONS = (1, 2, 4, 8)
 
 
@@ -103,10 +108,15 @@ def inputs(output: np.ndarray, picture: Picture) -> np.ndarray:
 
 
 class Refinement:
-    """The second network and how to use it."""
+    """The second network and how to use it.
 
-    def __init__(self, network: RefinementNetwork) -> None:
+    Attributes:
+        view: in which it learned, a name in `view.VIEWS`; None where that is unknown.
+    """
+
+    def __init__(self, network: RefinementNetwork, view: str | None = None) -> None:
         self._network = network.eval()
+        self.view = view
 
     def apply(self, output: np.ndarray, picture: Picture) -> Refined:
         """Returns GGCNN's maps refined.
@@ -151,12 +161,27 @@ def load(data: bytes, sha256: str | None = None) -> Refinement:
         sha256: what its hash must be, hexadecimal; not checked when left out.
 
     Raises:
-        WeightsError: another hash, no torch file, or not one of this network.
+        WeightsError: another hash, no torch file, not one of this network, or of an unknown view.
     """
     weights.checked_sha256(data, sha256)
     state = weights.torch_state(data)
+    view = _view(state.pop(VIEW, None))
     features = len(state.get("first.weight", ())) or FEATURES
-    return Refinement(weights.filled(RefinementNetwork(features), "the refinement network", state))
+    return Refinement(weights.filled(RefinementNetwork(features), "the refinement network", state), view)
+
+
+def content(network: RefinementNetwork, view: str) -> dict[str, torch.Tensor]:
+    """Returns what a weight file holds: the network's weights, and the view in which they were learned."""
+    return {**network.state_dict(), VIEW: torch.tensor(float(VIEWS.index(view)))}
+
+
+def _view(entry: torch.Tensor | None) -> str | None:
+    """Returns the view that an entry of a weight file means."""
+    if entry is None:
+        return None
+    if entry.numel() != 1 or entry.item() not in range(len(VIEWS)):
+        raise WeightsError("The weight file names no view that is known.")
+    return VIEWS[int(entry)]
 
 
 def _moved(maps: np.ndarray, shift: tuple[float, float]) -> np.ndarray:

@@ -19,10 +19,9 @@ from grasping.reach import ReachConfig
 from grasping.surface import ApproachConfig
 from grasping.tool_pose import ToolPoseConfig
 from grasping.tracking import AveragingConfig, TrackingConfig
-from grasping.view import CameraView, CropConfig, TableConfig, TableView
+from grasping.view import TABLE, VIEWS, CameraView, CropConfig, TableConfig, TableView
 
 ANY, LISTED = "any", "listed"
-CAMERA, TABLE = "camera", "table"
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class PeaksConfig:
 class GgcnnConfig:
     """What stands beside the sections."""
 
-    view: str = choice(CAMERA, TABLE, doc="the camera's own picture, or one from above the table")
+    view: str = choice(*VIEWS, doc="the camera's own picture, or one from above the table")
     refine: bool = flag(doc="put the second network, learned from the person, behind the first")
     refinement_weights: str = text(doc="its weight file: a name in the package's folder weights, or an absolute path")
 
@@ -134,10 +133,6 @@ def settings_from(values: Mapping[str, Any], prefix: str = "") -> GgcnnSettings:
                 read[name] = parse(schema, values.get(name, {}), f"{prefix}{name}/")
         except ConfigError as error:
             faults.extend(error.faults)
-    if not faults and read["main"].refine and read["main"].view != CAMERA:
-        faults.append(
-            f"{prefix}refine is true, but the second network learns in the camera's picture: view must be camera."
-        )
     if faults:
         raise ConfigError(faults)
     return GgcnnSettings(**read)

@@ -20,6 +20,9 @@ from common.rotations import unit
 from grasping.depth_image import NETWORK_SIDE, Crop, Picture, centre_crop, prepare
 from grasping.planes import GATE_SD, PlaneFound, best_plane
 
+CAMERA, TABLE = "camera", "table"
+"""The views by their names in ggcnn.yaml, in datasets and in weight files of the second network."""
+VIEWS = (CAMERA, TABLE)
 STRIDE = 6
 """Pixels of the camera's picture, in rows and columns, to one in which the table is looked for."""
 GAP = np.ones((5, 5), np.uint8)
@@ -53,13 +56,18 @@ class View(NamedTuple):
 
     Attributes:
         picture: the network's.
+        graspable: where in it a grasp may be: the camera had a reading, and, from above the table, on something that
+            stands on it; shape (300, 300), bool.
         depth: the whole picture that it was cut from, shape (h, w) [m], NaN where nothing is known.
         rays: direction of each of its pixels, shape (h, w, 3).
         camera: that took it, a real or an imagined one.
-        T_camera_view: pose of that camera in the real one, shape (4, 4) [m].
+        T_camera_view: pose of that camera in the real one, shape (4, 4) [m]. Its axes are those of what the second
+            network says: an imagined camera's z axis is straight down on the table, its x axis the real camera's as far
+            as the table lets it.
     """
 
     picture: Picture
+    graspable: np.ndarray
     depth: np.ndarray
     rays: np.ndarray
     camera: CameraModel
@@ -88,7 +96,7 @@ class CameraView:
             picture = prepare(depth, crop)
         except ValueError as error:
             raise NoView(str(error)) from None
-        return View(picture, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
+        return View(picture, picture.valid, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
 
     def reset(self) -> None:
         """Forgets nothing: each picture stands for itself."""
@@ -127,8 +135,10 @@ class TableView:
         seen = np.float32(self._config.distance) - height
         mean = float(seen.mean())
         inside = Crop(0, 0, NETWORK_SIDE)
-        picture = Picture(inside, np.clip(seen - mean, -1.0, 1.0), seen, height > 0.0, mean)
-        return View(picture, seen, self._own_rays, self._camera, self._T)
+        # What is not above the table is known to be table.
+        known = np.ones(seen.shape, bool)
+        picture = Picture(inside, np.clip(seen - mean, -1.0, 1.0), seen, known, mean)
+        return View(picture, height > 0.0, seen, self._own_rays, self._camera, self._T)
 
     def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> None:
         """Looks for the table, and moves the view where the table is another one.

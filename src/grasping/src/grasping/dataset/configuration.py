@@ -11,8 +11,9 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.poses import pose
 from common.rotations import rotation_about
-from grasping.settings import TABLE, GgcnnSettings
+from grasping.settings import GgcnnSettings
 from grasping.tool_pose import ToolPoseConfig
+from grasping.view import TABLE
 
 DIGITS = 3
 """Of the camera's place: a millimetre and a milliradian; two live calibrations differ by more."""

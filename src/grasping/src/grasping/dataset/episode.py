@@ -20,6 +20,7 @@ from common.camera_model import CameraModel
 from common.poses import inverse
 from grasping.depth_image import Crop
 from grasping.maps import Peak
+from grasping.view import CAMERA
 
 NONE_MM = 0
 """What a depth picture holds where the camera had no reading."""
@@ -99,7 +100,8 @@ class Episode:
 
     Attributes:
         metadata: what was known beside the pictures.
-        camera: that sees what the network sees: the real one, or an imagined one above the table (`view.TableView`).
+        camera: that sees what the network sees: the real one, or an imagined one above the table (`view.TableView`);
+            the label has its axes.
         crop: the window of its picture that is kept.
         T_flange_tool: tool in the flange, shape (4, 4) [m].
         T_tool_grasp: grasp in the tool, shape (4, 4) [m]: z the approach, x through the fingers.
@@ -142,6 +144,11 @@ class Episode:
     def __len__(self) -> int:
         """Returns how many frames there are."""
         return len(self.stamp)
+
+    @property
+    def view(self) -> str:
+        """Which view its pictures are of, a name in `view.VIEWS`; labels are in the axes of that view's camera."""
+        return str(self.metadata.configuration.get("view", CAMERA))
 
     @property
     def T_base_grasp(self) -> np.ndarray:

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from grasping.dataset.episode import NONE_MM
-from grasping.live import LiveSettings
-from grasping.maps import Peak, highest, peaks, smoothed
+from grasping.live import LiveSettings, maps_of
+from grasping.maps import Peak, highest, peaks
 from grasping.predictor import run
 from grasping.projection import grasp
 from grasping.view import View
@@ -53,7 +53,7 @@ def look(network: torch.jit.ScriptModule, view: View, settings: LiveSettings) ->
     if not np.isfinite(output).all():
         raise ValueError("the network's maps are not finite")
     small = cv2.resize(output.transpose(1, 2, 0), (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA)
-    maps = smoothed(output, picture.valid, settings.smoothing)
+    maps = maps_of(output, view, settings)
     best = peaks(maps, 1, settings.distance, settings.threshold)
     window = view.depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side]
     peak = best[0] if best else highest(maps)

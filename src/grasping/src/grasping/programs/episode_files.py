@@ -11,6 +11,7 @@ from tqdm import tqdm
 from common.errors import RigError
 from grasping.dataset import store
 from grasping.dataset.episode import Episode
+from grasping.view import VIEWS
 
 HELD_OUT = 5
 """One in so many episodes is kept from training, to say when it is over."""
@@ -46,6 +47,21 @@ def read(folder: Path, only=(), without=()) -> list[Named]:
     if not found:
         raise RigError(f"{folder} holds no episode of these things: collect some, or run make_episodes.py.")
     return found
+
+
+def view_of(named: list[Named]) -> str:
+    """Returns the view that the pictures of all episodes are of.
+
+    Raises:
+        RigError: they are of several, or of one that is not known.
+    """
+    views = sorted({n.episode.view for n in named})
+    if len(views) > 1 or views[0] not in VIEWS:
+        raise RigError(
+            f"The episodes are of the views {', '.join(views)}, whose grasps have other axes: train on those of one, "
+            f"{' or '.join(VIEWS)}."
+        )
+    return views[0]
 
 
 def is_held_out(name: str) -> bool:

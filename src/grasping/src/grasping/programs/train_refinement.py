@@ -17,7 +17,7 @@ import torch
 from tqdm import tqdm
 
 from common.errors import RigError
-from grasping import weights
+from grasping import refinement, weights
 from grasping.predictor import frozen, run
 from grasping.programs import episode_files
 from grasping.programs.train_ggcnn import load, save
@@ -92,6 +92,7 @@ def parse() -> argparse.Namespace:
     torch.set_num_threads(arguments.threads)
     try:
         named = episode_files.read(arguments.data, without=arguments.without)
+        arguments.view = episode_files.view_of(named)
         arguments.training = [n for n in named if not episode_files.is_held_out(n.name)][: arguments.episodes]
         arguments.validation = [n for n in named if episode_files.is_held_out(n.name)]
         for part in (arguments.training, arguments.validation):
@@ -117,7 +118,13 @@ def main() -> None:
         saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
         trainer.resume(saved["trainer"])
         rows = saved["rows"]
-    about = {**asdict(settings), "episodes": len(arguments.training), "frames": len(examples), **offset._asdict()}
+    about = {
+        **asdict(settings),
+        "view": arguments.view,
+        "episodes": len(arguments.training),
+        "frames": len(examples),
+        **offset._asdict(),
+    }
     (arguments.run / "settings.json").write_text(json.dumps(about, indent=2) + "\n")
     bar = tqdm(total=settings.steps, initial=trainer.step, unit="step", mininterval=10.0)
     while trainer.step < settings.steps and not is_over(rows, settings.patience):
@@ -127,7 +134,7 @@ def main() -> None:
             continue
         found = trainer.validate(validation)
         if all(found["validation"] < r["validation"] for r in rows):
-            save(trainer.mean.state_dict(), arguments.run / "weights.pt")
+            save(refinement.content(trainer.mean, arguments.view), arguments.run / "weights.pt")
         rows.append({"step": trainer.step, "training": float(np.mean(recent)), **found})
         recent = []
         bar.set_postfix_str(f"loss {found['validation']:.3f}, miss {found['miss']:.1f} px")

@@ -26,6 +26,7 @@ from common.ros.conversions import stamped_pose, stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import image_message
 from common.ros.node import run
+from common.ros.params import private_values
 from common.ros.stage_times import StageTimes
 from grasp_msgs.msg import GraspList
 from grasping import drawing
@@ -40,7 +41,8 @@ from grasping.ros.depth_stream import DepthPicture, DepthStream
 from grasping.ros.reach_client import ReachClient
 from grasping.ros.reasons import ReasonLog
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
-from grasping.settings import TABLE, GgcnnSettings, overlaid, sentences, settings_from
+from grasping.settings import GgcnnSettings, overlaid, sentences, settings_from
+from grasping.view import TABLE
 
 VIEW_FRAME, TARGET_PARENT, TARGET_FRAME = "ggcnn/view", "camera_depth_frame", "camera_target_frame"
 WAIT_S = 0.2
@@ -193,14 +195,15 @@ def _measured(predictor: Predictor) -> float:
 
 
 def _run() -> None:
-    values = overlaid({**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}, rospy.get_param("~", {}))
+    values = overlaid({**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}, private_values())
     settings = settings_from(values, prefix="~")
     for sentence in sentences(settings):
         rospy.loginfo("%s", sentence)
     loaded = load_network(settings.network)
     torch.set_num_threads(settings.network.threads)
     cv2.setNumThreads(settings.network.threads)
-    second = load_refinement(settings.main.refinement_weights) if settings.main.refine else None
+    main = settings.main
+    second = load_refinement(main.refinement_weights, main.view) if main.refine else None
     predictor = Predictor(loaded.network, PredictorSettings(), second)
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]

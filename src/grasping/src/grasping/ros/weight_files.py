@@ -42,13 +42,22 @@ def load_network(config: NetworkConfig) -> Loaded:
     return loaded
 
 
-def load_refinement(name: str) -> refinement.Refinement:
+def load_refinement(name: str, view: str) -> refinement.Refinement:
     """Returns the second network of a weight file.
 
+    Args:
+        name: of the file.
+        view: in which it is to be used, a name in `grasping.view.VIEWS`.
+
     Raises:
-        RigError: the file is missing, or holds something else.
+        RigError: the file is missing, holds something else, or was not learned in that view.
     """
-    return refinement.load(_content(_path(name)))
+    path = _path(name)
+    found = refinement.load(_content(path))
+    if found.view != view:
+        learned = "does not say in which view it learned" if found.view is None else f"learned with view: {found.view}"
+        raise WeightsError(f"The second network in {path} {learned}, but view is {view}.")
+    return found
 
 
 def _path(name: str) -> Path:
