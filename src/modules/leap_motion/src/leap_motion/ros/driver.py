@@ -3,34 +3,24 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from common.config import choice, integer, parse, text
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run
+from common.ros.params import private_config
 from common.ros.stage_times import StageTimes
 from leap_motion.client import LeapClient, Link, Status
 from leap_motion.msg import Human
-from leap_motion.ros.human import COMPATIBLE, CORRECT, human_from_frame
+from leap_motion.node_parameters import DriverConfig
+from leap_motion.ros.human import human_from_frame
 
 NAME = "leap_driver"
 TOPIC = "leap_motion/leap_device"
 POLL_S = 0.1
 REMIND_S = 10.0
 SETTLED_S = 0.3
-DEFAULTS = {"host": "127.0.0.1", "port": 6437, "orientation": COMPATIBLE}
-
-
-@dataclass(frozen=True)
-class DriverConfig:
-    """Private parameters of the node."""
-
-    host: str = text(doc="address of the Leap service")
-    port: int = integer(low=1, high=65535, doc="its plain WebSocket port")
-    orientation: str = choice(COMPATIBLE, CORRECT, doc="bone orientations as the C++ driver fills them, or true ones")
 
 
 class LinkReport:
@@ -76,7 +66,7 @@ def start() -> None:
     Raises:
         ConfigError: a parameter is unknown or out of range.
     """
-    config = parse(DriverConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")
+    config = private_config(DriverConfig)
     rospy.loginfo("Leap service %s:%d, orientation %s.", config.host, config.port, config.orientation)
     publisher = rospy.Publisher(TOPIC, Human, queue_size=1, tcp_nodelay=True)
     stage = StageTimes("leap_motion")

@@ -5,16 +5,15 @@ Pictures are taken only while somebody listens; all pictures of one moment have 
 
 from __future__ import annotations
 
-import dataclasses
 import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from common.camera_model import from_calibration
-from common.config import integer, number, parse, text
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
+from common.ros.params import private_config, private_values
 from common.ros.rgbd_topics import FRAMES, RgbdTopics
 from rig_simulation.camera.config import ColourConfig, DepthConfig
 from rig_simulation.camera.rgbd_camera import Pictures, RgbdCamera
@@ -22,25 +21,13 @@ from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient, ControlPort
 from rig_simulation.faults import Faults
 from rig_simulation.faults_camera import CAMERA_FAULTS, Exposure, Stream
+from rig_simulation.node_parameters import LOOPBACK, CameraConfig
 
-HOST = "127.0.0.1"
 RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 1.0
 SMOOTHING = 0.1
 """Weight of the newest value in the times that diagnostics show."""
 SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
-
-
-@dataclasses.dataclass(frozen=True)
-class CameraConfig:
-    """Private parameters of the node, beside the SECTIONS."""
-
-    rate: float = number("Hz", above=0.0, high=60.0, doc="pictures a second")
-    samples: int = integer(low=0, high=8, doc="of a colour pixel, against stairs along edges")
-    seed: int = integer(low=0, high=2**31 - 1, doc="of the unit's errors and of all noise")
-    host: str = text(doc="address of the simulated world")
-    port: int = integer(low=1, high=65535, doc="its control port")
-    control_port: int = integer(low=0, high=65535, doc="the camera's own control port, for faults")
 
 
 class Camera:
@@ -129,20 +116,18 @@ class Camera:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    values = rospy.get_param("~", {})
-    sections = {name: values.get(name, {}) for name in SECTIONS}
-    config = parse(CameraConfig, values, prefix="~", others=SECTIONS)
-    rgb, depth = from_calibration(sections["rgb_calibration"]), from_calibration(sections["depth_calibration"])
+    config = private_config(CameraConfig, others=SECTIONS)
+    rgb, depth = (from_calibration(private_values().get(name, {})) for name in ("rgb_calibration", "depth_calibration"))
     camera = RgbdCamera(
         rgb,
         depth,
-        parse(ColourConfig, sections["colour"], prefix="~colour/"),
-        parse(DepthConfig, sections["depth"], prefix="~depth/"),
+        private_config(ColourConfig, "colour"),
+        private_config(DepthConfig, "depth"),
         config.samples,
         config.seed,
     )
     faults = Faults(CAMERA_FAULTS)
-    with ControlPort(faults.requests, HOST, config.control_port):
+    with ControlPort(faults.requests, LOOPBACK, config.control_port):
         try:
             Camera(config, camera, RgbdTopics(rgb, depth), faults).run()
         finally:

@@ -5,30 +5,18 @@ It hands the request to the control port of the device; which faults there are, 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import rospy
 
-from common.config import integer, parse, text
 from common.errors import DeviceError
+from common.ros.params import private_config
 from rig_msgs.srv import SimulationFault, SimulationFaultRequest, SimulationFaultResponse
 from rig_simulation.control_port import ControlClient
+from rig_simulation.node_parameters import FaultServiceConfig
 
 NAME = "simulation_faults"
 TIMEOUT_S = 2.0
-DEFAULTS = {"host": "127.0.0.1", "arm_port": 30011, "leap_port": 16437, "hand_port": 11433, "camera_port": 30031}
-
-
-@dataclasses.dataclass(frozen=True)
-class FaultServiceConfig:
-    """Private parameters of the node."""
-
-    host: str = text(doc="address of the simulated devices")
-    arm_port: int = integer(low=1, high=65535, doc="control port of the arm")
-    leap_port: int = integer(low=1, high=65535, doc="control port of the Leap service")
-    hand_port: int = integer(low=1, high=65535, doc="control port of the hand")
-    camera_port: int = integer(low=1, high=65535, doc="control port of the camera")
 
 
 class FaultService:
@@ -75,5 +63,5 @@ class FaultService:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    FaultService(parse(FaultServiceConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~"))
+    FaultService(private_config(FaultServiceConfig))
     rospy.spin()

@@ -7,7 +7,6 @@ arm that presses on something back on the way it came.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable
 
@@ -17,27 +16,18 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
-from common.config import integer, parse, text
 from common.errors import DeviceError
+from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation
 from rig_simulation.control_port import ControlClient
-from rig_simulation.ros.silence import Silence
+from rig_simulation.node_parameters import MonitorConfig
+from rig_simulation.ros.polling import poll
 
 BASE_FRAME = "kuka/base_frame"
 FLANGE_PERIOD_S = 0.01
 STATUS_PERIOD_S = 0.1
-RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 1.0
 SHOWN = ("mode", "tcp_speed", "max_tcp_speed", "stops", "goals", "safety_stop", "connected")
-DEFAULTS = {"host": "127.0.0.1", "port": 30011}
-
-
-@dataclasses.dataclass(frozen=True)
-class MonitorConfig:
-    """Private parameters of the node."""
-
-    host: str = text(doc="address of the simulated controller")
-    port: int = integer(low=1, high=65535, doc="its control port")
 
 
 class Monitor:
@@ -55,22 +45,14 @@ class Monitor:
 
     def run(self) -> None:
         """Polls until ROS shuts down; waits where the controller does not answer."""
-        next_poll = time.monotonic()
-        silence = Silence()
-        while not rospy.is_shutdown():
-            try:
-                state = self._client.ask("state")
-            except DeviceError as error:
-                silence.goes_on(error)
-                self._publish_status(DiagnosticStatus.ERROR, str(error), {})
-                next_poll = time.monotonic() + RETRY_PERIOD_S
-            else:
-                silence.is_over()
-                self._publish(state)
-                next_poll = max(next_poll + FLANGE_PERIOD_S, time.monotonic())
-            time.sleep(max(0.0, next_poll - time.monotonic()))
+        poll(self._publish, FLANGE_PERIOD_S)
 
-    def _publish(self, state: dict) -> None:
+    def _publish(self) -> None:
+        try:
+            state = self._client.ask("state")
+        except DeviceError as error:
+            self._publish_status(DiagnosticStatus.ERROR, str(error), {})
+            raise
         flange = np.array(state["flange"])
         message = PoseStamped()
         message.header.frame_id = BASE_FRAME
@@ -104,5 +86,4 @@ class Monitor:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    values = rospy.get_param("~", {})
-    Monitor(parse(MonitorConfig, {**DEFAULTS, **values}, prefix="~")).run()
+    Monitor(private_config(MonitorConfig)).run()

@@ -7,49 +7,25 @@ scenario it then steers the hand by what it sees.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable
 
 import numpy as np
 import rospy
 
-from common.config import choice, flag, integer, number, parse
 from common.errors import DeviceError, RigError
+from common.ros.params import private_config
 from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_simulation.control_port import ControlClient
+from rig_simulation.node_parameters import ASSISTED_GRASP, LOOPBACK, OperatorConfig
 from rig_simulation.ros.assisted_scenario import AssistedScenario
 from rig_simulation.ros.scenario import PickScenario
 
 NAME = "operator"
-HOST = "127.0.0.1"
 POLL_S = 0.1
 REMIND_S = 10.0
 AT_HOME = np.radians(1.0)
-PICK_CUP, ASSISTED_GRASP = "pick_cup", "assisted_grasp"
-DEFAULTS = {
-    "auto_start": True,
-    "leapd_port": 16437,
-    "world_port": 30021,
-    "scenario": "",
-    "rounds": 1,
-    "time_out": 300.0,
-}
-
-
-@dataclasses.dataclass(frozen=True)
-class OperatorConfig:
-    """Private parameters of the node."""
-
-    auto_start: bool = flag(doc="switch gripper and arm control on; false: only start the hand")
-    leapd_port: int = integer(low=1, high=65535, doc="control port of the simulated Leap service")
-    world_port: int = integer(low=1, high=65535, doc="control port of the simulated world, for scenarios")
-    scenario: str = choice(
-        "", PICK_CUP, ASSISTED_GRASP, doc="what the hand does; empty: what the simulated Leap service plays"
-    )
-    rounds: int = integer(low=1, high=100, doc="of assisted_grasp: how many grasps there are to be")
-    time_out: float = number("s", above=0.0, doc="longest time to wait for each thing")
 
 
 class Operator:
@@ -57,7 +33,7 @@ class Operator:
 
     def __init__(self, config: OperatorConfig) -> None:
         self._config = config
-        self._leapd = ControlClient(HOST, config.leapd_port)
+        self._leapd = ControlClient(LOOPBACK, config.leapd_port)
         self._joints: np.ndarray | None = None
         self._why = ""
         rospy.Subscriber("kuka/joint_positions", jointPositions, self._take_joints, queue_size=1)
@@ -81,7 +57,7 @@ class Operator:
         rospy.spin()
 
     def _scenario(self) -> PickScenario | AssistedScenario:
-        name, world = self._config.scenario, ControlClient(HOST, self._config.world_port)
+        name, world = self._config.scenario, ControlClient(LOOPBACK, self._config.world_port)
         if name == ASSISTED_GRASP:
             return AssistedScenario(name, self._config.rounds, self._leapd, world)
         return PickScenario(name, "cup", self._leapd, world)
@@ -139,4 +115,4 @@ class Operator:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    Operator(parse(OperatorConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")).run()
+    Operator(private_config(OperatorConfig)).run()

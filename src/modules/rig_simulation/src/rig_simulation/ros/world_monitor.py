@@ -6,36 +6,23 @@ scene wants them, `simulation/set_scene` puts another scene there; arm and hand 
 
 from __future__ import annotations
 
-import dataclasses
-import time
-
 import numpy as np
 import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion
 from std_srvs.srv import Trigger, TriggerResponse
 
-from common.config import integer, number, parse, text
 from common.errors import DeviceError
+from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_zyx
 from rig_msgs.msg import ObjectState, ObjectStates
 from rig_msgs.srv import SetScene, SetSceneRequest, SetSceneResponse
 from rig_simulation.control_port import ControlClient
-from rig_simulation.ros.silence import Silence
+from rig_simulation.node_parameters import WorldMonitorConfig
+from rig_simulation.ros.polling import poll
 
 NAME = "world_monitor"
 BASE_FRAME = "kuka/base_frame"
-RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 2.0
-DEFAULTS = {"host": "127.0.0.1", "port": 30021, "rate": 30.0}
-
-
-@dataclasses.dataclass(frozen=True)
-class WorldMonitorConfig:
-    """Private parameters of the node."""
-
-    host: str = text(doc="address of the simulated world")
-    port: int = integer(low=1, high=65535, doc="its control port")
-    rate: float = number("Hz", above=0.0, high=100.0, doc="how often the objects are published")
 
 
 class WorldMonitor:
@@ -50,20 +37,10 @@ class WorldMonitor:
 
     def run(self) -> None:
         """Polls until ROS shuts down; waits where the world does not answer."""
-        due = time.monotonic()
-        silence = Silence()
-        while not rospy.is_shutdown():
-            try:
-                self._publish(self._client.ask("objects"))
-                silence.is_over()
-            except DeviceError as error:
-                silence.goes_on(error)
-                due = time.monotonic() + RETRY_PERIOD_S
-            else:
-                due = max(due + self._period, time.monotonic())
-            time.sleep(max(0.0, due - time.monotonic()))
+        poll(self._publish, self._period)
 
-    def _publish(self, answer: dict) -> None:
+    def _publish(self) -> None:
+        answer = self._client.ask("objects")
         roll, pitch, yaw = np.radians(answer["mounting"])
         R_base_world = rotation_from_zyx(yaw, pitch, roll).T
         message = ObjectStates()
@@ -93,4 +70,4 @@ class WorldMonitor:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    WorldMonitor(parse(WorldMonitorConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")).run()
+    WorldMonitor(private_config(WorldMonitorConfig)).run()

@@ -6,45 +6,31 @@ arrow for each contact, 3 cm a newton, its tip where the force acts, and beside 
 
 from __future__ import annotations
 
-import dataclasses
-import time
-
 import numpy as np
 import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from common.config import integer, number, parse, text
-from common.errors import DeviceError
 from common.poses import inverse
+from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation
 from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient
-from rig_simulation.ros.silence import Silence
+from rig_simulation.node_parameters import WorldViewConfig
+from rig_simulation.ros.polling import poll
 from rig_simulation.view.forces import Arrow, PairForce, arrows, pair_forces, short
 from rig_simulation.view.shapes import BALL, BOX, CYLINDER, Shape, base_pose, beyond, shapes
 
 NAME = "world_view"
 FRAME = "kuka/base_frame"
-DEFAULTS = {"host": "127.0.0.1", "port": 30021, "rate": 10.0}
 TIMEOUT_S = 1.0
-RETRY_PERIOD_S = 0.5
 LIFETIME_S = 1.0
 """Markers of a world that is gone vanish after this time."""
 
 KINDS = {BOX: Marker.CUBE, BALL: Marker.SPHERE, CYLINDER: Marker.CYLINDER}
 SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.005, 0.011, 0.015, 0.03, 0.11
 OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)
-
-
-@dataclasses.dataclass(frozen=True)
-class WorldViewConfig:
-    """Private parameters of the node."""
-
-    host: str = text(doc="address of the simulated world")
-    port: int = integer(low=1, high=65535, doc="its control port")
-    rate: float = number("Hz", above=0.0, high=60.0, doc="how often the markers are published")
 
 
 class WorldView:
@@ -59,21 +45,12 @@ class WorldView:
 
     def run(self) -> None:
         """Publishes until ROS shuts down; waits where the world does not answer."""
-        due = time.monotonic()
-        silence = Silence()
-        while not rospy.is_shutdown():
-            due = max(due + self._period, time.monotonic())
-            if self._objects.get_num_connections() or self._contacts.get_num_connections():
-                try:
-                    self._world.follow()
-                    contacts = self._client.ask("contacts")["contacts"]
-                except DeviceError as error:
-                    silence.goes_on(error)
-                    due = time.monotonic() + RETRY_PERIOD_S
-                else:
-                    silence.is_over()
-                    self._publish(contacts)
-            time.sleep(max(0.0, due - time.monotonic()))
+        poll(self._follow, self._period)
+
+    def _follow(self) -> None:
+        if self._objects.get_num_connections() or self._contacts.get_num_connections():
+            self._world.follow()
+            self._publish(self._client.ask("contacts")["contacts"])
 
     def _publish(self, contacts: list[dict]) -> None:
         found = shapes(self._world.model, self._world.data)
@@ -140,4 +117,4 @@ def _array(markers: list[Marker]) -> MarkerArray:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    WorldView(parse(WorldViewConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")).run()
+    WorldView(private_config(WorldViewConfig)).run()
