@@ -103,13 +103,21 @@ def test_position_inside_is_returned_bit_for_bit(workspace, position):
     assert result.position.tobytes() == position.tobytes()
 
 
-@given(workspaces(), positions)
-def test_infeasible_is_what_lies_behind_or_below(workspace, position):
+@st.composite
+def workspaces_and_positions_behind_or_ahead(draw):
+    """A workspace, a position that is not on the plane between behind and ahead, and whether it is behind."""
+    workspace = draw(workspaces())
+    along, left, z = draw(st.floats(1e-6, 1.5)), draw(st.floats(-1.5, 1.5)), draw(st.floats(-1.5, 1.5))
+    behind = draw(st.booleans())
     line = workspace.center_line / np.linalg.norm(workspace.center_line)
-    if abs(position @ line) <= 1e-9:  # neither before nor behind
-        return
-    result = workspace.constrain(position)
-    assert isinstance(result, Infeasible) == (position @ line < 0.0 or position[2] < 0.0)
+    aside = np.array([-line[1], line[0], 0.0])
+    return workspace, (-along if behind else along) * line + left * aside + np.array([0.0, 0.0, z]), behind
+
+
+@given(workspaces_and_positions_behind_or_ahead())
+def test_infeasible_is_what_lies_behind_or_below(drawn):
+    workspace, position, behind = drawn
+    assert isinstance(workspace.constrain(position), Infeasible) == (behind or position[2] < 0.0)
 
 
 @given(workspaces(), positions)

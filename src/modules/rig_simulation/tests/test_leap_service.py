@@ -149,9 +149,11 @@ def test_several_clients_get_the_same_frames(start):
 
 def test_a_client_that_does_not_read_costs_only_its_own_frames(start, wait_until):
     service = start()
-    slow = socket.create_connection(("127.0.0.1", service.port))
+    service._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)  # so that a few frames fill the connection
+    slow = socket.socket()
     slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     try:
+        slow.connect(("127.0.0.1", service.port))
         slow.sendall(
             b"GET /v2.json HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
@@ -173,13 +175,13 @@ def test_paused_it_sends_empty_frames_until_told_to_play(start, wait_until):
         assert not any(frame.hands for frame in frames)
         assert ask(service, "state")["playing"] is False
         ask(service, "play")
-        wait_until(lambda: client.next_frame(1.0).frame.hands, 10.0, "a hand")
+        wait_until(lambda: client.next_frame(10.0).frame.hands, 10.0, "a hand")
         state = ask(service, "state")
         assert state["playing"] is True
         assert state["position"] > 0
         assert state["frames_sent"] > 10
         ask(service, "pause")
-        wait_until(lambda: not client.next_frame(1.0).frame.hands, 10.0, "the hand gone")
+        wait_until(lambda: not client.next_frame(10.0).frame.hands, 10.0, "the hand gone")
     finally:
         client.close()
 
