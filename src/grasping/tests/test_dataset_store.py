@@ -1,8 +1,11 @@
 """The file of an episode: what is in it, and that nothing but an episode is taken for one."""
 
+import contextlib
 import io
 import json
 import pickle
+import zipfile
+import zlib
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -20,6 +23,7 @@ from grasping.depth_image import Crop
 GOLDEN = Path(__file__).parent / "golden" / "episode_schema_1.npz"
 """Written once by schema 1; later versions of the package must read it, or say that they do not."""
 TINY = episode(2, Crop(220, 300, 12), m=3)
+WHOLE = encode(TINY)
 
 
 def content(data: bytes) -> dict:
@@ -127,18 +131,46 @@ def test_a_file_cut_anywhere_is_named_torn():
         decode(data[: len(data) // 2])
 
 
-def test_a_flipped_byte_is_noticed_or_harmless():
+@given(st.data())
+@settings(max_examples=300, deadline=None)
+def test_damaged_bytes_are_noticed_or_harmless(data):
     """Not every byte of an archive carries meaning; what comes back is the episode or a sentence."""
-    data = encode(TINY)
-    caught = 0
-    for place in range(0, len(data), 53):
-        damaged = bytearray(data)
-        damaged[place] ^= 0xFF
-        try:
-            assert_equal(decode(bytes(damaged)), TINY)
-        except DatasetError:
-            caught += 1
-    assert caught > len(data) // 53 // 2
+    damaged = bytearray(WHOLE)
+    for place in data.draw(st.lists(st.integers(0, len(WHOLE) - 1), min_size=1, max_size=8)):
+        damaged[place] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(DatasetError):
+        assert_equal(decode(bytes(damaged)), TINY)
+
+
+DIRECTORY, END = b"PK\1\2", b"PK\5\6"
+"""How an entry of an archive's list of files begins, and what stands behind the list."""
+
+
+def patched(mark: bytes, offset: int, value: bytes) -> bytes:
+    """The file of the tiny episode with other bytes at an offset from the first mark."""
+    data = bytearray(encode(TINY))
+    at = data.index(mark) + offset
+    data[at : at + len(value)] = value
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "cause"),
+    [
+        (encode(TINY)[:-30], zipfile.BadZipFile),
+        (patched(DIRECTORY, 16, b"\0\0\0\0"), zipfile.BadZipFile),  # the checksum
+        (patched(DIRECTORY, 8, b"\1"), zipfile.BadZipFile),  # encrypted
+        (patched(DIRECTORY, 10, b"\x0e"), zipfile.BadZipFile),  # packed as LZMA
+        (patched(b"meta.npy", 28, b"\xff\xff\xff\xff"), zlib.error),
+        (patched(DIRECTORY, 6, b"\xff"), NotImplementedError),  # the version
+        (patched(END, 16, b"\xff\xff"), (ValueError, zipfile.BadZipFile)),  # where the list begins; by Python's version
+    ],
+    ids=["torn", "checksum", "encrypted", "lzma", "deflate", "version", "list"],
+)
+def test_each_damage_of_the_archive_is_a_sentence(data, cause):
+    with pytest.raises(DatasetError, match=r"^The file is torn or damaged: .*\.$") as refusal:
+        decode(data)
+    assert isinstance(refusal.value.__context__, cause)
 
 
 @pytest.mark.parametrize(
@@ -148,12 +180,14 @@ def test_a_flipped_byte_is_noticed_or_harmless():
         (b"episode\n" * 100, "no episode"),
         (pickle.dumps({"a": 1}), "no episode"),
         (changed(meta=None), "no metadata"),
-        (changed(meta=np.array("{")), "no metadata"),
-        (changed(meta=np.array("[1]")), "no metadata"),
+        (changed(meta=np.array("{")), "its metadata are no JSON"),
+        (changed(meta=np.array('{"schema": NaN}')), "its metadata are no JSON"),
+        (changed(meta=np.array("[1]")), "its metadata name no schema"),
         (changed(meta=np.array({"schema": 1}, dtype=object)), "no episode"),
         (changed_meta(schema=2), "has the schema 2, but this version of the package reads 1"),
         (changed_meta(operator=None), "lack or distort 'operator'"),
         (changed_meta(camera=5), "lack or distort"),
+        (changed_meta(camera={"name": "x", "width": "wide", "height": 1}), "lack or distort"),
         (changed_meta(source="dream"), "source is 'dream'"),
         (changed_meta(configuration={"robot": "LBR14R820"}), "fingerprint is not that"),
         (changed(depth=None), "depth missing or unknown"),

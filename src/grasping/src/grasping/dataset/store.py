@@ -12,7 +12,7 @@ import zipfile
 import zlib
 from dataclasses import asdict, fields
 from datetime import datetime, timezone
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -23,6 +23,10 @@ from grasping.dataset.episode import EXECUTION, TELEOPERATION, Episode, Metadata
 from grasping.depth_image import NETWORK_SIDE, Crop
 
 SCHEMA = 1
+MAGIC, ENCRYPTED, PACKED = b"PK\3\4", 0x1, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""How an archive begins; the bit of a file's flags that says that it is encrypted; how numpy packs files."""
+ARRAY = ".npy"
+META = f"meta{ARRAY}"
 PREFIX, SUFFIX = "episode_", ".npz"
 NAME = PREFIX + "%Y%m%dT%H%M%S_%f"
 LAYOUT = {
@@ -111,8 +115,9 @@ def decode(data: bytes) -> Episode:
     Raises:
         DatasetError: it is torn, damaged, of another schema, or no episode at all.
     """
-    arrays = _read(data)
-    meta = _meta(arrays)
+    files = _files(data)
+    meta = _meta(files)
+    arrays = _arrays(files)
     _check(arrays)
     for array in arrays.values():
         array.setflags(write=False)
@@ -140,38 +145,65 @@ def decode(data: bytes) -> Episode:
     )
 
 
-def _read(data: bytes) -> dict[str, np.ndarray]:
-    """Returns the arrays of the archive, unchecked."""
+def _files(data: bytes) -> dict[str, bytes]:
+    """Returns the files of the archive, each as its checksum says it was written."""
+    if not MAGIC.startswith(data[: len(MAGIC)]):
+        raise DatasetError("The file is no episode: it is no archive.")
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for file in archive.infolist():
+                if file.flag_bits & ENCRYPTED or file.compress_type not in PACKED:
+                    raise zipfile.BadZipFile(f"{file.filename} is packed in another way")
+            return {file.filename: archive.read(file) for file in archive.infolist()}
+    # The last two are raised where the archive's list of files is damaged: unknown versions, places before its start.
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, ValueError) as error:
         raise DatasetError(f"The file is torn or damaged: {error}.") from None
-    except (AttributeError, TypeError, ValueError, KeyError, NotImplementedError, MemoryError) as error:
-        raise DatasetError(f"The file is no episode: {' '.join(str(error).split())}.") from None
 
 
-def _meta(arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+def _meta(files: dict[str, bytes]) -> dict[str, Any]:
     """Returns the metadata, after the schema was checked."""
+    if META not in files:
+        raise DatasetError("The file is no episode: it has no metadata.")
+    text = str(_array(META, files[META]))
     try:
-        meta = json.loads(str(arrays["meta"][()]))
-        schema = meta["schema"]
-    except (KeyError, ValueError, TypeError, IndexError):
-        raise DatasetError("The file is no episode: it has no metadata.") from None
-    if schema != SCHEMA:
-        raise DatasetError(f"The file has the schema {schema!r}, but this version of the package reads {SCHEMA}.")
+        meta = json.loads(text, parse_constant=_refuse)
+    except ValueError:
+        raise DatasetError("The file is no episode: its metadata are no JSON.") from None
+    if not isinstance(meta, dict) or "schema" not in meta:
+        raise DatasetError("The file is no episode: its metadata name no schema.")
+    if meta["schema"] != SCHEMA:
+        raise DatasetError(
+            f"The file has the schema {meta['schema']!r}, but this version of the package reads {SCHEMA}."
+        )
     return meta
 
 
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no JSON")
+
+
+def _arrays(files: dict[str, bytes]) -> dict[str, np.ndarray]:
+    """Returns the arrays by the names in the layout, unchecked."""
+    wanted = {f"{name}{ARRAY}": name for name in LAYOUT}
+    if files.keys() != wanted.keys():
+        odd = ", ".join(sorted(name.replace(ARRAY, "") for name in files.keys() ^ wanted.keys()))
+        raise DatasetError(f"The file is no episode of schema {SCHEMA}: {odd} missing or unknown.")
+    return {wanted[name]: _array(name, data) for name, data in files.items()}
+
+
+def _array(name: str, data: bytes) -> np.ndarray:
+    try:
+        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    except ValueError as error:
+        raise DatasetError(f"The file is no episode: {name}: {' '.join(str(error).split())}.") from None
+
+
 def _check(arrays: dict[str, np.ndarray]) -> None:
-    """Refuses arrays that are missing, too many, of another type or shape, not finite, or no poses.
+    """Refuses arrays that are of another type or shape, not finite, or no poses.
 
     Raises:
         DatasetError: with the first fault.
     """
-    if arrays.keys() != LAYOUT.keys():
-        odd = sorted(arrays.keys() ^ LAYOUT.keys())
-        raise DatasetError(f"The file is no episode of schema {SCHEMA}: {', '.join(odd)} missing or unknown.")
     sizes: dict[str, int] = {}
     for name, (kind, shape) in LAYOUT.items():
         array = arrays[name]
