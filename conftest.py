@@ -7,9 +7,11 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 ROOT = Path(__file__).parent
@@ -20,6 +22,10 @@ SOURCES = [str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup
 sys.path.extend(SOURCES)
 
 from common.ports import free_port  # noqa: E402 - needs the path above
+
+# On a busy machine one example of a law may take long.
+hypothesis.settings.register_profile("no deadline", deadline=None)
+hypothesis.settings.load_profile("no deadline")
 
 
 def pytest_collection_modifyitems(config, items):
@@ -121,7 +127,8 @@ def ros(ros_master, processes, monkeypatch):
 
     def make_and_keep(topic, *args):
         make(topic, *args)
-        topics.append(topic)
+        if threading.current_thread() is threading.main_thread():  # what other threads make they unregister
+            topics.append(topic)
 
     monkeypatch.setattr(rospy.topics.Topic, "__init__", make_and_keep)
     yield Graph(processes)
