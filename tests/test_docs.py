@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import re
+import xml.etree.ElementTree as ElementTree
+
 import pytest
 
 from tools.handbook import commands, pages
-from tools.reference import errors, messages_in_code, parameters, sources
+from tools.reference import errors, messages_in_code, nodes, parameters, sources
 from tools.reference.pages import PAGES
 
 
@@ -20,6 +24,68 @@ def test_every_yaml_is_a_table_or_shown_as_it_is():
     files = {sources.inside(file) for file in sources.ROOT.glob("src/**/config/**/*.yaml")}
     assert files == parameters.SCHEMAS.keys() | parameters.AS_IT_IS
     assert not parameters.SCHEMAS.keys() & parameters.AS_IT_IS
+
+
+class TestPrivateParameters:
+    """Nodes read them by common.ros.params alone, by schemas that the page shows; launch files set no others."""
+
+    SOURCES = tuple(file for file in sources.ROOT.glob("src/**/src/*/ros/*.py") if file.name != "params.py")
+
+    def test_are_read_in_one_way(self):
+        others = [sources.inside(f) for f in self.SOURCES if re.search(r"_param\(\s*f?[\"']~", f.read_text())]
+        assert not others, "use common.ros.params.private_config"
+
+    @pytest.mark.parametrize(
+        ("code", "schemas"),
+        [
+            ("config = private_config(DriverConfig)", {"DriverConfig"}),
+            ("SECTIONS = {'a': AConfig}\nb = {n: private_config(s, n) for n, s in SECTIONS.items()}", {"AConfig"}),
+            ("Driver(wait_for_config(Settings, rospy.get_name()))", {"Settings"}),
+            ("config = wait_for_config(ArmConfig, 'kuka')", set()),
+        ],
+    )
+    def test_schemas_are_found_in(self, code, schemas):
+        assert private_schemas(code) == schemas
+
+    def test_each_schema_is_on_the_page(self):
+        shown = {schema for node in nodes.NODES.values() for schema in node.schemas.values()}
+        shown |= {part.schema for parts in parameters.SCHEMAS.values() for part in parts}
+        names = {schema.split(":")[1] for schema in shown}
+        missing = {sources.inside(f): private_schemas(f.read_text()) - names for f in self.SOURCES}
+        assert not {file: names for file, names in missing.items() if names}, "write them into tools/reference/nodes.py"
+
+    def test_launch_files_set_those_of_the_page(self):
+        sources.on_path()
+        programs = {f"{sources.package(f)}/{f.name}": f for f in sources.ROOT.glob("src/**/scripts/*.py")}
+        assert not nodes.NODES.keys() - programs.keys()
+        wrong = []
+        for launch in sources.ROOT.glob("src/**/launch/*.launch"):
+            for node in ElementTree.parse(launch).getroot().iter("node"):
+                program = f"{node.get('pkg')}/{node.get('type')}"
+                given = {param.get("name") for param in node.findall("param")}
+                if program in programs and given:
+                    known = nodes.keys(program) if program in nodes.NODES else set()
+                    wrong += [f"{launch.name}: {program}: {name}" for name in given - known]
+        # What users of the published package have in their own launch files, and nothing depends on.
+        assert [w for w in wrong if not w.endswith(": queue_size")] == []
+
+
+def private_schemas(code: str) -> set[str]:
+    """Returns the names of the schemas by which a module reads private parameters."""
+    tree = ast.parse(code)
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "private_config":
+            found.add(ast.unparse(node.args[0]))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "wait_for_config":
+            found |= {ast.unparse(node.args[0])} if "get_name()" in ast.unparse(node.args[1]) else set()
+        if (
+            isinstance(node, ast.Assign)
+            and ast.unparse(node.targets[0]) == "SECTIONS"
+            and isinstance(node.value, ast.Dict)
+        ):
+            found |= {ast.unparse(schema) for schema in node.value.values}
+    return {name for name in found if name[0].isupper()}
 
 
 def test_every_picture_says_where_it_comes_from():

@@ -1,8 +1,7 @@
-"""The page of parameters: each yaml file beside the schema that checks it."""
+"""The page of parameters: each yaml file beside the schema that checks it, and each node's private parameters."""
 
 from __future__ import annotations
 
-import importlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from tools.reference import markdown, sources
+from tools.reference import markdown, nodes, schemas, sources
 
 
 @dataclass(frozen=True)
@@ -20,7 +19,7 @@ class Part:
     Attributes:
         schema: `module:Class`.
         path: keys that lead to the mapping; none for the whole file.
-        above: whether the file stands above another one and holds only what it changes.
+        above: whether the file holds only some of the keys: it stands above another one, or a node is given the rest.
     """
 
     schema: str
@@ -52,6 +51,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "kuka_control/config/dh_parameters_example.yaml": (Part("kuka_control.kinematics.dh:DhDeviations"),),
     "leap_kuka/config/leap_params.yaml": (Part("leap_kuka.config:LeapConfig"),),
     "grasping/config/collection.yaml": (
+        Part("grasping.node_parameters:CollectionConfig", above=True),
         Part("grasping.dataset.frame_buffer:FrameBufferConfig", ("frames",)),
         Part("grasping.dataset.grasp_watch:GraspWatchConfig", ("watch",)),
     ),
@@ -66,11 +66,11 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "grasping/config/tool_pose.yaml": (Part("grasping.tool_pose:ToolPoseConfig"),),
     "leap_hand/config/leap_hand.yaml": (Part("leap_hand.config:HandConfig"),),
     "leap_hand/config/full_grip.yaml": (Part("leap_hand.config:HandConfig", above=True),),
-    "reflex/config/reflex_takktile.yaml": (Part("reflex.settings:Settings"),),
+    "reflex/config/reflex_takktile.yaml": (Part("reflex.settings:Settings", above=True),),
     "reflex/config/finger_calibrate.yaml": (Part("reflex.calibration:FingerZeros"),),
     "reflex/config/tactile_calibrate.yaml": (Part("reflex.calibration:TactileOffsets"),),
-    "apriltag_ros/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings"),),
-    "vision/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings"),),
+    "apriltag_ros/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings", above=True),),
+    "vision/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings", above=True),),
     "vision/config/panel.yaml": (Part("vision.panel:PanelConfig"),),
     "vision/config/panel_single.yaml": (Part("vision.panel:PanelConfig"),),
     "vision/config/camera_calibration.yaml": (Part("vision.calibration:CalibrationConfig"),),
@@ -81,6 +81,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "vision/config/stereo_view.yaml": (Part("vision.stereo_view_config:StereoViewConfig"),),
     "vision/config/xtion.yaml": (Part("vision.openni_camera:XtionConfig"),),
     "rig_simulation/config/camera.yaml": (
+        Part("rig_simulation.node_parameters:CameraConfig"),
         Part("rig_simulation.camera.config:ColourConfig", ("colour",)),
         Part("rig_simulation.camera.config:DepthConfig", ("depth",)),
     ),
@@ -118,17 +119,18 @@ def page() -> str:
         markdown.generated(
             "Parameters",
             "the yaml files and their schemas",
-            "Every yaml file of every package with its defaults. What is checked is the schema beside it: a value out "
-            "of range, a missing key and an unknown key are refused with one sentence each, and nothing moves.\n\n"
+            "Every yaml file of every package with its defaults, and behind them the private parameters of the "
+            "package's nodes (`~name`, given by launch files or as `_name:=value`). What is checked is the schema "
+            "beside it: a value out of range, a missing key and an unknown key are refused with one sentence each, and "
+            "nothing moves.\n\n"
             "In intervals a square bracket includes the limit and a round one does not.",
         )
     ]
-    name = ""
-    for file in files:
-        if sources.package(file) != name:
-            name = sources.package(file)
-            parts.append(f"## {name}\n")
-        parts.append(_file(file))
+    packages = {sources.package(file) for file in files} | {program.split("/")[0] for program in nodes.NODES}
+    for package in sorted(packages):
+        parts.append(f"## {package}\n")
+        parts += [_file(file) for file in files if sources.package(file) == package]
+        parts += nodes.of_package(package)
     return "\n".join(parts)
 
 
@@ -137,45 +139,33 @@ def _file(file: Path) -> str:
     parts = [f"### {file.relative_to(file.parents[len(file.parts) - 2 - file.parts.index('config')])}\n"]
     head = _head(words)
     parts.append(f"{sources.link(file)}{': ' + markdown.text(head) if head else ''}\n")
-    schemas = SCHEMAS.get(sources.inside(file))
-    if schemas is None:
+    found = SCHEMAS.get(sources.inside(file))
+    if found is None:
         body = re.sub(r"\A(#.*\n)+\n*", "", words)
         return "\n".join([*parts, f"```yaml\n{body.rstrip()}\n```\n"])
     comments = _comments(words)
-    rest = [k for k in yaml.safe_load(words) if not any(not part.path or part.path[0] == k for part in schemas)]
+    rest = [k for k in yaml.safe_load(words) if not any(not part.path or part.path[0] == k for part in found)]
     if rest:
         values = yaml.safe_load(words)
-        rows = [[markdown.code(k), markdown.code(_value(values[k])), comments.get((k,), "")] for k in rest]
+        rows = [[markdown.code(k), markdown.code(schemas.value(values[k])), comments.get((k,), "")] for k in rest]
         parts.append(markdown.table(["key", "default", "meaning"], rows))
-    for part in schemas:
+    for part in found:
         parts.append(_table(part, yaml.safe_load(words), comments))
     return "\n".join(parts)
 
 
 def _table(part: Part, values: Any, comments: dict[tuple[str, ...], str]) -> str:
-    from common.config import keys
-
-    module, name = part.schema.split(":")
     for key in part.path:
         values = values[key]
     order = list(values)
-    found = [k for k in keys(getattr(importlib.import_module(module), name)) if k.name in order or not part.above]
-    rows = [
-        [
-            markdown.code(".".join([*part.path, key.name])),
-            markdown.code(_value(values[key.name])) if key.name in order else "",
-            key.type + (": " + key.range if key.type == "one of" else ""),
-            "" if key.type == "one of" else key.range,
-            key.unit,
-            markdown.text(key.meaning or comments.get((*part.path, key.name), "")),
-        ]
-        for key in sorted(found, key=lambda k: order.index(k.name) if k.name in order else len(order))
-    ]
-    return markdown.table(["key", "default", "type", "range", "unit", "meaning"], rows)
-
-
-def _value(value: Any) -> str:
-    return yaml.safe_dump(value, default_flow_style=True, width=1000, allow_unicode=True).replace("...", "").strip()
+    found = [k for k in schemas.keys_of(part.schema) if k.name in order or not part.above]
+    return schemas.table(
+        "key",
+        (
+            schemas.row(key, ".".join([*part.path, key.name]), values, comments.get((*part.path, key.name), ""))
+            for key in sorted(found, key=lambda k: order.index(k.name) if k.name in order else len(order))
+        ),
+    )
 
 
 def _head(words: str) -> str:

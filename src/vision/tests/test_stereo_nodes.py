@@ -175,7 +175,7 @@ class TestWindow:
             ({"lens": "vive"}, "~view/lens is 'vive', but must be one of dk2, none."),
             ({"colour": 1}, "~view/colour is not a known key"),
             ({"output": "HDMI-7"}, "No display is on the output 'HDMI-7'; there are"),
-            ({"output": 7}, "~output is 7, but must be the name of an output"),
+            ({"output": 7}, "~output is 7, but must be a string"),
         ],
     )
     def test_it_ends_with_a_sentence(self, ros, offscreen, changes, sentence):

@@ -26,6 +26,7 @@ from common.ros.conversions import pose_from_transform, pose_in
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import camera_model_from_info, depth_from_image
 from common.ros.node import run, while_running
+from common.ros.params import private_values
 from grasp_msgs.msg import GraspOutcome
 from grasping.dataset.collector import Collector, Finished
 from grasping.dataset.configuration import rig_configuration
@@ -230,7 +231,7 @@ class GraspCollection:
             revision=setup.revision,
             date=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(grasp.time)),
             operator=setup.config.operator,
-            object=str(rospy.get_param("~object", setup.config.object)),
+            object=str(private_values().get("object", setup.config.object)),
             source=finished.source,
             reason=grasp.reason,
             configuration=rig_configuration(

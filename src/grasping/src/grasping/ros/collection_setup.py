@@ -14,13 +14,14 @@ import rospkg
 import rospy
 import torch
 
-from common.config import flag, number, parse, path, required, text
+from common.config import parse, path, required, text
 from common.mounting import mounting_field, rotation_of_mounting
-from common.ros.params import wait_for_param
+from common.ros.params import private_config, private_values, wait_for_param
 from common.tool import ToolConfig
 from grasping.dataset.configuration import grasp_in_tool
 from grasping.dataset.frame_buffer import FrameBufferConfig
 from grasping.dataset.grasp_watch import GraspWatchConfig
+from grasping.node_parameters import CollectionConfig
 from grasping.predictor import frozen
 from grasping.ros.weight_files import load_network, own_yaml, package_folder
 from grasping.settings import GgcnnSettings, overlaid, settings_from
@@ -29,17 +30,6 @@ SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
 GGCNN = "ggcnn"
 """Section with the parameters of the node ggcnn, whose network and view are used here."""
 GIT_S = 5.0
-
-
-@dataclass(frozen=True)
-class CollectionConfig:
-    """Private parameters beside the SECTIONS."""
-
-    folder: str = path(doc="folder of the episodes; empty: leap_rig/grasps in ROS's home, ~/.ros")
-    object: str = text(doc="what is grasped; may be set anew while the node runs")
-    operator: str = text(doc="who teleoperates")
-    tf_wait: float = number("s", above=0.0, high=5.0, doc="how long the places at a picture's time are waited for")
-    from_bag: bool = flag(doc="start the recording that collection_bag is about to play")
 
 
 @dataclass(frozen=True)
@@ -96,11 +86,10 @@ def read_setup() -> CollectionSetup:
     Raises:
         RigError: a parameter is wrong, or the weight file cannot be used.
     """
-    values = rospy.get_param("~", {})
-    config = parse(CollectionConfig, values, prefix="~", others=(*SECTIONS, GGCNN))
-    sections = {name: parse(schema, values.get(name, {}), f"~{name}/") for name, schema in SECTIONS.items()}
+    config = private_config(CollectionConfig, others=(*SECTIONS, GGCNN))
+    sections = {name: private_config(schema, name) for name, schema in SECTIONS.items()}
     own = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}
-    settings = settings_from(overlaid(own, values.get(GGCNN, {})), prefix=f"~{GGCNN}/")
+    settings = settings_from(overlaid(own, private_values().get(GGCNN, {})), prefix=f"~{GGCNN}/")
     rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in (*sections.values(), settings)))
     loaded = load_network(settings.network)
     torch.set_num_threads(settings.network.threads)

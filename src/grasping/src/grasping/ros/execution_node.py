@@ -24,7 +24,7 @@ from common.ros.calls import call
 from common.ros.conversions import stamped_pose
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
-from common.ros.params import wait_for_param
+from common.ros.params import private_config, wait_for_param
 from common.tool import ToolConfig
 from grasping.dataset.grasp_watch import GraspWatchConfig
 from grasping.execution import HELD, Execution, ExecutionConfig, Outcome
@@ -188,9 +188,8 @@ class ExecutionNode:
 
 
 def _run() -> None:
-    values = rospy.get_param("~", {})
-    config = parse(ExecutionConfig, values, prefix="~", others=SECTIONS)
-    sections = {name: parse(schema, values.get(name, {}), f"~{name}/") for name, schema in SECTIONS.items()}
+    config = private_config(ExecutionConfig, others=SECTIONS)
+    sections = {name: private_config(schema, name) for name, schema in SECTIONS.items()}
     rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in sections.values()))
     for name in required(ArmConfig):
         wait_for_param(f"kuka/{name}")

@@ -18,39 +18,30 @@ from common.rotations import rotation_from_quaternion
 FAMILIES = ("tag36h11", "tag36h10", "tag36artoolkit", "tag25h9", "tag25h7", "tag16h5")
 """What the library can read."""
 
-DEFAULTS = {
-    "tag_family": "tag36h11",
-    "tag_threads": 2,
-    "tag_decimate": 1.0,
-    "tag_blur": 0.0,
-    "tag_refine_edges": 1,
-    "tag_debug": 0,
-    "max_hamming_dist": 2,
-    "publish_tf": False,
-    "transport_hint": "raw",
-    "remove_duplicates": True,
-    "publish_tag_detections_image": False,
-    "rectified": True,
-}
-"""What the published package takes for a key that its users' files do not have."""
+DEFAULT_FAMILY = "tag36h11"
 
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """How tags are looked for. Keys that the detection library cannot honour may only have the value it works with."""
+    """How tags are looked for. Keys that the detection library cannot honour may only have the value it works with; a
+    key that a file does not have means what it means to the published package."""
 
-    tag_family: str = choice(*FAMILIES, doc="family of the tags")
-    tag_threads: int = integer(low=0, high=64, doc="threads of the detector; 0: one less than there are processors")
-    tag_decimate: float = number(low=1.0, high=8.0, doc="factor by which the picture is made smaller first")
-    tag_blur: float = number("px", low=0.0, high=10.0, doc="sigma of the blur before tags are looked for")
-    tag_refine_edges: int = integer(low=1, high=1, doc="the library always fits lines to the edges")
-    tag_debug: int = integer(low=0, high=0, doc="the library's own debug pictures are not offered")
-    max_hamming_dist: int = integer("bits", low=0, high=10, doc="so many wrong bits are put right")
-    publish_tf: bool = flag("publish the poses in tf also")
-    transport_hint: str = choice("raw", doc="only raw pictures can be subscribed to")
-    remove_duplicates: bool = flag("drop an id that is seen twice in one picture")
-    publish_tag_detections_image: bool = flag("publish the picture with the tags drawn in also")
-    rectified: bool = flag("whether the pictures are rectified already; otherwise the camera's distortion is undone")
+    tag_family: str = choice(*FAMILIES, doc="family of the tags", absent=DEFAULT_FAMILY)
+    tag_threads: int = integer(
+        low=0, high=64, doc="threads of the detector; 0: one less than there are processors", absent=2
+    )
+    tag_decimate: float = number(low=1.0, high=8.0, doc="factor by which the picture is made smaller first", absent=1.0)
+    tag_blur: float = number("px", low=0.0, high=10.0, doc="sigma of the blur before tags are looked for", absent=0.0)
+    tag_refine_edges: int = integer(low=1, high=1, doc="the library always fits lines to the edges", absent=1)
+    tag_debug: int = integer(low=0, high=0, doc="the library's own debug pictures are not offered", absent=0)
+    max_hamming_dist: int = integer("bits", low=0, high=10, doc="so many wrong bits are put right", absent=2)
+    publish_tf: bool = flag("publish the poses in tf also", absent=False)
+    transport_hint: str = choice("raw", doc="only raw pictures can be subscribed to", absent="raw")
+    remove_duplicates: bool = flag("drop an id that is seen twice in one picture", absent=True)
+    publish_tag_detections_image: bool = flag("publish the picture with the tags drawn in also", absent=False)
+    rectified: bool = flag(
+        "whether the pictures are rectified already; otherwise the camera's distortion is undone", absent=True
+    )
 
 
 @dataclass(frozen=True)
@@ -80,12 +71,12 @@ TAG_KEYS = ("standalone_tags", "tag_bundles")
 
 
 def detector_settings(values: Mapping[str, Any], prefix: str = "", others: tuple[str, ...] = ()) -> DetectorSettings:
-    """Returns the settings that `values` describe; keys that are not there have the value of `DEFAULTS`.
+    """Returns the settings that `values` describe; what they leave out is as for the published package.
 
     Raises:
         ConfigError: with all faults.
     """
-    return parse(DetectorSettings, {**DEFAULTS, **values}, prefix, others=(*TAG_KEYS, *others))
+    return parse(DetectorSettings, values, prefix, others=(*TAG_KEYS, *others))
 
 
 def targets(values: Mapping[str, Any]) -> tuple[Target, ...]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import rospy
 import tf2_ros
 
-from common.config import parse
 from common.ros.conversions import stamped_transform
+from common.ros.params import private_config
 from vision.camera_frames import CameraFramesConfig, camera_frames
 
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    config = parse(CameraFramesConfig, rospy.get_param("~", {}), prefix="~")
+    config = private_config(CameraFramesConfig)
     stamp = rospy.Time.now()
     broadcaster = tf2_ros.StaticTransformBroadcaster()
     broadcaster.sendTransform(

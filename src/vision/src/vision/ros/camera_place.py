@@ -11,7 +11,6 @@ import copy
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 import rospy
@@ -20,35 +19,26 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped
 from std_srvs.srv import Trigger, TriggerResponse
 
-from common.config import choice, parse, text
 from common.errors import DeviceError
 from common.poses import read_only
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
+from common.ros.params import private_config
 from vision.calibration import Sight, view_from
 from vision.calibration_record import LIVE, CalibrationRecord
 from vision.hand_eye import camera_pose
+from vision.node_parameters import STORED, PlaceConfig
 from vision.ros.calibration_setup import CalibrationSetup, read_setup
 from vision.ros.frames import FLANGE_SEEN, Frames
 from vision.ros.panel_sights import PanelSights
 
-AUTO, STORED = "auto", "stored"
-DEFAULTS = {"mode": AUTO, "detector": "apriltag_ros_continuous_node"}
 FLANGE_WAIT_S = 0.2
 RECENT_S = 3.0
 THROTTLE_S = 5.0
 REPEAT_S = 0.1
 AHEAD = rospy.Duration(2.0 * REPEAT_S)
 """A repeated place is stamped ahead, so that nobody waits for the next one; it does not move."""
-
-
-@dataclass(frozen=True)
-class PlaceConfig:
-    """Private parameters of the node."""
-
-    mode: str = choice(AUTO, STORED, LIVE, doc="where the camera's place comes from")
-    detector: str = text(doc="name of the detector node")
 
 
 class CameraPlace:
@@ -185,7 +175,7 @@ class CameraPlace:
 
 
 def _run() -> None:
-    config = parse(PlaceConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")
+    config = private_config(PlaceConfig)
     CameraPlace(config.mode, read_setup(config.detector))
     rospy.spin()
 

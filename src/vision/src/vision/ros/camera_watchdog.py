@@ -16,9 +16,9 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
-from common.config import parse
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import picture_from_image
+from common.ros.params import private_config
 from vision.stream_watch import Health, StreamWatch, WatchConfig
 
 POLL_S = 0.1
@@ -128,4 +128,4 @@ def _topics_that_others_take() -> Callable[[str], bool]:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    CameraWatchdog(parse(WatchConfig, rospy.get_param("~", {}), prefix="~")).run()
+    CameraWatchdog(private_config(WatchConfig)).run()

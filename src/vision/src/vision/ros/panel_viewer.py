@@ -12,7 +12,7 @@ import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
 from apriltag_ros.photometric import PhotometricRefiner
-from apriltag_ros.settings import DEFAULTS
+from apriltag_ros.settings import DEFAULT_FAMILY
 from common.camera_model import CameraModel
 from common.errors import ConfigError, DeviceError
 from common.ros.images import camera_model_from_info, colour_from_image
@@ -54,7 +54,7 @@ class PanelViewer:
         self._pictures: dict[int, np.ndarray] = {}
         self._refiner = None
         if setup.limits.photometric:
-            family = rospy.get_param(f"{detector}/tag_family", DEFAULTS["tag_family"])
+            family = rospy.get_param(f"{detector}/tag_family", DEFAULT_FAMILY)
             try:
                 self._refiner = PhotometricRefiner(family, setup.target)
             except ValueError as error:

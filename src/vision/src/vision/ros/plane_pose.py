@@ -7,7 +7,7 @@ such pose; in tf the frames <panel>/fused and <panel>/plane. The colour-only pos
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -20,28 +20,21 @@ from apriltag_ros.msg import AprilTagDetectionArray
 from apriltag_ros.ros.messages import detection_array
 from apriltag_ros.settings import TAG_KEYS, detector_settings, targets
 from apriltag_ros.target import Target
-from common.config import number, parse
 from common.errors import ConfigError
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run
+from common.ros.params import private_config, private_values
 from common.rotations import rotation_angle
 from vision.depth_detection import DepthDetection, DepthTagDetector
+from vision.node_parameters import PairsConfig
 from vision.panel import PanelConfig
 from vision.plane_fit import PlanePoseConfig
 from vision.ros.rgbd_pairs import RgbdPair, RgbdPairs
 
 METHODS = ("plane", "fused")
 SECTIONS = ("detector", "panel", "plane_pose")
-DEFAULTS = {"slop": 0.04}
 THROTTLE_S = 5.0
-
-
-@dataclass(frozen=True)
-class PlanePoseNodeConfig:
-    """Private parameters beside the SECTIONS."""
-
-    slop: float = number("s", low=0.0, high=1.0, doc="farthest apart in time that colour and depth may be")
 
 
 class PlanePoseNode:
@@ -130,14 +123,13 @@ def _panel_target(section: dict, frame: str) -> Target:
 
 def _run() -> None:
     cv2.setNumThreads(1)
-    values = rospy.get_param("~", {})
-    config = parse(PlanePoseNodeConfig, {**DEFAULTS, **values}, prefix="~", others=SECTIONS)
-    sections = {name: values.get(name, {}) for name in SECTIONS}
-    panel = parse(PanelConfig, sections["panel"], prefix="~panel/")
-    poses = parse(PlanePoseConfig, sections["plane_pose"], prefix="~plane_pose/")
-    raw = {**sections["detector"], "rectified": False}  # it looks at image_raw
+    config = private_config(PairsConfig, others=SECTIONS)
+    panel = private_config(PanelConfig, "panel")
+    poses = private_config(PlanePoseConfig, "plane_pose")
+    detector_values = private_values().get("detector", {})
+    raw = {**detector_values, "rectified": False}  # it looks at image_raw
     settings = detector_settings(raw, prefix="~detector/")
-    target = _panel_target(sections["detector"], panel.frame)
+    target = _panel_target(detector_values, panel.frame)
     rospy.loginfo("%s; %s", settings, poses)
     try:
         detector = DepthTagDetector(settings, target, panel.plate, poses)

@@ -8,35 +8,27 @@ sw_registered/camera_info and points. Nothing is computed, or asked of the camer
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
-from common.config import number, parse
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import camera_info_message, image_message
 from common.ros.node import run
+from common.ros.params import private_config
+from vision.node_parameters import PairsConfig
 from vision.registration import POINT, Registration, millimetres_from_metres
 from vision.ros.rgbd_pairs import RgbdPair, RgbdPairs
 
 REGISTERED = "depth_registered/sw_registered"
 LISTENERS_PERIOD_S = 0.2
-DEFAULTS = {"slop": 0.04}
-
-
-@dataclass(frozen=True)
-class RegisterConfig:
-    """Private parameters."""
-
-    slop: float = number("s", low=0.0, high=1.0, doc="farthest apart in time that colour and depth may be")
 
 
 class RegisterRgbd:
     """Publishes what is listened to."""
 
-    def __init__(self, config: RegisterConfig) -> None:
+    def __init__(self, config: PairsConfig) -> None:
         self._registration: Registration | None = None
         self._made_for: tuple | None = None
         self._milliseconds = 0.0
@@ -104,7 +96,7 @@ def _cloud_message(points, header) -> PointCloud2:
 
 
 def _run() -> None:
-    RegisterRgbd(parse(RegisterConfig, {**DEFAULTS, **rospy.get_param("~", {})}, prefix="~")).run()
+    RegisterRgbd(private_config(PairsConfig)).run()
 
 
 def main() -> None:

@@ -12,11 +12,12 @@ from python_qt_binding.QtCore import QTimer
 from python_qt_binding.QtWidgets import QApplication
 from sensor_msgs.msg import Image
 
-from common.config import parse
-from common.errors import ConfigError, DeviceError
+from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import image_message
 from common.ros.node import run, while_running
+from common.ros.params import private_config
+from vision.node_parameters import WindowConfig
 from vision.ros.stereo_pictures import StereoPictures
 from vision.ros.stereo_screen import StereoScreen, find_screen
 from vision.stereo_view_config import StereoViewConfig
@@ -28,10 +29,8 @@ FRAME = "headset"
 
 
 def _run() -> None:
-    config = parse(StereoViewConfig, rospy.get_param("~view", {}), prefix="~view/")
-    output = rospy.get_param("~output", "")
-    if not isinstance(output, str):
-        raise ConfigError([f"~output is {output!r}, but must be the name of an output, or empty."])
+    output = private_config(WindowConfig, others=("view",)).output
+    config = private_config(StereoViewConfig, "view")
     if not any(name in os.environ for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")):
         raise DeviceError("The headset's view needs a screen: neither DISPLAY nor WAYLAND_DISPLAY is set.")
     application = QApplication(sys.argv[:1])

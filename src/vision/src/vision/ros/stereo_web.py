@@ -19,8 +19,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 
-from common.config import integer, path, text
 from common.errors import DeviceError
+from vision.node_parameters import WebConfig
 
 SILENCE_S = 0.5
 """Without a new picture for so long the page is told so."""
@@ -29,23 +29,6 @@ REQUEST_S = 10.0
 CLOSE_S = 1.0
 MAX_PAGES = 4
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-
-
-@dataclass(frozen=True)
-class WebConfig:
-    """Where the page is."""
-
-    host: str = text(doc="address to serve on")
-    port: int = integer(low=0, high=65535, doc="port; 0: any free one")
-    page: str = path(doc="file of the page")
-    certificate: str = path(doc="file of a certificate (PEM), for https")
-    key: str = path(doc="file of the certificate's key (PEM)")
-
-    def faults(self) -> list[str]:
-        """Returns what no single field can check."""
-        if bool(self.certificate) != bool(self.key):
-            return ["certificate and key belong together, but only one of them is given."]
-        return []
 
 
 @dataclass(frozen=True)

@@ -6,19 +6,20 @@ import cv2
 import numpy as np
 import rospy
 
-from common.config import parse
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run
+from common.ros.params import private_config
+from vision.node_parameters import WebConfig
 from vision.ros.stereo_pictures import Seen, StereoPictures
-from vision.ros.stereo_web import Frame, StereoWeb, WebConfig
+from vision.ros.stereo_web import Frame, StereoWeb
 from vision.stereo_view_config import StereoViewConfig
 
 REFRESH_S = 0.2
 
 
 def _run() -> None:
-    config = parse(StereoViewConfig, rospy.get_param("~view", {}), prefix="~view/")
-    web = StereoWeb(parse(WebConfig, rospy.get_param("~web", {}), prefix="~web/"))
+    config = private_config(StereoViewConfig, "view")
+    web = StereoWeb(private_config(WebConfig, "web"))
     rospy.loginfo("The view is at %s", web.address)
     pictures = StereoPictures(config)
     Diagnostics("stereo_web", pictures.diagnose)

@@ -10,10 +10,10 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from common.camera_model import CameraModel, from_calibration
-from common.config import parse
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import metres_from_millimetres
+from common.ros.params import private_config, private_values
 from common.ros.rgbd_topics import RgbdTopics
 from vision.camera_frames import CameraFramesConfig, depth_in_rgb
 from vision.openni_camera import Frame, OpenniCamera, XtionConfig
@@ -123,8 +123,7 @@ class Xtion:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    values = rospy.get_param("~", {})
-    config = parse(XtionConfig, values, prefix="~", others=(*CALIBRATIONS, FRAMES))
-    rgb, depth = (from_calibration(values.get(name)) for name in CALIBRATIONS)
-    frames = parse(CameraFramesConfig, values.get(FRAMES, {}), prefix=f"~{FRAMES}/")
+    config = private_config(XtionConfig, others=(*CALIBRATIONS, FRAMES))
+    rgb, depth = (from_calibration(private_values().get(name, {})) for name in CALIBRATIONS)
+    frames = private_config(CameraFramesConfig, FRAMES)
     Xtion(config, rgb, depth, depth_in_rgb(frames)).run()

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import rospy
-
 from apriltag_ros.settings import TAG_KEYS, DetectorSettings, detector_settings, targets
 from apriltag_ros.target import Target
+from common.ros.params import private_values
 
 OTHERS = ("queue_size", "camera_frame", "tag_border")
 """Keys in the published package's launch files that nothing here depends on."""
@@ -17,6 +16,6 @@ def read() -> tuple[DetectorSettings, tuple[Target, ...]]:
     Raises:
         ConfigError: with all faults.
     """
-    values = rospy.get_param("~", {})
+    values = private_values()
     settings = detector_settings(values, prefix="~", others=OTHERS)
     return settings, targets({key: values.get(key) for key in TAG_KEYS})

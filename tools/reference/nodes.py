@@ -1,0 +1,138 @@
+"""The private parameters of the nodes, for the page of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tools.reference import markdown, schemas, sources
+
+
+@dataclass(frozen=True)
+class Node:
+    """What a node reads under its own name.
+
+    Attributes:
+        schemas: `module:Class` by the section that it checks; an empty section is the node itself.
+        files: yaml files, `package/config/file.yaml`, by the section that a launch file loads them into.
+    """
+
+    schemas: Mapping[str, str]
+    files: Mapping[str, tuple[str, ...]]
+
+
+APRILTAG_FILES = ("apriltag_ros/config/settings.yaml", "apriltag_ros/config/tags.yaml")
+VIEW = {"view": ("vision/config/stereo_view.yaml",)}
+CALIBRATIONS = {
+    "rgb_calibration": ("vision/config/xtion_rgb.yaml",),
+    "depth_calibration": ("vision/config/xtion_depth.yaml",),
+}
+
+NODES: dict[str, Node] = {
+    "apriltag_ros/apriltag_ros_continuous_node.py": Node(
+        {"": "apriltag_ros.settings:DetectorSettings"}, {"": APRILTAG_FILES}
+    ),
+    "apriltag_ros/apriltag_ros_single_image_server_node.py": Node(
+        {"": "apriltag_ros.settings:DetectorSettings"}, {"": APRILTAG_FILES}
+    ),
+    "grasping/collect.py": Node(
+        {"": "grasping.node_parameters:CollectionConfig"},
+        {
+            "": ("grasping/config/collection.yaml",),
+            "ggcnn": ("grasping/config/ggcnn.yaml",),
+            "ggcnn/tool": ("grasping/config/tool_pose.yaml",),
+        },
+    ),  # fmt: skip
+    "grasping/ggcnn.py": Node({}, {"": ("grasping/config/ggcnn.yaml",), "tool": ("grasping/config/tool_pose.yaml",)}),
+    "grasping/grasp_execution.py": Node(
+        {}, {"": ("grasping/config/execution.yaml",), "tool_pose": ("grasping/config/tool_pose.yaml",)}
+    ),
+    "leap_hand/leap_hand_node.py": Node({"": "leap_hand.config:NodeConfig"}, {}),
+    "leap_motion/leap_driver.py": Node({"": "leap_motion.node_parameters:DriverConfig"}, {}),
+    "reflex/reflex_takktile_driver.py": Node(
+        {"": "reflex.settings:Settings"}, {"": ("reflex/config/reflex_takktile.yaml",)}
+    ),
+    "rig_simulation/camera_node.py": Node(
+        {"": "rig_simulation.node_parameters:CameraConfig"},
+        {"": ("rig_simulation/config/camera.yaml",), **CALIBRATIONS},
+    ),
+    "rig_simulation/camera_truth_node.py": Node({"": "rig_simulation.node_parameters:WorldConfig"}, {}),
+    "rig_simulation/fault_service.py": Node({"": "rig_simulation.node_parameters:FaultServiceConfig"}, {}),
+    "rig_simulation/monitor.py": Node({"": "rig_simulation.node_parameters:MonitorConfig"}, {}),
+    "rig_simulation/operator_node.py": Node({"": "rig_simulation.node_parameters:OperatorConfig"}, {}),
+    "rig_simulation/world_monitor.py": Node({"": "rig_simulation.node_parameters:WorldMonitorConfig"}, {}),
+    "rig_simulation/world_view.py": Node({"": "rig_simulation.node_parameters:WorldViewConfig"}, {}),
+    "vision/camera_frames_node.py": Node({}, {"": ("vision/config/camera_frames.yaml",)}),
+    "vision/camera_place_node.py": Node({"": "vision.node_parameters:PlaceConfig"}, {}),
+    "vision/camera_watchdog_node.py": Node({}, {"": ("vision/config/camera_watchdog.yaml",)}),
+    "vision/plane_pose_node.py": Node(
+        {"": "vision.node_parameters:PairsConfig"},
+        {
+            "detector": ("vision/config/settings.yaml", "vision/config/tags.yaml"),
+            "panel": ("vision/config/panel.yaml",),
+            "plane_pose": ("vision/config/plane_pose.yaml",),
+        },
+    ),  # fmt: skip
+    "vision/register_rgbd_node.py": Node({"": "vision.node_parameters:PairsConfig"}, {}),
+    "vision/stereo_view_node.py": Node({"": "vision.node_parameters:WindowConfig"}, VIEW),
+    "vision/stereo_web_node.py": Node({"web": "vision.node_parameters:WebConfig"}, VIEW),
+    "vision/xtion_node.py": Node(
+        {}, {"": ("vision/config/xtion.yaml",), "frames": ("vision/config/camera_frames.yaml",), **CALIBRATIONS}
+    ),
+}
+"""By the program that is the node, `package/program.py`. A test compares this with the launch files and the code."""
+
+
+def of_package(package: str) -> list[str]:
+    """Returns the parts of the page about the nodes of a package."""
+    return [_section(program) for program in NODES if program.split("/")[0] == package]
+
+
+def keys(program: str) -> set[str]:
+    """Returns the names of what a node may be given, `section/key`."""
+    node = NODES[program]
+    own = {_name(where, key.name) for where, schema in node.schemas.items() for key in schemas.keys_of(schema)}
+    loaded = {name for where, files in node.files.items() for file in files for name in _names(where, _values(file))}
+    return own | loaded
+
+
+def _section(program: str) -> str:
+    node = NODES[program]
+    name = program.split("/")[1]
+    parts = [f"### {name}\n"]
+    if node.files:
+        loaded = (
+            f"{', '.join(markdown.code(file) for file in files)}{f' as `~{where}`' if where else ''}"
+            for where, files in node.files.items()
+        )
+        parts.append(f"Private parameters of the node, from {'; '.join(loaded)}.\n")
+    rows = []
+    for where, schema in node.schemas.items():
+        in_files = {key for file in node.files.get(where, ()) for key in _values(file)}
+        left = (key for key in schemas.keys_of(schema) if key.name not in in_files)
+        rows += [schemas.row(key, f"~{_name(where, key.name)}", {}) for key in left]
+    if rows:
+        parts.append(schemas.table("private parameter", rows))
+    return "\n".join(parts)
+
+
+def _names(where: str, values: Mapping[str, Any]) -> Iterator[str]:
+    """Yields the names of the keys of a mapping and of the mappings in it."""
+    for key, value in values.items():
+        yield _name(where, key)
+        if isinstance(value, Mapping):
+            yield from _names(_name(where, key), value)
+
+
+def _name(where: str, key: str) -> str:
+    return f"{where}/{key}" if where else key
+
+
+def _values(file: str) -> dict[str, Any]:
+    path: Path = next(sources.ROOT.glob(f"src/**/{file}"))
+    values: dict[str, Any] = yaml.safe_load(path.read_text())
+    return values

@@ -1,0 +1,69 @@
+"""Tables of the typed schemas that check yaml files and private parameters."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from tools.reference import markdown
+
+if TYPE_CHECKING:
+    from common.config import Key
+
+COLUMNS = ("default", "type", "range", "unit", "meaning")
+
+
+def keys_of(schema: str) -> list[Key]:
+    """Returns the keys of `module:Class`."""
+    from common.config import keys
+
+    module, name = schema.split(":")
+    return keys(getattr(importlib.import_module(module), name))
+
+
+def row(key: Key, name: str, values: Mapping[str, Any], comment: str = "") -> list[str]:
+    """Returns a line of a table: name, then the COLUMNS.
+
+    Args:
+        key: of the schema.
+        name: under which it is set.
+        values: of the file that sets it; what is missing there has the schema's own default.
+        comment: stands for a meaning that the schema does not tell.
+    """
+    return [
+        markdown.code(name),
+        markdown.code(value(values[key.name])) if key.name in values else _absent(key),
+        key.type + (": " + _options(key.range) if key.type == "one of" else ""),
+        "" if key.type == "one of" else key.range,
+        key.unit,
+        markdown.text(key.meaning or comment),
+    ]
+
+
+def table(first: str, rows: Iterable[list[str]]) -> str:
+    """Returns the table of such lines; `first` is the title of their names."""
+    return markdown.table([first, *COLUMNS], rows)
+
+
+def value(of: Any) -> str:
+    """Returns a value as yaml has it in one line."""
+    return yaml.safe_dump(of, default_flow_style=True, width=1000, allow_unicode=True).replace("...", "").strip()
+
+
+def _absent(key: Key) -> str:
+    from common.config import REQUIRED
+
+    if key.absent is REQUIRED:
+        return "must be given"
+    if key.absent is None:
+        return "none"
+    plain = key.absent.tolist() if hasattr(key.absent, "tolist") else key.absent
+    return "empty" if plain == "" else markdown.code(value(plain))
+
+
+def _options(words: str) -> str:
+    """Returns the options of a choice; one may be empty."""
+    return "empty" + words if words.startswith(",") else words
