@@ -5,17 +5,24 @@ from __future__ import annotations
 import posixpath
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+    from mkdocs.structure.pages import Page
 
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(((?:\.\./)+[^)\s]*)\)")
 
 
-def on_config(config):
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Replaces each pattern in the navigation by its pages."""
-    config.nav = _expanded(config.nav, Path(config.docs_dir))
+    if config.nav is not None:
+        config.nav = _expanded(config.nav, Path(config.docs_dir))
     return config
 
 
-def on_page_markdown(markdown: str, page, config, files) -> str:
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Turns links to files outside of docs/, which the site does not hold, into their place in the repository."""
     folder = posixpath.dirname(page.file.src_uri)
 

@@ -64,7 +64,7 @@ class Recorder:
         """Begins the run: forgets what was seen so far, keeps a stream that runs already."""
         running = self.streaming
         counters, scenario = self.counters, self.scenario
-        self.__init__()
+        Recorder.__init__(self)
         self.started = now
         self.counters, self.scenario = counters, scenario
         self._base_counters = {name: dict(values) for name, values in counters.items()}

@@ -132,9 +132,9 @@ def media_flange(name: str, height: float) -> list[Disc]:
     return [*discs, _across(GREY, 50.0, -6.0, 0.0)]
 
 
-def _across(colour, radius: float, bottom: float, top: float) -> Disc:
+def _across(colour: tuple[float, float, float], radius: float, bottom: float, top: float) -> Disc:
     return Disc(colour, radius, (0.0, 0.0, bottom), (0.0, 0.0, top))
 
 
-def _aside(colour, radius: float, near: float, far: float) -> Disc:
+def _aside(colour: tuple[float, float, float], radius: float, near: float, far: float) -> Disc:
     return Disc(colour, radius, (0.0, near, 0.0), (0.0, far, 0.0))

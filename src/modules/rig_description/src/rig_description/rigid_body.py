@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Body:
     inertia: np.ndarray
 
 
-def cylinder(mass: float, radius: float, bottom, top) -> Body:
+def cylinder(mass: float, radius: float, bottom: ArrayLike, top: ArrayLike) -> Body:
     """Returns a uniform solid cylinder between the centres of its two faces, each of shape (3,) [m]."""
     bottom, top = np.asarray(bottom, dtype=float), np.asarray(top, dtype=float)
     length = np.linalg.norm(top - bottom)
@@ -31,14 +32,14 @@ def cylinder(mass: float, radius: float, bottom, top) -> Body:
     return Body(mass, (bottom + top) / 2.0, across * np.eye(3) + (along - across) * np.outer(axis, axis))
 
 
-def box(mass: float, low, high) -> Body:
+def box(mass: float, low: ArrayLike, high: ArrayLike) -> Body:
     """Returns a uniform solid box between two opposite corners, each of shape (3,) [m]."""
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     squares = (high - low) ** 2
     return Body(mass, (low + high) / 2.0, mass / 12.0 * np.diag(squares.sum() - squares))
 
 
-def turned(body: Body, R) -> Body:
+def turned(body: Body, R: ArrayLike) -> Body:
     """Returns the body in a frame with the same origin; R: attitude of the old frame in the new, shape (3, 3)."""
     R = np.asarray(R, dtype=float)
     return Body(body.mass, R @ body.com, R @ body.inertia @ R.T)
@@ -47,7 +48,7 @@ def turned(body: Body, R) -> Body:
 def joined(bodies: list[Body]) -> Body:
     """Returns several bodies of the same frame as one (parallel axes)."""
     mass = sum(body.mass for body in bodies)
-    com = sum(body.mass * body.com for body in bodies) / mass
+    com = np.sum([body.mass * body.com for body in bodies], axis=0) / mass
     inertia = np.zeros((3, 3))
     for body in bodies:
         d = body.com - com

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 Solid = Callable[[np.ndarray], np.ndarray]
 
@@ -39,11 +40,11 @@ def _length(v: np.ndarray) -> np.ndarray:
     return np.sqrt(v[..., 0] ** 2 + v[..., 1] ** 2 + v[..., 2] ** 2)
 
 
-def rod(start, end, radius_start: float, radius_end: float) -> Solid:
+def rod(start: ArrayLike, end: ArrayLike, radius_start: float, radius_end: float) -> Solid:
     """A rod with round ends whose radius changes linearly from start to end."""
     start, axis = np.array(start, dtype=float), np.array(end, dtype=float) - np.array(start, dtype=float)
 
-    def distance(p):
+    def distance(p: np.ndarray) -> np.ndarray:
         q = p - start
         along = (q[..., 0] * axis[0] + q[..., 1] * axis[1] + q[..., 2] * axis[2]) / (axis**2).sum()
         t = np.clip(along, 0.0, 1.0)
@@ -52,14 +53,16 @@ def rod(start, end, radius_start: float, radius_end: float) -> Solid:
     return distance
 
 
-def drum(axis: int, low: float, high: float, radius: float, centre=(0.0, 0.0), edge: float = 3.0) -> Solid:
+def drum(
+    axis: int, low: float, high: float, radius: float, centre: tuple[float, float] = (0.0, 0.0), edge: float = 3.0
+) -> Solid:
     """A cylinder along a coordinate axis from low to high, its edges rounded by the radius `edge`.
 
     `centre` holds the other two coordinates of the cylinder's axis, in the order x, y, z.
     """
     a, b = (i for i in range(3) if i != axis)
 
-    def distance(p):
+    def distance(p: np.ndarray) -> np.ndarray:
         radial = np.sqrt((p[..., a] - centre[0]) ** 2 + (p[..., b] - centre[1]) ** 2) - (radius - edge)
         axial = np.abs(p[..., axis] - (low + high) / 2.0) - ((high - low) / 2.0 - edge)
         outside = np.sqrt(np.maximum(radial, 0.0) ** 2 + np.maximum(axial, 0.0) ** 2)
@@ -68,11 +71,11 @@ def drum(axis: int, low: float, high: float, radius: float, centre=(0.0, 0.0), e
     return distance
 
 
-def block(low, high, edge: float = 3.0) -> Solid:
+def block(low: ArrayLike, high: ArrayLike, edge: float = 3.0) -> Solid:
     """A box between two opposite corners, its edges rounded by the radius `edge`."""
     low, high = np.array(low, dtype=float), np.array(high, dtype=float)
 
-    def distance(p):
+    def distance(p: np.ndarray) -> np.ndarray:
         q = np.abs(p - (low + high) / 2.0) - ((high - low) / 2.0 - edge)
         return _length(np.maximum(q, 0.0)) + np.minimum(q.max(axis=-1), 0.0) - edge
 
@@ -92,7 +95,7 @@ def below(axis: int, level: float) -> Solid:
 def blend(width: float, *solids: Solid) -> Solid:
     """The union; inner corners are filled over about `width`."""
 
-    def distance(p):
+    def distance(p: np.ndarray) -> np.ndarray:
         result = solids[0](p)
         for solid in solids[1:]:
             other = solid(p)
@@ -125,7 +128,7 @@ def _inverted(solid: Solid) -> Solid:
     return lambda p: -solid(p)
 
 
-def surface(solid: Solid, low, high, cell: float) -> Mesh:
+def surface(solid: Solid, low: ArrayLike, high: ArrayLike, cell: float) -> Mesh:
     """Returns the surface of a solid that lies strictly inside the box from low to high [mm].
 
     Args:
@@ -156,7 +159,7 @@ def surface(solid: Solid, low, high, cell: float) -> Mesh:
     return Mesh(vertices, _gradient(solid, vertices), np.concatenate([first, second]))
 
 
-def _cell_vertices(grid, values, inside):
+def _cell_vertices(grid: np.ndarray, values: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns one vertex per crossed cell, shape (n, 3), and the vertex number of each cell (-1: not crossed)."""
     cells = tuple(n - 1 for n in inside.shape)
     total, count = np.zeros((*cells, 3)), np.zeros(cells)
@@ -180,7 +183,7 @@ def _cell_vertices(grid, values, inside):
     return total[active] / count[active][:, None], number
 
 
-def _quads(inside, number):
+def _quads(inside: np.ndarray, number: np.ndarray) -> np.ndarray:
     """Returns the vertex numbers of the quadrilateral around each crossed grid edge, shape (m, 4)."""
     quads = []
     for axis in range(3):
@@ -200,13 +203,13 @@ def _quads(inside, number):
     return np.concatenate(quads)
 
 
-def _both_ends(axis: int):
+def _both_ends(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     start, end = [slice(None)] * 3, [slice(None)] * 3
     start[axis], end[axis] = slice(None, -1), slice(1, None)
     return tuple(start), tuple(end)
 
 
-def _spread(vertices, quads):
+def _spread(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
     """Returns the vertices moved half-way to the mean of their neighbours."""
     total, count = np.zeros_like(vertices), np.zeros(len(vertices))
     for i in range(4):
@@ -216,7 +219,7 @@ def _spread(vertices, quads):
     return (vertices + total / count[:, None]) / 2.0
 
 
-def _drawn_onto(solid: Solid, vertices, cell: float):
+def _drawn_onto(solid: Solid, vertices: np.ndarray, cell: float) -> np.ndarray:
     """Returns the vertices moved along the solid's gradient onto its surface."""
     for _ in range(PROJECTION_ROUNDS):
         step = np.clip(solid(vertices), -cell / 2.0, cell / 2.0)
@@ -224,7 +227,7 @@ def _drawn_onto(solid: Solid, vertices, cell: float):
     return vertices
 
 
-def _gradient(solid: Solid, points, h: float = 0.5):
+def _gradient(solid: Solid, points: np.ndarray, h: float = 0.5) -> np.ndarray:
     """Returns the unit direction in which the distance grows, shape (n, 3)."""
     parts = []
     for axis in range(3):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import pi, radians
+from typing import NamedTuple
 from xml.dom import minidom
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rig_description import arm_shapes, hand, hand_shapes
 from rig_description.appearance import COLOUR_NAMES, TABLE, Disc
@@ -28,6 +31,13 @@ TABLE_HALF = 0.45
 TABLE_THICKNESS = 0.04
 
 
+class _Placed(NamedTuple):
+    """A geometry and its place: attributes of the URDF element `origin`; name and attributes of the geometry."""
+
+    origin: dict[str, str]
+    geometry: tuple[str, dict[str, str]]
+
+
 def file_name(robot: str, flange: str) -> str:
     """Returns the name of the URDF file of an arm and a media flange."""
     return f"{robot.lower()}_{flange}.urdf"
@@ -42,7 +52,7 @@ def urdf(robot: str, flange: str) -> str:
     arm, height = ARMS[robot], MEDIA_FLANGES[flange]
     root = ET.Element("robot", name=f"{robot}_{flange}")
     table = ET.SubElement(root, "link", name="kuka/base_frame")
-    _shown(table, *_box((-TABLE_HALF, -TABLE_HALF, -TABLE_THICKNESS), (TABLE_HALF, TABLE_HALF, 0.0)), TABLE)
+    _shown(table, _box((-TABLE_HALF, -TABLE_HALF, -TABLE_THICKNESS), (TABLE_HALF, TABLE_HALF, 0.0)), TABLE)
     _arm(root, arm)
     _flange(root, flange, height)
     _hand(root)
@@ -51,14 +61,13 @@ def urdf(robot: str, flange: str) -> str:
     return minidom.parseString(ET.tostring(root)).toprettyxml(indent="  ", encoding="utf-8").decode()
 
 
-def _arm(root, arm: Arm) -> None:
+def _arm(root: ET.Element, arm: Arm) -> None:
     for number in range(8):
         link = _link(root, f"kuka/link_{number}", link_body(arm, number), _cylinder(*tube(arm, number)))
         R = upright(number).T
         if number < 7:
             roll = np.arctan2(R[2, 1], R[1, 1])
-            origin = {"xyz": "0 0 0", "rpy": _numbers((roll, 0, 0), 15)}
-            _shown(link, origin, _mesh(f"{arm.name.lower()}/link_{number}"))
+            _shown(link, _mesh(f"{arm.name.lower()}/link_{number}", roll))
         _discs(link, arm_shapes.trim(arm, number), R)
     _joint(root, "kuka/base", "kuka/base_frame", "kuka/link_0")
     for number, alpha, reach, speed, torque in zip(range(1, 8), ALPHA_DEG, RANGE_DEG, arm.speeds_deg, arm.torques):
@@ -68,7 +77,7 @@ def _arm(root, arm: Arm) -> None:
         _movable(joint, (0, 0, 1), (radians(-reach), radians(reach)), radians(speed), torque)
 
 
-def _flange(root, name: str, height: float) -> None:
+def _flange(root: ET.Element, name: str, height: float) -> None:
     mass = round(MEDIA_FLANGE_DENSITY * pi * MEDIA_FLANGE_RADIUS**2 * height, 3)
     shape = MEDIA_FLANGE_RADIUS, np.array([0.0, 0.0, -height]), np.zeros(3)
     link = _link(root, "kuka/flange", cylinder(mass, *shape), _cylinder(*shape))
@@ -76,7 +85,7 @@ def _flange(root, name: str, height: float) -> None:
     _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, WRIST_TO_FLANGE + height))
 
 
-def _hand(root) -> None:
+def _hand(root: ET.Element) -> None:
     for name in hand.LINKS:
         part = hand.part(name)
         collisions = [_box(*hand.EXTENT[part])]
@@ -84,7 +93,7 @@ def _hand(root) -> None:
             collisions.append(_cylinder(hand.CONNECTOR_RADIUS, *hand.CONNECTOR_FACES))
         link = _link(root, f"reflex/{name}", hand.body(name), *collisions)
         for mesh in hand_shapes.LOOK[part]:
-            _shown(link, {"xyz": "0 0 0", "rpy": "0 0 0"}, _mesh(f"reflex/{mesh}"))
+            _shown(link, _mesh(f"reflex/{mesh}"))
         _discs(link, hand_shapes.trim(part), np.eye(3))
     _joint(
         root,
@@ -101,7 +110,7 @@ def _hand(root) -> None:
         _movable(joint, j.axis, j.limits, hand.TENDON_SPEED, hand.TENDON_TORQUE)
 
 
-def _link(root, name: str, body: Body, *collisions):
+def _link(root: ET.Element, name: str, body: Body, *collisions: _Placed) -> ET.Element:
     link = ET.SubElement(root, "link", name=name)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=_numbers(body.com), rpy="0 0 0")
@@ -109,31 +118,39 @@ def _link(root, name: str, body: Body, *collisions):
     xx, xy, xz, _, yy, yz, _, _, zz = (_number(value, 9) for value in np.asarray(body.inertia).ravel())
     ET.SubElement(inertial, "inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
     for collision in collisions:
-        _placed(ET.SubElement(link, "collision"), *collision)
+        _place(ET.SubElement(link, "collision"), collision)
     return link
 
 
-def _discs(link, discs: list[Disc], R) -> None:
+def _discs(link: ET.Element, discs: list[Disc], R: np.ndarray) -> None:
     for disc in discs:
         bottom, top = (R @ np.array(point) / 1e3 for point in (disc.bottom, disc.top))
-        _shown(link, *_cylinder(disc.radius / 1e3, bottom, top), disc.colour)
+        _shown(link, _cylinder(disc.radius / 1e3, bottom, top), disc.colour)
 
 
-def _shown(link, origin, geometry, colour=None) -> None:
+def _shown(link: ET.Element, placed: _Placed, colour: tuple[float, float, float] | None = None) -> None:
     """Adds a visual element; meshes bring their own colour."""
     visual = ET.SubElement(link, "visual")
-    _placed(visual, origin, geometry)
+    _place(visual, placed)
     if colour is not None:
         material = ET.SubElement(visual, "material", name=f"rig/{COLOUR_NAMES[colour]}")
         ET.SubElement(material, "color", rgba=_numbers((*colour, 1.0)))
 
 
-def _placed(element, origin, geometry) -> None:
-    ET.SubElement(element, "origin", **origin)
-    ET.SubElement(ET.SubElement(element, "geometry"), geometry[0], **geometry[1])
+def _place(element: ET.Element, placed: _Placed) -> None:
+    name, attributes = placed.geometry
+    ET.SubElement(element, "origin", placed.origin)
+    ET.SubElement(ET.SubElement(element, "geometry"), name, attributes)
 
 
-def _joint(root, name: str, parent: str, child: str, xyz=(0, 0, 0), rpy=(0, 0, 0)):
+def _joint(
+    root: ET.Element,
+    name: str,
+    parent: str,
+    child: str,
+    xyz: Iterable[float] = (0, 0, 0),
+    rpy: Iterable[float] = (0, 0, 0),
+) -> ET.Element:
     joint = ET.SubElement(root, "joint", name=name, type="fixed")
     ET.SubElement(joint, "origin", xyz=_numbers(xyz), rpy=_numbers(rpy, 15))
     ET.SubElement(joint, "parent", link=parent)
@@ -141,32 +158,33 @@ def _joint(root, name: str, parent: str, child: str, xyz=(0, 0, 0), rpy=(0, 0, 0
     return joint
 
 
-def _movable(joint, axis, limits, speed: float, torque: float) -> None:
+def _movable(joint: ET.Element, axis: Iterable[float], limits: Iterable[float], speed: float, torque: float) -> None:
     joint.set("type", "revolute")
     ET.SubElement(joint, "axis", xyz=_numbers(axis))
     lower, upper = (_number(value, 15) for value in limits)
     ET.SubElement(joint, "limit", lower=lower, upper=upper, velocity=_number(speed, 15), effort=_number(torque))
 
 
-def _cylinder(radius: float, bottom: np.ndarray, top: np.ndarray):
-    """Returns origin and geometry of a cylinder between two points [m] whose axis lies across x."""
+def _cylinder(radius: float, bottom: np.ndarray, top: np.ndarray) -> _Placed:
+    """Returns a cylinder between two points [m] whose axis lies across x."""
     axis = top - bottom
     origin = {"xyz": _numbers((bottom + top) / 2.0), "rpy": _numbers((np.arctan2(-axis[1], axis[2]), 0, 0))}
     length = np.sqrt((axis**2).sum())
-    return origin, ("cylinder", {"radius": _number(radius), "length": _number(length)})
+    return _Placed(origin, ("cylinder", {"radius": _number(radius), "length": _number(length)}))
 
 
-def _mesh(name: str):
-    return "mesh", {"filename": f"package://rig_description/meshes/{name}.dae", "scale": "0.001 0.001 0.001"}
+def _mesh(name: str, roll: float = 0.0) -> _Placed:
+    attributes = {"filename": f"package://rig_description/meshes/{name}.dae", "scale": "0.001 0.001 0.001"}
+    return _Placed({"xyz": "0 0 0", "rpy": _numbers((roll, 0, 0), 15)}, ("mesh", attributes))
 
 
-def _box(low, high):
+def _box(low: ArrayLike, high: ArrayLike) -> _Placed:
     low, high = np.array(low), np.array(high)
     origin = {"xyz": _numbers((low + high) / 2.0), "rpy": "0 0 0"}
-    return origin, ("box", {"size": _numbers(high - low)})
+    return _Placed(origin, ("box", {"size": _numbers(high - low)}))
 
 
-def _numbers(values, digits: int = 6) -> str:
+def _numbers(values: Iterable[float], digits: int = 6) -> str:
     return " ".join(_number(value, digits) for value in values)
 
 
