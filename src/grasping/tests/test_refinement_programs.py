@@ -19,7 +19,6 @@ from grasping.programs import (
     episode_files,
     evaluate,
     evaluate_refinement,
-    make_dataset,
     make_episodes,
     train_refinement,
 )
@@ -90,16 +89,9 @@ def holdout_fixture(monkeypatch):
     monkeypatch.setattr(episode_files, "is_held_out", lambda name: int(name[-1]) % 2 == 1)
 
 
-@pytest.fixture(scope="module", name="shards")
-def shards_fixture(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("shards")
-    make_dataset.make_shard((folder / "train_000000.npz", "train", range(2)))
-    return folder
-
-
-def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, shards, tmp_path, monkeypatch):
+def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, tmp_path, monkeypatch):
     run = tmp_path / "run"
-    options = ["--every", "1", "--count", "2", "--features", "2", "--scenes", shards, WEIGHTS, "--scene-count", "2"]
+    options = ["--every", "1", "--count", "2", "--hidden", "2"]
     call(monkeypatch, train_refinement, data, run, "--steps", "2", *options)
     call(monkeypatch, train_refinement, data, run, "--steps", "3", *options)
     with (run / "curves.csv").open(newline="") as file:
@@ -111,6 +103,11 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, s
     content = (run / "weights.pt").read_bytes()
     assert len(content) < 100_000
     assert refinement.load(content).view == "camera"
+    with_offset, taste = (torch.load(run / f"{name}.pt", weights_only=True) for name in ("weights", "taste"))
+    assert not taste.pop("offset").any()
+    assert with_offset.pop("offset").any()
+    assert with_offset.keys() == taste.keys()
+    assert all(torch.equal(with_offset[name], taste[name]) for name in taste)
     results = tmp_path / "results"
     untrained = tmp_path / "untrained.pt"
     torch.save(refinement.RefinementNetwork().state_dict(), untrained)

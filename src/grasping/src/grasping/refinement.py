@@ -1,9 +1,11 @@
 """The second network: GGCNN's maps in, the same maps after what a person was seen to do, and the rest of the pose.
 
-A small network looks at GGCNN's maps and at heights above the table, and adds to the maps, pixel by pixel: where the
-person would rather grasp, at which angle, how wide, how much deeper than the surface, and with which tilt. What the
-person does always, like grasping a centimetre to the right, is a constant offset beside it. Untrained, both are zero,
-and GGCNN's maps come back bit by bit.
+A small network looks, pixel by pixel, at a few quantities that a person's choice may depend on: GGCNN's quality and
+opening, and the height above the table, here and in the neighbourhood. It says how much more or less than GGCNN the
+person likes to grasp there, and how much deeper than the surface. The quantities are the same however the picture is
+turned or shifted, and so is what it says. What the person does always, like grasping a centimetre to the right, is a
+constant offset beside it: of the place, the angle and the tilt. Untrained, all is zero, and GGCNN's maps come back bit
+by bit.
 
 The maps are those of the network's picture, before they are smoothed. Offset and tilt have the axes of the camera that
 sees it, x right and y down: of the real one, or of the imagined one above the table. What was learned in one view is
@@ -23,31 +25,30 @@ from torch import nn
 
 from common.poses import pose, read_only
 from grasping import weights
-from grasping.depth_image import Picture
-from grasping.maps import Peak
+from grasping.depth_image import NETWORK_SIDE, Picture
+from grasping.maps import Peak, gaussian
 from grasping.projection import Grasp
-from grasping.quarter_turns import Features, FromMaps, ToMaps
 from grasping.table_depth import table_depth
 from grasping.view import VIEWS
 from grasping.weights import WeightsError
 
-SHRINK = 2
+SHRINK = 4
 """Pixels of the network's picture, in rows and in columns, to one of the second network's."""
-COARSE = 2
-"""Pixels of the second network's maps to one of its inner layers: a quarter of the work."""
-SIGN, VECTOR = torch.tensor([[-1.0]]), torch.tensor([[0.0, 1.0], [-1.0, 0.0]])
-SCALAR = -SIGN
-INPUT_TURN = torch.block_diag(SCALAR, SIGN, SIGN, SCALAR, SCALAR)
-"""How quality, cos, sin, width and height turn with the picture."""
-OUTPUT_TURN = torch.block_diag(SCALAR, SIGN, SIGN, SCALAR, SCALAR, VECTOR)
-"""How the changes of quality, cos, sin and width, the step along z and the tilt turn."""
-INPUT_SCALE = (2.0, 1.0, 1.0, 4.0, 20.0)
-OUTPUT_SCALE = (1.0, 1.0, 1.0, 0.25, 0.05, 0.2, 0.2)
-"""Make all inputs and outputs about 1: widths are about 0.3, depths [m] and tilts [rad] small."""
-FEATURES = 6
+SIDE = NETWORK_SIDE // SHRINK
+LOWEST_M, HIGHEST_M = -0.01, 0.25
+"""Heights beyond are holes badly filled, or the arm."""
+QUALITY_BLURS, HEIGHT_BLURS = (1.25, 2.5), (1.25, 3.0, 6.0)
+"""Standard deviations of the neighbourhoods [px of the second network's maps]; one is about 7 mm."""
+HEIGHT = 1 + len(QUALITY_BLURS)
+"""Place of the height among the features."""
+REACH_PX = 15
+"""Width of the neighbourhood whose highest point is looked at."""
+FEATURE_SCALE = (*[1.0] * (1 + len(QUALITY_BLURS)), *[10.0] * (2 + len(HEIGHT_BLURS)), 2.0, 1.0)
+CHANGE_SCALE = (1.0, 0.05)
+"""Make all that goes in and out about 1: heights and depths [m] are small."""
+HIDDEN = 32
 VIEW = "view"
 """Entry of a weight file beside the weights: place of the view's name in `view.VIEWS`."""
-DILATIONS = (1, 2, 4, 8)
 
 
 class Refined(NamedTuple):
@@ -71,40 +72,45 @@ class RefinementNetwork(nn.Module):
 
     Attributes:
         offset: what the person adds wherever it is: x, y [px of the network's picture x m: divided by the distance it
-            is a shift], tilt_x, tilt_y [rad], shape (4,).
+            is a shift], tilt_x, tilt_y, angle [rad], shape (5,).
     """
 
-    def __init__(self, features: int = FEATURES) -> None:
+    def __init__(self, hidden: int = HIDDEN) -> None:
         super().__init__()
-        self.first = FromMaps(INPUT_TURN, features, 3)
-        self.rest = nn.ModuleList(Features(features, features, dilation) for dilation in DILATIONS)
-        self.last = ToMaps(features, OUTPUT_TURN)
-        self.register_buffer("offset", torch.zeros(4))
-        self.register_buffer("input_scale", torch.tensor(INPUT_SCALE)[:, None, None], persistent=False)
-        self.register_buffer("output_scale", torch.tensor(OUTPUT_SCALE)[:, None, None], persistent=False)
+        self.first = nn.Conv2d(len(FEATURE_SCALE), hidden, 1)
+        self.second = nn.Conv2d(hidden, hidden, 1)
+        self.last = nn.Conv2d(hidden, len(CHANGE_SCALE), 1)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
+        self.register_buffer("offset", torch.zeros(5))
+        self.register_buffer("feature_scale", torch.tensor(FEATURE_SCALE)[:, None, None], persistent=False)
+        self.register_buffer("change_scale", torch.tensor(CHANGE_SCALE)[:, None, None], persistent=False)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Returns the changes of quality, cos, sin and width, dz [m] and the tilt [rad], shape (n, 7, h, w).
+        """Returns the change of the quality and dz [m], shape (n, 2, h, w).
 
         Args:
-            x: GGCNN's maps and the height above the table [m], shape (n, 5, h, w), at a `SHRINK`th of their size.
+            x: as `features` has them, shape (n, len(FEATURE_SCALE), h, w).
         """
-        # With the channels last a processor is three times as fast.
-        x = F.relu(self.first((x * self.input_scale).contiguous(memory_format=torch.channels_last)))
-        x = F.avg_pool2d(x, COARSE)
-        for layer in self.rest:
-            x = x + F.relu(layer(x))
-        return F.interpolate(self.last(x) * self.output_scale, scale_factor=COARSE, mode="bilinear")
+        x = F.relu(self.first(x * self.feature_scale))
+        return self.last(F.relu(self.second(x))) * self.change_scale
 
 
-def inputs(output: np.ndarray, picture: Picture) -> np.ndarray:
-    """Returns what the second network looks at, shape (5, h, w), float32.
+def features(output: np.ndarray, picture: Picture) -> np.ndarray:
+    """Returns what the second network looks at, shape (len(FEATURE_SCALE), SIDE, SIDE), float32; the quality is the
+    first, the height above the table [m] stands at `HEIGHT`.
 
     Args:
-        output: of the first network, shape (4, h, w).
+        output: of the first network, shape (4, h, w); h and w are multiples of `SIDE`.
         picture: that it saw.
     """
-    return np.concatenate([output, (table_depth(picture) - picture.depth)[None]]).astype(np.float32)
+    quality, cos, sin, width, height = (_shrunk(m) for m in (*output, table_depth(picture) - picture.depth))
+    height = np.clip(height, LOWEST_M, HIGHEST_M)
+    near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (REACH_PX, REACH_PX))
+    seen = [quality, *(gaussian(quality, s) for s in QUALITY_BLURS)]
+    seen += [height, *(gaussian(height, s) for s in HEIGHT_BLURS), cv2.dilate(height, near)]
+    # An opening in pixels times the distance is one in metres but for the focal length.
+    return np.stack([*seen, width * np.float32(picture.mean), np.hypot(cos, sin)])
 
 
 class Refinement:
@@ -122,19 +128,21 @@ class Refinement:
         """Returns GGCNN's maps refined.
 
         Args:
-            output: of the first network, shape (4, h, w), float32; h and w are even.
+            output: of the first network, shape (4, 300, 300), float32.
             picture: that it saw.
         """
-        maps = inputs(output, picture)
         with torch.no_grad():
-            small = F.avg_pool2d(torch.from_numpy(maps)[None], SHRINK)
-            change = F.interpolate(self._network(small), scale_factor=SHRINK, mode="bilinear")[0].numpy()
-        x, y, tilt_x, tilt_y = self._network.offset.tolist()
-        shift = x / picture.mean, y / picture.mean
+            change = self._network(torch.from_numpy(features(output, picture))[None])
+            change = F.interpolate(change, scale_factor=SHRINK, mode="bilinear")[0].numpy()
+        x, y, tilt_x, tilt_y, angle = self._network.offset.tolist()
+        quality, cos, sin, width = output
+        c, s = np.float32(np.cos(2.0 * angle)), np.float32(np.sin(2.0 * angle))
         depth = picture.depth.astype(np.float32)
-        moved = _moved(np.concatenate([output + change[:4], (depth + change[4])[None], change[5:]]), shift)
+        maps = np.stack([quality + change[0], c * cos - s * sin, s * cos + c * sin, width, depth + change[1]])
+        maps = _moved(maps, (x / picture.mean, y / picture.mean))
         # A shifted grasp keeps its depth, whatever is seen where it has come to.
-        return Refined(moved[:4], moved[4] - depth, moved[5] + np.float32(tilt_x), moved[6] + np.float32(tilt_y))
+        tilts = (np.full_like(depth, tilt) for tilt in (tilt_x, tilt_y))
+        return Refined(maps[:4], maps[4] - depth, *tilts)
 
 
 def refined_grasp(grasp: Grasp, refined: Refined, peak: Peak) -> Grasp:
@@ -166,8 +174,8 @@ def load(data: bytes, sha256: str | None = None) -> Refinement:
     weights.checked_sha256(data, sha256)
     state = weights.torch_state(data)
     view = _view(state.pop(VIEW, None))
-    features = len(state.get("first.weight", ())) or FEATURES
-    return Refinement(weights.filled(RefinementNetwork(features), "the refinement network", state), view)
+    hidden = len(state.get("first.weight", ())) or HIDDEN
+    return Refinement(weights.filled(RefinementNetwork(hidden), "the refinement network", state), view)
 
 
 def content(network: RefinementNetwork, view: str) -> dict[str, torch.Tensor]:
@@ -182,6 +190,11 @@ def _view(entry: torch.Tensor | None) -> str | None:
     if entry.numel() != 1 or entry.item() not in range(len(VIEWS)):
         raise WeightsError("The weight file names no view that is known.")
     return VIEWS[int(entry)]
+
+
+def _shrunk(picture: np.ndarray) -> np.ndarray:
+    """Returns the mean of each block of pixels, shape (SIDE, SIDE), float32."""
+    return cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
 
 
 def _moved(maps: np.ndarray, shift: tuple[float, float]) -> np.ndarray:

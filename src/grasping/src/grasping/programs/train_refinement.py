@@ -1,7 +1,8 @@
 """Trains the second network on episodes of a person's grasps; ends and goes on at any time.
 
-The folder of the run holds checkpoint.pt (to go on), weights.pt (the best so far), settings.json, curves.csv and
-curves.png. One in five episodes, by its file's name, is kept to say when training is over.
+The folder of the run holds checkpoint.pt (to go on), weights.pt (the best so far), taste.pt (the same without the
+constant offset, which is of this person's hand alone), settings.json, curves.csv and curves.png. One in five episodes,
+by its file's name, is kept to say when training is over.
 """
 
 from __future__ import annotations
@@ -17,31 +18,13 @@ import torch
 from tqdm import tqdm
 
 from common.errors import RigError
-from grasping import refinement, weights
-from grasping.predictor import frozen, run
+from grasping import refinement
 from grasping.programs import episode_files
-from grasping.programs.train_ggcnn import load, save
+from grasping.programs.train_ggcnn import save
 from grasping.training import refinement_examples
 from grasping.training.refinement_trainer import Settings, Trainer
 
-COLUMNS = ("step", "training", "validation", "place", "angle", "depth", "tilt", "miss")
-SCENES_A_SHARD = 50
-
-
-def scenes(folder: Path, file: Path, count: int) -> list[refinement_examples.Scene]:
-    """Returns synthetic scenes with the maps of the network in a weight file.
-
-    Raises:
-        RigError: there are none, or it is no weight file.
-    """
-    network = frozen(weights.load(file.read_bytes()).network)
-    samples = load(folder, "train", -(-count // SCENES_A_SHARD))
-    made = []
-    for i in tqdm(range(min(count, len(samples["depth"]))), unit="scene", desc="maps"):
-        sample = {name: values[i] for name, values in samples.items()}
-        output = run(network, np.clip(sample["depth"].astype(np.float32), -1.0, 1.0))
-        made.append(refinement_examples.scene(output, sample))
-    return made
+COLUMNS = ("step", "training", "validation", "place", "depth", "miss")
 
 
 def plot(rows: list[dict], path: Path) -> None:
@@ -51,7 +34,7 @@ def plot(rows: list[dict], path: Path) -> None:
     figure = matplotlib.figure.Figure(figsize=(9, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     steps = [r["step"] for r in rows]
-    for name in ("training", "validation", "place", "angle", "depth", "tilt"):
+    for name in COLUMNS[1:-1]:
         left.plot(steps, [r[name] for r in rows], label=name)
     left.set(xlabel="step", ylabel="loss", yscale="log")
     left.legend()
@@ -75,18 +58,10 @@ def parse() -> argparse.Namespace:
         parser.add_argument(f"--{name.replace('_', '-')}", type=type(value), default=value, help=f"default: {value}")
     parser.add_argument("--episodes", type=int, default=10**6, help="most episodes to train on")
     parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="train on none of these")
-    parser.add_argument(
-        "--scenes",
-        nargs=2,
-        type=Path,
-        metavar=("SHARDS", "WEIGHTS"),
-        help="mix in synthetic scenes of make_dataset.py, seen through GGCNN's weights",
-    )
-    parser.add_argument("--scene-count", type=int, default=300, help="how many of them, default 300")
-    parser.add_argument("--every", type=int, default=100, help="steps between validations and checkpoints")
+    parser.add_argument("--every", type=int, default=50, help="steps between validations and checkpoints")
     parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
     arguments = parser.parse_args()
-    for name in ("steps", "count", "features", "patience", "episodes", "scene_count", "every", "threads"):
+    for name in ("steps", "count", "hidden", "patience", "episodes", "every", "threads"):
         if getattr(arguments, name) < 1:
             parser.error(f"--{name.replace('_', '-')} is {getattr(arguments, name)}, but must be at least 1.")
     torch.set_num_threads(arguments.threads)
@@ -98,7 +73,6 @@ def parse() -> argparse.Namespace:
         for part in (arguments.training, arguments.validation):
             if not any(n.episode.held for n in part):
                 raise RigError(f"Of {len(named)} episodes, too few show a grasp that held to train on some of them.")
-        arguments.mixed = scenes(*arguments.scenes, arguments.scene_count) if arguments.scenes else []
     except (RigError, OSError) as error:
         parser.error(str(error))
     return arguments
@@ -128,13 +102,15 @@ def main() -> None:
     (arguments.run / "settings.json").write_text(json.dumps(about, indent=2) + "\n")
     bar = tqdm(total=settings.steps, initial=trainer.step, unit="step", mininterval=10.0)
     while trainer.step < settings.steps and not is_over(rows, settings.patience):
-        recent.append(trainer.train(examples, arguments.mixed))
+        recent.append(trainer.train(examples))
         bar.update()
         if trainer.step % arguments.every and trainer.step < settings.steps:
             continue
         found = trainer.validate(validation)
         if all(found["validation"] < r["validation"] for r in rows):
-            save(refinement.content(trainer.mean, arguments.view), arguments.run / "weights.pt")
+            content = refinement.content(trainer.mean, arguments.view)
+            save(content, arguments.run / "weights.pt")
+            save({**content, "offset": torch.zeros_like(content["offset"])}, arguments.run / "taste.pt")
         rows.append({"step": trainer.step, "training": float(np.mean(recent)), **found})
         recent = []
         bar.set_postfix_str(f"loss {found['validation']:.3f}, miss {found['miss']:.1f} px")

@@ -1,22 +1,20 @@
-"""What the second network learns from: frames of a person's episodes, and labelled synthetic scenes beside them.
+"""What the second network learns from: frames of a person's episodes.
 
-All pictures are at the second network's scale, a `SHRINK`th of the first one's. Positions are in its pixels.
+All maps are at the second network's scale, a `SHRINK`th of the first one's. Positions are in its pixels.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from grasping.dataset.episode import Frame
-from grasping.dataset.labels import RelativeLabel, map_pixel, relative_label, tilt_and_angle
+from grasping.dataset.labels import RelativeLabel, map_pixel, relative_label
 from grasping.depth_image import NETWORK_SIDE, Crop, prepare
-from grasping.refinement import SHRINK
+from grasping.refinement import SHRINK, SIDE, features
 from grasping.table_depth import table_depth
 
-SIDE = NETWORK_SIDE // SHRINK
 SAME_PLACE_M = 0.04
 """A person's grasp further from GGCNN's was not meant to be the same."""
 
@@ -25,40 +23,20 @@ class Example(NamedTuple):
     """A frame of a person's episode.
 
     Attributes:
-        maps: GGCNN's quality, cos, sin and width, and the height above the table [m], shape (5, SIDE, SIDE), float16.
+        features: as `refinement.features` has them, float16.
         row: of the person's grasp; may lie outside.
         column: likewise.
         height: of the grasp above the table, along the optical axis [m].
-        angle: in the picture, anticlockwise [rad].
-        tilt: of the approach about the camera's x and y axes, shape (2,) [rad].
         held: whether the grasp held.
         mean: of the picture's depth [m].
     """
 
-    maps: np.ndarray
+    features: np.ndarray
     row: float
     column: float
     height: float
-    angle: float
-    tilt: np.ndarray
     held: bool
     mean: float
-
-
-class Scene(NamedTuple):
-    """A labelled synthetic scene.
-
-    Attributes:
-        maps: as in `Example`.
-        quality: of the labels, 0 to 1, shape (SIDE, SIDE).
-        angle: [rad].
-        width: in units of `WIDTH_SCALE_PX`.
-    """
-
-    maps: np.ndarray
-    quality: np.ndarray
-    angle: np.ndarray
-    width: np.ndarray
 
 
 class Offset(NamedTuple):
@@ -88,37 +66,12 @@ def example(frame: Frame, held: bool) -> Example | None:
         return None
     try:
         picture = prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
-        tilt, angle = tilt_and_angle(T[:3, :3])
     except ValueError:
         return None
     row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, SIDE)
-    table = table_depth(picture)
-    seen = [shrunk(m.astype(np.float32)) for m in (*frame.maps, table - picture.depth)]
     near = tuple(int(np.clip(SHRINK * i, 0, NETWORK_SIDE - 1)) for i in (row, column))
-    height = float(table[near] - T[2, 3])
-    return Example(np.stack(seen).astype(np.float16), row, column, height, angle, tilt, held, picture.mean)
-
-
-def scene(output: np.ndarray, sample) -> Scene:
-    """Returns the example of a synthetic sample.
-
-    Args:
-        output: of the first network, shape (4, 300, 300).
-        sample: its arrays `depth`, `quality`, `angle`, `width`, as `synthetic.samples.Sample` has them.
-    """
-    maps = np.concatenate([output, np.clip(sample["depth"].astype(np.float32), -1.0, 1.0)[None]])
-    every = (slice(SHRINK // 2, None, SHRINK),) * 2
-    return Scene(
-        np.stack([shrunk(m) for m in maps]).astype(np.float16),
-        sample["quality"][every].astype(np.float32) / 255.0,
-        sample["angle"][every].astype(np.float32) * np.float32(np.pi / 256.0),
-        sample["width"][every].astype(np.float32) / 255.0,
-    )
-
-
-def shrunk(picture: np.ndarray) -> np.ndarray:
-    """Returns the mean of each block of pixels, shape (SIDE, SIDE)."""
-    return picture if len(picture) == SIDE else cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    height = float(table_depth(picture)[near] - T[2, 3])
+    return Example(features(frame.maps, picture).astype(np.float16), row, column, height, held, picture.mean)
 
 
 def constant_offset(frames: list[Frame]) -> Offset:

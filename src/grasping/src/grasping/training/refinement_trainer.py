@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from grasping.refinement import FEATURES, SHRINK, RefinementNetwork
+from grasping.refinement import HIDDEN, SHRINK, RefinementNetwork
 from grasping.training.mean_trainer import MeanTrainer
-from grasping.training.refinement_batches import batch, random_batch
-from grasping.training.refinement_examples import Example, Offset, Scene
+from grasping.training.refinement_batches import batch
+from grasping.training.refinement_examples import Example, Offset
 from grasping.training.refinement_losses import Losses, losses
 
 VALIDATION_BATCH = 16
@@ -29,17 +29,17 @@ class Settings:
         rate: learning rate at first.
         weight_decay: of AdamW.
         memory: of the mean of the weights, a step.
-        features: of the network, each in four attitudes.
+        hidden: units of each of the network's two inner layers.
         patience: validations without a better one, after which training ends.
         seed: of weights and batches.
     """
 
-    steps: int = 3000
-    count: int = 8
-    rate: float = 3e-3
+    steps: int = 600
+    count: int = 16
+    rate: float = 1e-2
     weight_decay: float = 1e-4
-    memory: float = 0.99
-    features: int = FEATURES
+    memory: float = 0.98
+    hidden: int = HIDDEN
     patience: int = 8
     seed: int = 1
 
@@ -49,25 +49,19 @@ class Trainer(MeanTrainer):
 
     def __init__(self, settings: Settings, offset: Offset) -> None:
         """Makes the trainer; `offset` is the person's constant one."""
-        self.settings = settings
+        self.settings, self.offset = settings, offset
         torch.manual_seed(settings.seed)
-        network = RefinementNetwork(settings.features)
-        network.offset[:] = torch.tensor([offset.x, offset.y, offset.tilt_x, offset.tilt_y])
+        network = RefinementNetwork(settings.hidden)
+        network.offset[:] = torch.tensor([offset.x, offset.y, offset.tilt_x, offset.tilt_y, offset.angle])
         optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay)
         super().__init__(network, optimiser, settings.memory)
 
-    @property
-    def offset(self) -> np.ndarray:
-        """The constant offset, as the network keeps it, shape (4,)."""
-        return self.network.offset.numpy().astype(float)
-
-    def train(self, examples: list[Example], scenes: list[Scene]) -> float:
+    def train(self, examples: list[Example]) -> float:
         """Does one step and returns its loss; the batch depends on the seed and the step alone."""
         s = self.settings
-        rng = np.random.default_rng([s.seed, self.step])
-        maps, target = random_batch(examples, scenes, self.offset, rng, s.count)
-        self.network.train()
-        loss = losses(maps, self.network(maps), target).total
+        chosen = np.random.default_rng([s.seed, self.step]).integers(0, len(examples), s.count)
+        seen, target = batch([examples[i] for i in chosen], self.offset)
+        loss = losses(seen, self.network(seen), target).total
         return self.descend(loss, s.rate * max(0.0, 1.0 - self.step / s.steps))
 
     def validate(self, examples: list[Example]) -> dict[str, float]:
@@ -77,14 +71,13 @@ class Trainer(MeanTrainer):
         rows, misses, counts = [], [], []
         for i in range(0, len(held), VALIDATION_BATCH):
             part = held[i : i + VALIDATION_BATCH]
-            maps, target = batch(part, self.offset)
+            seen, target = batch(part, self.offset)
             with torch.no_grad():
-                change = self.mean(maps)
-            rows.append([v.item() for v in losses(maps, change, target)])
+                change = self.mean(seen)
+            rows.append([v.item() for v in losses(seen, change, target)])
             counts.append(len(part))
-            misses += _misses(maps[:, 0] + change[:, 0], target.place)
+            misses += _misses(seen[:, 0] + change[:, 0], target.place)
         found = dict(zip(("validation", *Losses._fields[1:]), np.average(rows, axis=0, weights=counts).tolist()))
-        del found["scene"]
         return {**found, "miss": float(np.median(misses))}
 
 
