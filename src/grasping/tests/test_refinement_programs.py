@@ -132,6 +132,11 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert "| trained |" in text
     # Untrained it is GGCNN alone, without difference.
     assert "| untrained less GGCNN alone | " + " | ".join(["+0.0 (+0.0 to +0.0)"] * 6) + " |" in text
+    assert not (results / "curve.png").exists()
+    call(monkeypatch, train_refinement, data, tmp_path / "few", "--steps", "1", "--episodes", "2", *options)
+    curve = ["--refinement", "few", tmp_path / "few" / "weights.pt", "--refinement", "all", run / "weights.pt"]
+    call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, tmp_path / "curve", "--no-lifting", *curve)
+    assert (tmp_path / "curve" / "curve.png").stat().st_size > 1000
     call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, tmp_path / "part", "--held-out", "--no-lifting")
     rows = list(csv.DictReader((tmp_path / "part" / "results.csv").read_text().splitlines()))
     assert {r["episode"] for r in rows} == {name for name in held if episode_files.is_held_out(name)}

@@ -4,13 +4,15 @@ GGCNN alone, with the person's constant offset, the nearest neighbour among the 
 second network: how far from the person's grasp, in the last frame of each episode whose grasp held; all maps are
 smoothed alike. Where the episodes are simulated, each grasp is tried by lifting in MuJoCo too, hand wide open, and the
 bound is what the simulated person intended: the grasp without the tremor, which nobody can foresee. Results go to
-results.csv, one line a grasp, and table.md, with the differences over the same episodes.
+results.csv, one line a grasp, and table.md, with the differences over the same episodes. Where second networks learned
+from different numbers of episodes, as settings.json beside their files says, curve.png shows what more of them bring.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
 from functools import lru_cache
 from pathlib import Path
 
@@ -25,6 +27,7 @@ from common.poses import inverse
 from common.statistics import median, paired_difference, share
 from grasping import refinement, weights
 from grasping.dataset.labels import own_grasp, pose_from_label, windowed
+from grasping.evaluation import learning_curve
 from grasping.evaluation.person_errors import NEAR_M, Neighbours, miss
 from grasping.predictor import Predictor, PredictorSettings
 from grasping.programs import episode_files
@@ -157,6 +160,27 @@ def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
+    """Draws the learning curve if there is one.
+
+    Args:
+        rows: lines of results.csv.
+        second: names and weight files of second networks.
+        path: of the picture.
+    """
+    counts = {}
+    for name, file in second:
+        about = Path(file).with_name("settings.json")
+        if about.exists():
+            counts[json.loads(about.read_text())["episodes"]] = name
+    if len(counts) < 2:
+        return
+    _, error = next(iter(MEASURES.values()))
+    of = {name: [error(r) for r in rows if r["method"] == name] for name in (*counts.values(), ALONE, OFFSET, BOUND)}
+    others = {name: of[name] for name in (ALONE, OFFSET, BOUND) if of[name]}
+    learning_curve.draw(path, {n: of[name] for n, name in counts.items()}, others, 1000.0 * NEAR_M)
+
+
 def _line(*cells: str) -> str:
     return f"| {' | '.join(cells)} |"
 
@@ -209,3 +233,4 @@ def main() -> None:
                 rows.append(line)
             file.flush()
     (arguments.folder / "table.md").write_text(tables(rows, list(found), [name for name, _ in arguments.refinement]))
+    curve(rows, arguments.refinement, arguments.folder / "curve.png")
