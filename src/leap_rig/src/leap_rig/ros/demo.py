@@ -16,6 +16,7 @@ from pathlib import Path
 
 import rosgraph
 import roslaunch
+import roslib
 import rospkg
 import rospy
 from roslaunch.pmon import ProcessListener
@@ -139,9 +140,27 @@ def end_in_order(deaths: Deaths) -> None:
         deaths.sentences.append(f"{CONTROLLER} did not end within {EXIT_TIMEOUT_S:.0f} s after exit_app")
 
 
-def interrupt(_signal, _frame) -> None:
-    """Ends the demo as Ctrl-C does."""
-    raise KeyboardInterrupt
+class Interrupts:
+    """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt.
+
+    Left to itself roslaunch would end the nodes and swallow the interrupt, and the demo would go on without a rig; and
+    Python raises none in the background, where a shell has SIGINT ignored.
+    """
+
+    def __init__(self) -> None:
+        self._came = False
+        roslib.set_interactive(True)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._interrupt)
+
+    def _interrupt(self, _signal, _frame) -> None:
+        self._came = True
+        raise KeyboardInterrupt
+
+    def check(self) -> None:
+        """Raises KeyboardInterrupt if there was one already: while it starts nodes, roslaunch swallows it."""
+        if self._came:
+            raise KeyboardInterrupt
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -162,7 +181,7 @@ def run(arguments: argparse.Namespace) -> int:
         force_log=True,
         sigint_timeout=5.0,
     )
-    signal.signal(signal.SIGTERM, interrupt)
+    interrupts = Interrupts()
     recorder = Recorder()
     status = LiveStatus()
     print(
@@ -170,6 +189,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     try:
         parent.start(auto_terminate=False)
+        interrupts.check()
         deaths.take_early(parent.pm)
         rospy.init_node("demo", argv=[], disable_signals=True)  # name:=value is for the launch file
         listener = RigListener(recorder)
@@ -181,7 +201,8 @@ def run(arguments: argparse.Namespace) -> int:
             status.say(f"{why}: the arm goes to the zero position.")
             end_in_order(deaths)
     finally:
-        status.finish()
+        with contextlib.suppress(OSError):  # the terminal may be closed
+            status.finish()
         with contextlib.suppress(KeyboardInterrupt):
             parent.shutdown()
     summary = summarise(recorder, summary_time, deaths.sentences)
@@ -219,6 +240,9 @@ def main() -> None:
     arguments = parse_arguments(sys.argv[1:])
     try:
         code = run(arguments)
+    except KeyboardInterrupt:
+        print("demo: interrupted", file=sys.stderr)
+        code = 2
     except (RigError, roslaunch.RLException, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
         code = 2
