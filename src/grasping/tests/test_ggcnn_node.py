@@ -299,9 +299,10 @@ def test_the_arms_controller_is_asked_and_the_way_goes_on_without_it(ros, camera
     np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, -1.0), atol=1e-6)
     grip = T @ (-0.0152, 0.0, 0.07, 1.0)
     np.testing.assert_allclose(grip[:3], pose_from_message(found.grasps[0].pose_base.pose)[:3, 3], atol=0.01)
-    answer.success, answer.message = False, "it is outside of the workspace"
+    answer.success, answer.message = False, "It is outside of the workspace."
     refused = newest(lists, wait_until, lambda m: m.grasps and "outside" in m.grasps[0].reason, "one that says no")
     assert not refused.grasps[0].reachable
+    assert refused.grasps[0].reason == "It is outside of the workspace"
     service.shutdown("the test is over")
 
 
@@ -347,6 +348,10 @@ def test_the_second_networks_file_is_read_and_is_for_one_view(tmp_path):
     from grasping.view import CAMERA, TABLE
 
     network, file = RefinementNetwork(), str(tmp_path / "refinement.pt")
+    torch.save(network.state_dict(), file)
+    for view in (CAMERA, TABLE):
+        assert load_refinement(file, view).view is None  # what has no offset has no axes
+    network.offset[2] = 0.2
     for view, other in ((CAMERA, TABLE), (TABLE, CAMERA)):
         torch.save(content(network, view), file)
         assert load_refinement(file, view).view == view

@@ -94,4 +94,4 @@ class ReachClient:
         except (rospy.ROSException, rospy.ServiceException):  # no such service, or it failed
             return None
         self.answers += 1
-        return Reach(found.success, "" if found.success else found.message, not found.success)
+        return Reach(found.success, "" if found.success else found.message.rstrip("."), not found.success)
