@@ -102,15 +102,12 @@ def rig() -> None:
 
 def pick_cup() -> None:
     """The simulated person picks a cup up and puts it down."""
-    arguments = ("--headless", "--scenario", "pick_cup", "--record", str(PICTURES / "pick-cup.png"))
-    _run("rosrun", "leap_rig", "demo.py", *arguments, "--", *_ports(), ROS_MASTER_URI=f"http://localhost:{free_port()}")
+    _film("pick_cup", PICTURES / "pick-cup.png")
 
 
 def assisted_grasp() -> None:
     """The simulated person corrects a grasp that the network proposes."""
-    file = PICTURES / "assisted_grasp.png"
-    arguments = ("--headless", "--scenario", "assisted_grasp", "--", *_ports(), f"record:={file} --view 165 -20 1.25")
-    _run("rosrun", "leap_rig", "demo.py", *arguments, ROS_MASTER_URI=f"http://localhost:{free_port()}")
+    _film("assisted_grasp", PICTURES / "assisted_grasp.png", " --view 165 -20 1.25")
 
 
 def grasping() -> None:
@@ -191,6 +188,15 @@ def _ports() -> list[str]:
 
 def _run(*command: str, **environment: str) -> None:
     subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, **environment})
+
+
+def _film(scenario: str, file: Path, options: str = "") -> None:
+    """Writes a contact sheet of a scenario that went well; where it did not, the one before stays."""
+    with tempfile.TemporaryDirectory() as folder:
+        film = Path(folder) / file.name
+        arguments = ("--headless", "--scenario", scenario, "--", *_ports(), f"record:={film}{options}")
+        _run("rosrun", "leap_rig", "demo.py", *arguments, ROS_MASTER_URI=f"http://localhost:{free_port()}")
+        shutil.copy(film, file)
 
 
 @contextlib.contextmanager
