@@ -103,7 +103,10 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     content = (run / "weights.pt").read_bytes()
     assert len(content) < 100_000
     assert refinement.load(content).view == "camera"
+    assert refinement.load((run / "taste.pt").read_bytes()).fits("table")
+    assert not refinement.load(content).fits("table")
     with_offset, taste = (torch.load(run / f"{name}.pt", weights_only=True) for name in ("weights", "taste"))
+    del with_offset["view"]
     assert not taste.pop("offset").any()
     assert with_offset.pop("offset").any()
     assert with_offset.keys() == taste.keys()

@@ -9,7 +9,7 @@ by bit.
 
 The maps are those of the network's picture, before they are smoothed. Offset and tilt have the axes of the camera that
 sees it, x right and y down: of the real one, or of the imagined one above the table. What was learned in one view is
-wrong in the other, so a weight file names its view.
+wrong in the other, so a weight file names its view. One without an offset needs none.
 """
 
 from __future__ import annotations
@@ -75,13 +75,17 @@ class RefinementNetwork(nn.Module):
             is a shift], tilt_x, tilt_y, angle [rad], shape (5,).
     """
 
+    offset: torch.Tensor
+    feature_scale: torch.Tensor
+    change_scale: torch.Tensor
+
     def __init__(self, hidden: int = HIDDEN) -> None:
         super().__init__()
         self.first = nn.Conv2d(len(FEATURE_SCALE), hidden, 1)
         self.second = nn.Conv2d(hidden, hidden, 1)
         self.last = nn.Conv2d(hidden, len(CHANGE_SCALE), 1)
-        nn.init.zeros_(self.last.weight)
-        nn.init.zeros_(self.last.bias)
+        for parameter in self.last.parameters():
+            nn.init.zeros_(parameter)
         self.register_buffer("offset", torch.zeros(5))
         self.register_buffer("feature_scale", torch.tensor(FEATURE_SCALE)[:, None, None], persistent=False)
         self.register_buffer("change_scale", torch.tensor(CHANGE_SCALE)[:, None, None], persistent=False)
@@ -123,6 +127,11 @@ class Refinement:
     def __init__(self, network: RefinementNetwork, view: str | None = None) -> None:
         self._network = network.eval()
         self.view = view
+
+    def fits(self, view: str) -> bool:
+        """Returns whether it may be used in a view: the one in which it learned, or in any if it has no offset, which
+        alone has axes."""
+        return self.view == view or not self._network.offset.any()
 
     def apply(self, output: np.ndarray, picture: Picture) -> Refined:
         """Returns GGCNN's maps refined.

@@ -110,7 +110,8 @@ def main() -> None:
         if all(found["validation"] < r["validation"] for r in rows):
             content = refinement.content(trainer.mean, arguments.view)
             save(content, arguments.run / "weights.pt")
-            save({**content, "offset": torch.zeros_like(content["offset"])}, arguments.run / "taste.pt")
+            # Without an offset nothing has axes, and no view needs to be named.
+            save({**trainer.mean.state_dict(), "offset": torch.zeros(5)}, arguments.run / "taste.pt")
         rows.append({"step": trainer.step, "training": float(np.mean(recent)), **found})
         recent = []
         bar.set_postfix_str(f"loss {found['validation']:.3f}, miss {found['miss']:.1f} px")

@@ -35,7 +35,7 @@ def load_network(config: NetworkConfig) -> Loaded:
     path = _path(config.weights)
     data, expected = _content(path), config.sha256
     if expected == LISTED:
-        expected = listed_sha256(_content(path.parent / SUMS).decode("utf-8", "replace"), path.name)
+        expected = _listed(path)
     loaded = weights.load(data, None if expected == ANY else expected)
     if config.kind not in (ANY, loaded.name):
         raise WeightsError(f"{path} holds weights of {loaded.name}, but network/kind is {config.kind}.")
@@ -43,21 +43,26 @@ def load_network(config: NetworkConfig) -> Loaded:
 
 
 def load_refinement(name: str, view: str) -> refinement.Refinement:
-    """Returns the second network of a weight file.
+    """Returns the second network of a weight file; one of this package must have the hash in its list.
 
     Args:
         name: of the file.
         view: in which it is to be used, a name in `grasping.view.VIEWS`.
 
     Raises:
-        RigError: the file is missing, holds something else, or was not learned in that view.
+        RigError: the file is missing, has another hash, holds something else, or was not learned in that view.
     """
     path = _path(name)
-    found = refinement.load(_content(path))
-    if found.view != view:
+    found = refinement.load(_content(path), None if name.startswith("/") else _listed(path))
+    if not found.fits(view):
         learned = "does not say in which view it learned" if found.view is None else f"learned with view: {found.view}"
         raise WeightsError(f"The second network in {path} {learned}, but view is {view}.")
     return found
+
+
+def _listed(path: Path) -> str:
+    """Returns the hash that the list beside a file says it has."""
+    return listed_sha256(_content(path.parent / SUMS).decode("utf-8", "replace"), path.name)
 
 
 def _path(name: str) -> Path:
