@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from tools import docs_hooks
+from tools import docs_hooks, pictures
 from tools.reference import launch_files, markdown, parameters
 from tools.reference.errors import read_entries
 from tools.reference.sources import ROOT
@@ -60,3 +62,22 @@ def test_a_pattern_in_the_navigation_stands_for_its_pages():
     expanded = docs_hooks._expanded([{"Decisions": "decisions/*.md"}, "index.md"], ROOT / "docs")
     assert expanded[0]["Decisions"][:2] == ["decisions/README.md", "decisions/calibrated-arm.md"]
     assert expanded[1] == "index.md"
+
+
+def test_a_scenario_that_fails_leaves_its_picture_alone(tmp_path, monkeypatch):
+    picture = tmp_path / "sheet.png"
+    picture.write_text("before")
+
+    def film(*command, **_):
+        Path(command[-1].split(":=")[1].split(" --")[0]).write_text("after")
+        if fails:
+            raise subprocess.CalledProcessError(1, command)
+
+    monkeypatch.setattr(pictures, "_run", film)
+    fails = True
+    with pytest.raises(subprocess.CalledProcessError):
+        pictures._film("pick_cup", picture)
+    assert picture.read_text() == "before"
+    fails = False
+    pictures._film("pick_cup", picture, " --view 1 2 3")
+    assert picture.read_text() == "after"
