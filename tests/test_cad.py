@@ -227,11 +227,40 @@ class TestNumbersOfTheRig:
         sizes = [(float(c.get("radius")), float(c.get("length"))) for c in shapes if c is not None]
         assert sizes == [pytest.approx((d.CONNECTOR_OUTER / 2000, d.CONNECTOR_LENGTH / 1000))]
 
+    @pytest.mark.parametrize("kind", ["visual", "collision"])
+    @pytest.mark.parametrize(
+        "urdf", sorted(ROOT.glob("src/modules/rig_description/urdf/with_ring/*.urdf")), ids=lambda p: p.stem
+    )
+    def test_ring_is_as_large_as_in_the_description(self, urdf, kind, meshes):
+        tree = ET.parse(urdf)
+        joint = tree.find(".//joint/child[@link='reflex/base_link']/..")
+        assert matrix(joint.find("origin").get("xyz")) == pytest.approx(
+            [0.0, 0.0, (d.RING + d.CONNECTOR_LENGTH) / 1000]
+        )
+        mount = tree.find(".//joint/child[@link='kuka/marker_connector']/..")
+        assert mount.find("parent").get("link") == "kuka/flange"
+        assert matrix(mount.find("origin").get("xyz")) + matrix(mount.find("origin").get("rpy")) == [0.0] * 6
+
+        corners = []
+        for shape in tree.findall(f"link[@name='kuka/marker_connector']/{kind}"):
+            centre = np.array(matrix(shape.find("origin").get("xyz")))
+            (solid,) = shape.find("geometry")
+            if solid.tag == "cylinder":
+                radius, length = float(solid.get("radius")), float(solid.get("length"))
+                half = np.array([radius, radius, length / 2])
+            else:
+                half = np.array(matrix(solid.get("size"))) / 2
+            corners += [centre - half, centre + half]
+        bounds = 1000 * np.array([np.min(corners, axis=0), np.max(corners, axis=0)])
+        np.testing.assert_allclose(bounds, meshes["marker_connector"].bounds, atol=0.02)
+
     @pytest.mark.parametrize("mode", ["rt", "ptp"])
     def test_tool_length(self, mode):
         values = yaml.safe_load((ROOT / f"src/kuka_control/config/kuka_params_{mode}.yaml").read_text())
         assert values["tool_length"] == pytest.approx(d.TOOL_LENGTH / 1000)
         assert d.TOOL_LENGTH_WITH_RING - d.TOOL_LENGTH == d.RING
+        values = yaml.safe_load((ROOT / "src/kuka_control/config/marker_ring.yaml").read_text())
+        assert values == {"tool_length": pytest.approx(d.TOOL_LENGTH_WITH_RING / 1000)}
 
     def test_readme_says_the_numbers_that_others_copy(self):
         text = (manifest.FOLDER / "README.md").read_text()
@@ -260,6 +289,12 @@ class TestNumbersOfTheRig:
         model = pytest.importorskip("rig_simulation.world.model")
         expected = [0.0, d.TAG_DISTANCE / 1000, d.SINGLE_BEYOND / 1000]
         np.testing.assert_allclose(simulated_panel(model, "single"), expected, atol=1e-9)
+
+    def test_the_simulated_hand_stands_on_the_ring_where_there_is_a_panel(self):
+        model = pytest.importorskip("rig_simulation.world.model")
+        for panel, beyond in ((None, d.CONNECTOR_LENGTH), ("single", d.RING + d.CONNECTOR_LENGTH)):
+            built = world(model, panel)
+            assert built.body("reflex/base_link").pos[2] == pytest.approx(beyond / 1000)
 
     def test_place_of_the_large_panel(self):
         model = pytest.importorskip("rig_simulation.world.model")

@@ -22,7 +22,7 @@ def generated_fixture():
 
 
 def test_no_file_is_missing_and_none_is_left_over(generated):
-    present = {str(path.relative_to(PACKAGE)) for path in (*PACKAGE.glob("urdf/*"), *PACKAGE.glob("meshes/*/*"))}
+    present = {str(path.relative_to(PACKAGE)) for path in (*PACKAGE.glob("urdf/**/*.*"), *PACKAGE.glob("meshes/*/*"))}
     assert present == set(generated)
 
 

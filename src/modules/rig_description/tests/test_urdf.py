@@ -117,6 +117,22 @@ def test_hand_stands_on_the_connector_with_its_two_fingers_away_from_the_flange_
 
 
 @every_file
+def test_with_the_ring_the_hand_stands_10_mm_farther_and_nothing_else_changes(path):
+    ring = path.parent / "with_ring" / path.name
+    mount = place(ring, "kuka/flange").actInv(place(ring, "reflex/base_link"))
+    expected = pin.SE3(np.diag([-1.0, -1.0, 1.0]), np.array([0, 0, 0.036]))
+    np.testing.assert_allclose(mount.homogeneous, expected.homogeneous, atol=1e-9)
+
+    def links(file):
+        return {link.get("name"): ET.tostring(link) for link in ET.parse(file).getroot().findall("link")}
+
+    with_ring = links(ring)
+    marker = ET.fromstring(with_ring.pop("kuka/marker_connector"))
+    assert with_ring == links(path)
+    assert float(marker.find("inertial/mass").get("value")) == pytest.approx(0.15)
+
+
+@every_file
 def test_every_link_can_exist_as_a_rigid_body(path):
     for link in ET.parse(path).getroot().findall("link"):
         if link.get("name") == "kuka/base_frame":

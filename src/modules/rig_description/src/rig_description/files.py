@@ -14,7 +14,8 @@ def all_files() -> dict[str, str]:
     files = {}
     for robot, arm in ARMS.items():
         for flange in MEDIA_FLANGES:
-            files[f"urdf/{file_name(robot, flange)}"] = urdf(robot, flange)
+            for ring in (False, True):
+                files[f"urdf/{file_name(robot, flange, ring)}"] = urdf(robot, flange, ring)
         for link in range(7):
             files[f"meshes/{robot.lower()}/link_{link}.dae"] = collada(arm_shapes.housing(arm, link), WHITE)
     for name, (make, colour) in hand_shapes.MESHES.items():

@@ -11,8 +11,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig_description import arm_shapes, hand, hand_shapes
-from rig_description.appearance import COLOUR_NAMES, TABLE, Disc
+from rig_description import arm_shapes, hand, hand_shapes, marker_ring
+from rig_description.appearance import COLOUR_NAMES, GREY, TABLE, Disc
 from rig_description.arm_links import body as link_body
 from rig_description.arm_links import origin_in_parent, tube, upright
 from rig_description.arms import (
@@ -38,13 +38,17 @@ class _Placed(NamedTuple):
     geometry: tuple[str, dict[str, str]]
 
 
-def file_name(robot: str, flange: str) -> str:
-    """Returns the name of the URDF file of an arm and a media flange."""
-    return f"{robot.lower()}_{flange}.urdf"
+def file_name(robot: str, flange: str, ring: bool = False) -> str:
+    """Returns the path below urdf/ of the file of an arm and a media flange, without or with the panel's ring."""
+    return f"{'with_ring/' if ring else ''}{robot.lower()}_{flange}.urdf"
 
 
-def urdf(robot: str, flange: str) -> str:
+def urdf(robot: str, flange: str, ring: bool = False) -> str:
     """Returns the URDF.
+
+    Args:
+        robot, flange: names as in the parameters kuka/robot and kuka/flange.
+        ring: the ring of the marker panel is clamped between flange and connector.
 
     Raises:
         KeyError: no such arm or media flange.
@@ -55,8 +59,11 @@ def urdf(robot: str, flange: str) -> str:
     _shown(table, _box((-TABLE_HALF, -TABLE_HALF, -TABLE_THICKNESS), (TABLE_HALF, TABLE_HALF, 0.0)), TABLE)
     _arm(root, arm)
     _flange(root, flange, height)
-    _hand(root)
-    note = f"{robot} with {flange} and ReFlex TakkTile hand. Written by tools/generate.py of rig_description."
+    if ring:
+        _ring(root)
+    _hand(root, hand.CONNECTOR_LENGTH + (marker_ring.LENGTH if ring else 0.0))
+    tools = f"{flange}, ring of the marker panel" if ring else flange
+    note = f"{robot} with {tools} and ReFlex TakkTile hand. Written by tools/generate.py of rig_description."
     root.insert(0, ET.Comment(f" {note} "))
     return minidom.parseString(ET.tostring(root)).toprettyxml(indent="  ", encoding="utf-8").decode()
 
@@ -85,7 +92,15 @@ def _flange(root: ET.Element, name: str, height: float) -> None:
     _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, WRIST_TO_FLANGE + height))
 
 
-def _hand(root: ET.Element) -> None:
+def _ring(root: ET.Element) -> None:
+    shapes = [_cylinder(hand.CONNECTOR_RADIUS, *marker_ring.FACES), _box(*marker_ring.PAD), _box(*marker_ring.ARM)]
+    link = _link(root, "kuka/marker_connector", marker_ring.body(), *shapes)
+    for shape in shapes:
+        _shown(link, shape, GREY)
+    _joint(root, "kuka/marker_ring", "kuka/flange", "kuka/marker_connector")
+
+
+def _hand(root: ET.Element, beyond: float) -> None:
     for name in hand.LINKS:
         part = hand.part(name)
         collisions = [_box(*hand.EXTENT[part])]
@@ -100,7 +115,7 @@ def _hand(root: ET.Element) -> None:
         "reflex/connector",
         "kuka/flange",
         "reflex/base_link",
-        xyz=(0, 0, hand.CONNECTOR_LENGTH),
+        xyz=(0, 0, beyond),
         rpy=(0, 0, hand.CONNECTOR_YAW),
     )
     for j in hand.JOINTS:

@@ -10,13 +10,13 @@ PACKAGE = "rig_description"
 SOURCE_TREE = Path(__file__).resolve().parents[4] / PACKAGE
 
 
-def read_urdf(robot: str, flange: str) -> str:
-    """Returns the text of the URDF of the arm `robot` with the media flange `flange`.
+def read_urdf(robot: str, flange: str, ring: bool = False) -> str:
+    """Returns the text of the URDF of the arm `robot` with the media flange `flange`; ring: that of the marker panel.
 
     Raises:
         FileNotFoundError: no such description is installed.
     """
-    name = f"{robot.lower()}_{flange}.urdf"
+    name = f"{'with_ring/' if ring else ''}{robot.lower()}_{flange}.urdf"
     for folder in package_folders(PACKAGE, SOURCE_TREE):
         path = folder / "urdf" / name
         if path.is_file():

@@ -54,7 +54,7 @@ class WorldDescription:
         robot, flange: as in the parameters kuka/robot and kuka/flange.
         mounting: roll, pitch, yaw of the base in the upright world [deg].
         scene: mapping as in the scene's yaml.
-        panel: mapping as in the panel's yaml; None: no panel.
+        panel: mapping as in the panel's yaml, which comes with its ring between flange and hand; None: no panel.
     """
 
     robot: str
@@ -114,9 +114,8 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     _add_camera(world, scene.camera)
     roll, pitch, yaw = np.radians(description.mounting)
     R_world_base = rotation_from_zyx(yaw, pitch, roll)
-    add_robot(
-        root, world, read_urdf(description.robot, description.flange), R_world_base, _reader() if visuals else None
-    )
+    urdf = read_urdf(description.robot, description.flange, ring=description.panel is not None)
+    add_robot(root, world, urdf, R_world_base, _reader() if visuals else None)
     prepare_hand(root)
     if description.panel is not None:
         _add_panel(root, world, panel_from(description.panel), visuals)
