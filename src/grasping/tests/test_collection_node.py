@@ -239,6 +239,25 @@ def test_a_process_that_dies_while_it_writes_leaves_no_episode_but_a_sentence(st
     assert decode(whole.read_bytes()).held
 
 
+def test_killed_before_the_next_grasp_it_loses_no_grasp(rig, start, status, folder, wait_until):
+    process = start()
+    wait_until(lambda: status()["message"] == "0 episodes, 0 held", 60.0, "that it listens")
+    rig.say("/leap_kuka/stream", stream(True))
+    rig.perform(grasp())
+    (first,) = wait_until(lambda: files(folder), 20.0, "the episode")
+    content = first.read_bytes()
+    wait_until(lambda: int(status()["frames_waiting"]) > 0, 15.0, "a frame that waits for the next grasp")
+    process.kill()
+    process.wait()
+    assert os.listdir(folder) == [first.name]
+    start()
+    wait_until(lambda: status()["message"] == "0 episodes, 0 held", 60.0, "that it listens again")
+    rig.perform(grasp())
+    wait_until(lambda: len(files(folder)) == 2, 20.0, "the next episode")
+    assert first.read_bytes() == content
+    assert all(decode(file.read_bytes()).held for file in files(folder))
+
+
 def test_what_is_missing_is_said_and_comes_back(rig, start, status, folder, wait_until):
     rig.silent = {"/camera/depth/image", "/camera/depth/camera_info", "/reflex_takktile/hand_state"}
     start()
