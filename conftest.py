@@ -53,30 +53,43 @@ def shared_data():
     return folder
 
 
+class Process(subprocess.Popen):
+    """A program that a test started; its output goes to the file `log_path`."""
+
+    log_path: Path
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Waits for its end and returns the exit code.
+
+        Raises:
+            subprocess.TimeoutExpired: it lasts longer than PATIENCE times `timeout` seconds.
+        """
+        return super().wait(None if timeout is None else PATIENCE * timeout)
+
+
 class Processes:
     """Starts programs in process groups of their own and ends each of them with the test."""
 
     def __init__(self, log_folder: Path) -> None:
         self._log_folder = log_folder
-        self._running: list[subprocess.Popen] = []
+        self._running: list[Process] = []
 
-    def start(self, *command: str, env: dict[str, str] | None = None) -> subprocess.Popen:
-        """Starts a command; its output goes to the file `process.log_path` of the process that is returned."""
+    def start(self, *command: str, env: dict[str, str] | None = None) -> Process:
+        """Starts a command."""
         log_path = self._log_folder / f"{len(self._running)}-{Path(command[0]).name}.log"
         paths = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *SOURCES]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1", **(env or {})}
         with open(log_path, "wb") as log:
-            process = subprocess.Popen(
-                command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment
-            )
+            process = Process(command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment)
         process.log_path = log_path
         self._running.append(process)
         return process
 
-    def end(self, process: subprocess.Popen, timeout: float = 15.0) -> int:
+    def end(self, process: Process, timeout: float = 15.0) -> int:
         """Interrupts a process as Ctrl-C does, kills its group if that does not help, returns its exit code."""
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
+            process.send_signal(signal.SIGCONT)  # a test may have suspended it
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(timeout)
         with contextlib.suppress(ProcessLookupError):
@@ -147,11 +160,11 @@ class Graph:
     def __init__(self, processes: Processes) -> None:
         self._processes = processes
 
-    def run(self, package: str, executable: str, *args: str) -> subprocess.Popen:
+    def run(self, package: str, executable: str, *args: str) -> Process:
         """Starts a node as `rosrun` does."""
         return self._processes.start("rosrun", package, executable, *args)
 
-    def launch(self, package: str, file: str, **args) -> subprocess.Popen:
+    def launch(self, package: str, file: str, **args) -> Process:
         """Starts a launch file as `roslaunch` does."""
         return self._processes.start("roslaunch", "--wait", package, file, *(f"{k}:={v}" for k, v in args.items()))
 

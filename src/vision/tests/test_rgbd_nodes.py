@@ -33,7 +33,7 @@ class Camera:
 
         from common.ros.conversions import stamped_transform
 
-        self.colour, self.depth, self.late = colour, depth, 0.0
+        self.colour, self.depth, self.late, self.sent = colour, depth, 0.0, 0
         self.images = {name: rospy.Publisher(f"camera/{name}/image_raw", Image, queue_size=1) for name in MODELS}
         self._infos = {name: rospy.Publisher(f"camera/{name}/camera_info", CameraInfo, queue_size=1) for name in MODELS}
         self._static = tf2_ros.StaticTransformBroadcaster()
@@ -41,6 +41,9 @@ class Camera:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._loop, daemon=True)
         self._thread.start()
+
+    def heard_everywhere(self):
+        return all(p.get_num_connections() for p in (*self.images.values(), *self._infos.values()))
 
     def close(self):
         self._ended.set()
@@ -60,6 +63,7 @@ class Camera:
                 picture, encoding = (self.colour, "rgb8") if name == "rgb" else (self.depth, "16UC1")
                 self._infos[name].publish(camera_info_message(model, frame, at))
                 self.images[name].publish(image_message(picture, encoding, frame, at))
+            self.sent += 1
 
 
 MODELS = {"rgb": (RGB, RGB_FRAME), "depth": (DEPTH, DEPTH_FRAME)}
@@ -280,8 +284,11 @@ def test_a_recording_goes_through_the_same_nodes(ros, camera, processes, tmp_pat
 
     bag = tmp_path / "camera.bag"
     topics = [f"/camera/{name}/{topic}" for name in MODELS for topic in ("image_raw", "camera_info")]
-    record = processes.start("rosbag", "record", "-O", str(bag), "--duration=4", *topics, "/tf_static")
-    assert record.wait(60.0) == 0
+    record = processes.start("rosrun", "rosbag", "record", "-O", str(bag), *topics, "/tf_static")
+    wait_until(camera.heard_everywhere, 30.0, "the recorder")
+    sent = camera.sent
+    wait_until(lambda: camera.sent > sent + 10, 30.0, "pictures to record")
+    assert processes.end(record) == 0
     camera.close()
     with rosbag.Bag(str(bag)) as recorded:
         stamps = {message.header.stamp for _, message, _ in recorded.read_messages(topics[:1])}

@@ -100,8 +100,8 @@ def test_ends_with_a_sentence_when_the_controller_never_comes(ros):
 
 def test_ends_with_a_sentence_when_control_is_refused(ros, controller, leapd):
     controller.joints, controller.refusals = HOME, 10**6
-    node = ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}", "_time_out:=1.0")
-    assert node.wait(20.0) == 1
+    node = ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}", "_time_out:=8.0")
+    assert node.wait(40.0) == 1
     assert "the arm moves" in node.log_path.read_text()
     assert not leapd.played.is_set()
 

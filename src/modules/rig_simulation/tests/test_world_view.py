@@ -38,9 +38,13 @@ def test_objects_and_forces_are_shown(ros, world_port, wait_until):
         truth = world.ask("objects")["objects"]["cup"]["position"]
         heights = [marker.pose.position.z for marker in cup]
         assert abs(sum(heights) / len(heights) - truth[2]) < 0.005
-        wait_until(lambda: contacts and of(contacts[-1], Marker.TEXT_VIEW_FACING), 30.0, "the cup on the table")
-        assert of(contacts[-1], Marker.ARROW)
-        (label,) = of(contacts[-1], Marker.TEXT_VIEW_FACING)
+
+        def standing():  # the cup falls from just above the table; where it bounces, nothing touches for a moment
+            return next((array for array in contacts if of(array, Marker.TEXT_VIEW_FACING)), None)
+
+        array = wait_until(standing, 30.0, "the cup on the table")
+        assert of(array, Marker.ARROW)
+        (label,) = of(array, Marker.TEXT_VIEW_FACING)
         name, newtons, unit = label.text.split()
         assert (name, unit) == ("table", "N")
         assert 0.3 < float(newtons) < 10.0, "its weight"
