@@ -39,6 +39,8 @@ class LiveStatus:
         text = f"{phase:>8} | arm {listener.mode or '-':<9} | hand {hand:<6} | {rate:4.0f} frames/s"
         if speed is not None:
             text += f" | TCP {1e3 * float(speed):4.0f} mm/s"
+        if recorder.scenario is not None:
+            text += f" | {recorder.scenario['step']}"
         self._print(text + ("" if self._terminal else "\n"))
 
     def say(self, sentence: str) -> None:
