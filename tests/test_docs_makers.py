@@ -74,10 +74,11 @@ def test_a_scenario_that_fails_leaves_its_picture_alone(tmp_path, monkeypatch):
             raise subprocess.CalledProcessError(1, command)
 
     monkeypatch.setattr(pictures, "_run", film)
+    monkeypatch.setattr(pictures, "PICTURES", tmp_path)
     fails = True
     with pytest.raises(subprocess.CalledProcessError):
-        pictures._film("pick_cup", picture)
+        pictures._film("pick_cup", "sheet.png")
     assert picture.read_text() == "before"
     fails = False
-    pictures._film("pick_cup", picture, " --view 1 2 3")
+    pictures._film("pick_cup", "sheet.png", " --view 1 2 3")
     assert picture.read_text() == "after"

@@ -28,6 +28,8 @@ PICTURES = ROOT / "docs" / "pictures"
 PARAMETERS = ROOT / "src" / "kuka_control" / "config" / "kuka_params_rt.yaml"
 WIDTH, COLOURS = 1200, 128
 """Of a picture at most: the pages do not show more, and files stay small."""
+SHEETS, SHEET_WIDTH = ("pick-cup.png", "assisted_grasp.png"), 1920
+"""Contact sheets, whose writing can be read by whoever opens them alone."""
 
 SCREEN = (1400, 900)
 VIEW = (384, 82, 1284, 830)
@@ -102,12 +104,12 @@ def rig() -> None:
 
 def pick_cup() -> None:
     """The simulated person picks a cup up and puts it down."""
-    _film("pick_cup", PICTURES / "pick-cup.png")
+    _film("pick_cup", SHEETS[0])
 
 
 def assisted_grasp() -> None:
     """The simulated person corrects a grasp that the network proposes."""
-    _film("assisted_grasp", PICTURES / "assisted_grasp.png", " --view 165 -20 1.25")
+    _film("assisted_grasp", SHEETS[1], " --view 165 -20 1.25")
 
 
 def grasping() -> None:
@@ -176,7 +178,8 @@ def _shoot(file: str) -> None:
 
 def _shrink(file: Path) -> None:
     picture = Image.open(file).convert("RGB")
-    picture.thumbnail((WIDTH, WIDTH), Image.LANCZOS)
+    width = SHEET_WIDTH if file.name in SHEETS else WIDTH
+    picture.thumbnail((width, width), Image.LANCZOS)
     picture.quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE).save(file, optimize=True)
 
 
@@ -190,13 +193,13 @@ def _run(*command: str, **environment: str) -> None:
     subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, **environment})
 
 
-def _film(scenario: str, file: Path, options: str = "") -> None:
+def _film(scenario: str, name: str, options: str = "") -> None:
     """Writes a contact sheet of a scenario that went well; where it did not, the one before stays."""
     with tempfile.TemporaryDirectory() as folder:
-        film = Path(folder) / file.name
+        film = Path(folder) / name
         arguments = ("--headless", "--scenario", scenario, "--", *_ports(), f"record:={film}{options}")
         _run("rosrun", "leap_rig", "demo.py", *arguments, ROS_MASTER_URI=f"http://localhost:{free_port()}")
-        shutil.copy(film, file)
+        shutil.copy(film, PICTURES / name)
 
 
 @contextlib.contextmanager
