@@ -60,7 +60,8 @@ def test_the_interval_of_a_paired_difference_is_as_wide_as_it_should_be():
     one, other = rng.normal(0.0, 1.0, 400), rng.normal(0.0, 1.0, 400)
     found = paired_difference(one, other)
     assert found.high - found.low == pytest.approx(2 * 1.96 * np.sqrt(2.0) / 20.0, rel=0.15)
-    assert str(found).startswith(f"{found.value:+.1f} (")
+    assert str(found) == f"{found}" == f"{found.value:+.1f} ({found.low:+.1f} to {found.high:+.1f})"
+    assert f"{found:.2f}" == f"{found.value:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
 
 
 @pytest.mark.parametrize(("one", "other"), [([], []), ([1.0], [1.0, 2.0])])

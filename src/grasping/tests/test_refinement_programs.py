@@ -135,6 +135,8 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert "| trained |" in text
     # Untrained it is GGCNN alone, without difference.
     assert "| untrained less GGCNN alone | " + " | ".join(["+0.0 (+0.0 to +0.0)"] * 6) + " |" in text
+    assert "| untrained | " in text.partition("log-likelihood")[2]
+    assert "| +0.00 (+0.00 to +0.00) |" in text
     assert not (results / "curve.png").exists()
     call(monkeypatch, train_refinement, data, tmp_path / "few", "--steps", "1", "--episodes", "2", *options)
     curve = ["--refinement", "few", tmp_path / "few" / "weights.pt", "--refinement", "all", run / "weights.pt"]

@@ -85,7 +85,12 @@ class Difference(NamedTuple):
 
     def __str__(self) -> str:
         """Returns difference and interval."""
-        return f"{self.value:+.1f} ({self.low:+.1f} to {self.high:+.1f})"
+        return format(self, ".1f")
+
+    def __format__(self, precision: str) -> str:
+        """Returns difference and interval with their signs, each written with the precision, as `.2f`."""
+        value, low, high = (format(v, f"+{precision or '.1f'}") for v in self)
+        return f"{value} ({low} to {high})"
 
 
 def paired_difference(

@@ -121,17 +121,18 @@ class Refinement:
     """The second network and how to use it.
 
     Attributes:
+        network: the second network.
         view: in which it learned, a name in `view.VIEWS`; None where that is unknown.
     """
 
     def __init__(self, network: RefinementNetwork, view: str | None = None) -> None:
-        self._network = network.eval()
+        self.network = network.eval()
         self.view = view
 
     def fits(self, view: str) -> bool:
         """Returns whether it may be used in a view: the one in which it learned, or in any if it has no offset, which
         alone has axes."""
-        return self.view == view or not self._network.offset.any()
+        return self.view == view or not self.network.offset.any()
 
     def apply(self, output: np.ndarray, picture: Picture) -> Refined:
         """Returns GGCNN's maps refined.
@@ -141,9 +142,9 @@ class Refinement:
             picture: that it saw.
         """
         with torch.no_grad():
-            change = self._network(torch.from_numpy(features(output, picture))[None])
+            change = self.network(torch.from_numpy(features(output, picture))[None])
             change = F.interpolate(change, scale_factor=SHRINK, mode="bilinear")[0].numpy()
-        x, y, tilt_x, tilt_y, angle = self._network.offset.tolist()
+        x, y, tilt_x, tilt_y, angle = self.network.offset.tolist()
         quality, cos, sin, width = output
         c, s = np.float32(np.cos(2.0 * angle)), np.float32(np.sin(2.0 * angle))
         depth = picture.depth.astype(np.float32)

@@ -4,7 +4,8 @@ GGCNN alone, with the person's constant offset, the nearest neighbour among the 
 second network: how far from the person's grasp, in the last frame of each episode whose grasp held; all maps are
 smoothed alike. Where the episodes are simulated, each grasp is tried by lifting in MuJoCo too, hand wide open, and the
 bound is what the simulated person intended: the grasp without the tremor, which nobody can foresee. Results go to
-results.csv, one line a grasp, and table.md, with the differences over the same episodes. Where second networks learned
+results.csv, one line a grasp, and table.md, with the differences over the same episodes, and with the likelihood of the
+person's places: which of several equal grasps it is to be, nobody can foresee either. Where second networks learned
 from different numbers of episodes, as settings.json beside their files says, curve.png shows what more of them bring.
 """
 
@@ -15,32 +16,41 @@ import csv
 import json
 from functools import lru_cache
 from pathlib import Path
+from typing import Callable, Dict, List, Union
 
 import cv2
 import mujoco
 import numpy as np
 import torch
+from torch import nn
 from tqdm import tqdm
 
 from common.errors import RigError
 from common.poses import inverse
 from common.statistics import median, paired_difference, share
 from grasping import refinement, weights
+from grasping.dataset.episode import Frame
 from grasping.dataset.labels import own_grasp, pose_from_label, windowed
 from grasping.evaluation import learning_curve
+from grasping.evaluation.likelihood import calibrated, log_likelihoods
 from grasping.evaluation.person_errors import NEAR_M, Neighbours, miss
-from grasping.predictor import Predictor, PredictorSettings
+from grasping.predictor import Prediction, Predictor, PredictorSettings
 from grasping.programs import episode_files
 from grasping.programs.evaluate import NETWORK_SMOOTHING, kept_rows
 from grasping.programs.make_dataset import ignore_warning
+from grasping.projection import Grasp
 from grasping.synthetic import episodes
-from grasping.training.refinement_examples import constant_offset, offset_label
+from grasping.training.refinement_batches import batch
+from grasping.training.refinement_examples import Example, Offset, constant_offset, example, offset_label
 
 FIRST = 3
 """So many of a method's grasps are what a person is offered."""
 COLUMNS = ("episode", "object", "method", "position_mm", "rotation_deg", "near", "nearest_of_3_mm", "lifted")
+Row = Dict[str, Union[str, float]]
+"""A line of results.csv, as it was made or as it was read."""
+Method = Callable[[Frame], List[np.ndarray]]
 ALONE, OFFSET, NEIGHBOUR, BOUND = "GGCNN alone", "GGCNN + constant offset", "nearest neighbour", "bound: without tremor"
-MEASURES = {
+MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = {
     "position error mm, median": (np.median, lambda r: float(r["position_mm"] or "inf")),
     "within 20 mm %": (np.mean, lambda r: 100.0 * _within(r["position_mm"])),
     "rotation error deg, median": (np.median, lambda r: float(r["rotation_deg"] or "inf")),
@@ -51,11 +61,14 @@ MEASURES = {
 """Columns of the tables: what is made of the episodes' values, and the value of a line of results.csv."""
 
 
-def methods(training: list[episode_files.Named], first: Path, second: list[tuple[str, str]]) -> dict:
+def methods(
+    training: list[episode_files.Named], offset: Offset, first: Path, second: list[tuple[str, str]]
+) -> dict[str, Method]:
     """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first.
 
     Args:
-        training: episodes that teach the offset and the neighbours.
+        training: episodes that teach the neighbours.
+        offset: the person's.
         first: weight file of GGCNN.
         second: names and weight files of second networks.
 
@@ -64,25 +77,25 @@ def methods(training: list[episode_files.Named], first: Path, second: list[tuple
         OSError: likewise.
     """
     frames = [f for named in training if named.episode.held for f in named.episode.frames()]
-    offset, neighbours = constant_offset(frames), Neighbours(frames)
+    neighbours = Neighbours(frames)
     network = weights.load(first.read_bytes()).network
     predict = _predicting(network, None)
 
-    def own(frame):
+    def own(frame: Frame) -> list[tuple[Frame, Grasp]]:
         frames = (frame._replace(peak=peak) for peak in predict(frame).peaks)
-        return [f for f in frames if own_grasp(f) is not None]
+        return [(f, grasp) for f in frames if (grasp := own_grasp(f)) is not None]
 
-    found = {
-        ALONE: lambda frame: [own_grasp(f).T_camera_grasp for f in own(frame)],
-        OFFSET: lambda frame: [pose_from_label(f, offset_label(f, offset)) for f in own(frame)],
-        NEIGHBOUR: lambda frame: [neighbours.grasp(f) for f in own(frame)[:1]],
+    found: dict[str, Method] = {
+        ALONE: lambda frame: [grasp.T_camera_grasp for _, grasp in own(frame)],
+        OFFSET: lambda frame: [pose_from_label(f, offset_label(f, offset)) for f, _ in own(frame)],
+        NEIGHBOUR: lambda frame: [neighbours.grasp(f) for f, _ in own(frame)[:1]],
     }
     for name, file in second:
         found[name] = _refined(network, refinement.load(Path(file).read_bytes()))
     return found
 
 
-def _predicting(network, second: refinement.Refinement | None):
+def _predicting(network: nn.Module, second: refinement.Refinement | None) -> Callable[[Frame], Prediction]:
     """Returns what makes the prediction for a frame."""
 
     @lru_cache(maxsize=2)
@@ -93,40 +106,44 @@ def _predicting(network, second: refinement.Refinement | None):
     return lambda frame: predictor(frame.crop.side).predict(frame.depth_m, windowed(frame.camera, frame.crop))
 
 
-def _refined(network, second: refinement.Refinement):
+def _refined(network: nn.Module, second: refinement.Refinement) -> Method:
     predict = _predicting(network, second)
     return lambda frame: [g.T_camera_grasp for g in predict(frame).grasps if g is not None]
 
 
-def row(named: episode_files.Named, scene, name: str, method, lift: bool) -> dict:
+def row(
+    named: episode_files.Named, scene: episodes.Situation | None, name: str, method: Method | None, lift: bool
+) -> dict[str, str | float]:
     """Returns the line of one method's grasp in an episode.
 
     Args:
         named: the episode.
         scene: that it shows, None where it is no simulated one; only then the bound is known, and grasps are lifted.
         name: of the method.
-        method: as `methods` has it.
+        method: as `methods` has it; None: the bound.
         lift: whether to lift.
     """
     frame = named.episode.frame(len(named.episode) - 1)
-    line = {**dict.fromkeys(COLUMNS, ""), "episode": named.name, "object": named.episode.metadata.object}
-    line.update(method=name, near="False")
-    if name == BOUND:
+    line: dict[str, str | float] = dict.fromkeys(COLUMNS, "")
+    line.update(episode=named.name, object=named.episode.metadata.object, method=name, near="False")
+    if method is None:
+        assert scene is not None, "the bound is known of simulated scenes alone"
         found = [inverse(frame.T_base_camera) @ episodes.intended(scene, named.episode)]
     else:
         found = method(frame)
-    lift = lift and scene is not None
     if not found:
-        return {**line, "lifted": "False" if lift else ""}
+        return {**line, "lifted": "False" if lift and scene is not None else ""}
     misses = [miss(frame.T_camera_grasp, T) for T in found]
-    line.update(position_mm=1000.0 * misses[0].position, rotation_deg=np.degrees(misses[0].rotation))
-    line.update(near=str(misses[0].is_near), nearest_of_3_mm=1000.0 * min(m.position for m in misses))
-    if lift:
+    line["position_mm"] = 1000.0 * misses[0].position
+    line["rotation_deg"] = float(np.degrees(misses[0].rotation))
+    line["near"] = str(misses[0].is_near)
+    line["nearest_of_3_mm"] = 1000.0 * min(m.position for m in misses)
+    if lift and scene is not None:
         line["lifted"] = str(episodes.held(scene, frame.T_base_camera @ found[0]))
     return line
 
 
-def _within(millimetres) -> bool:
+def _within(millimetres: str | float) -> bool:
     return millimetres != "" and float(millimetres) < 1000.0 * NEAR_M
 
 
@@ -152,12 +169,51 @@ def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
     for name in second:
         for other in (ALONE, OFFSET):
             episodes_of = sorted(of[name].keys() & of[other].keys())
-            cells = [
-                str(paired_difference(*([value(of[m][e]) for e in episodes_of] for m in (name, other)), statistic))
-                for statistic, value in measures.values()
-            ]
+            cells = []
+            for statistic, value in measures.values():
+                one, less = ([value(of[method][e]) for e in episodes_of] for method in (name, other))
+                cells.append(str(paired_difference(one, less, statistic)))
             lines.append(_line(f"{name} less {other}", *cells))
     return "\n".join(lines) + "\n"
+
+
+def likelihoods(
+    known: list[episode_files.Named], test: list[episode_files.Named], offset: Offset, second: list[tuple[str, str]]
+) -> str:
+    """Returns, as Markdown, how probable the maps make the person's places, all with the same constant offset.
+
+    Args:
+        known: episodes that say how each map is best taken as a distribution.
+        test: others.
+        offset: the person's.
+        second: names and weight files of second networks.
+    """
+    seen = [batch(_examples(part), offset) for part in (known, test)]
+    places = [target.place.numpy() for _, target in seen]
+
+    def found(quality: Callable[[torch.Tensor], torch.Tensor]) -> np.ndarray:
+        with torch.no_grad():
+            before, now = (quality(features).numpy() for features, _ in seen)
+        return log_likelihoods(now, places[1], calibrated(before, places[0]))
+
+    plain = found(lambda features: features[:, 0])
+    lines = [
+        _line("map", "log-likelihood of the person's place [nats], mean", "more than GGCNN's"),
+        _line(*["---"] * 3),
+    ]
+    lines.append(_line(OFFSET, f"{plain.mean():.2f}", ""))
+    for name, file in second:
+        network = refinement.load(Path(file).read_bytes()).network
+        values = found(lambda features, network=network: features[:, 0] + network(features)[:, 0])
+        lines.append(_line(name, f"{values.mean():.2f}", f"{paired_difference(values, plain):.2f}"))
+    return "\n".join(lines) + "\n"
+
+
+def _examples(part: list[episode_files.Named]) -> list[Example]:
+    """Returns the examples of the last frames of episodes whose grasps held."""
+    episodes_held = [named.episode for named in part if named.episode.held]
+    found = [example(episode.frame(len(episode) - 1), held=True) for episode in episodes_held]
+    return [one for one in found if one is not None]
 
 
 def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
@@ -203,14 +259,16 @@ def main() -> None:
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
     try:
-        training = episode_files.read(arguments.training, without=arguments.without)
-        training = [named for named in training if not episode_files.is_held_out(named.name)]
+        every = episode_files.read(arguments.training, without=arguments.without)
+        training = [named for named in every if not episode_files.is_held_out(named.name)]
+        known = [named for named in every if episode_files.is_held_out(named.name) and named.episode.held]
         test = [named for named in episode_files.read(arguments.test, only=arguments.only) if named.episode.held]
         if arguments.held_out:
             test = [named for named in test if episode_files.is_held_out(named.name)]
         if not test or not any(named.episode.held for named in training):
             raise RigError(f"Of {len(test)} episodes to test on and {len(training)} to learn from, too few held.")
-        found = methods(training, arguments.weights, arguments.refinement)
+        offset = constant_offset([f for named in training if named.episode.held for f in named.episode.frames()])
+        found: dict[str, Method | None] = {**methods(training, offset, arguments.weights, arguments.refinement)}
     except (RigError, OSError) as error:
         parser.error(str(error))
     if all(episodes.scene_of(named.name) for named in test):
@@ -232,5 +290,8 @@ def main() -> None:
                 writer.writerow(line)
                 rows.append(line)
             file.flush()
-    (arguments.folder / "table.md").write_text(tables(rows, list(found), [name for name, _ in arguments.refinement]))
+    text = tables(rows, list(found), [name for name, _ in arguments.refinement])
+    if known:
+        text += "\n" + likelihoods(known, test, offset, arguments.refinement)
+    (arguments.folder / "table.md").write_text(text)
     curve(rows, arguments.refinement, arguments.folder / "curve.png")
