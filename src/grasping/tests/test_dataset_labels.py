@@ -130,7 +130,7 @@ def test_a_frame_whose_grasps_have_no_place_has_no_label():
 @settings(deadline=None)
 def test_pixels_of_map_and_camera_undo_each_other(row, column, side):
     peak = FRAME.peak._replace(row=row, column=column)
-    found = map_pixel(np.array(camera_pixel(peak, FRAME.crop, side)), FRAME.crop, side)
+    found = map_pixel(np.array(camera_pixel(peak.row, peak.column, FRAME.crop, side)), FRAME.crop, side)
     np.testing.assert_allclose(found, (row, column), atol=1e-9)
 
 

@@ -47,7 +47,7 @@ class Picture(NamedTuple):
     mean: float
 
 
-def centre_crop(shape: tuple[int, int], side: int = CROP_SIDE, rows_up: int = 0) -> Crop:
+def centre_crop(shape: tuple[int, ...], side: int = CROP_SIDE, rows_up: int = 0) -> Crop:
     """Returns the window in the middle of a picture of `shape`, moved up by `rows_up`.
 
     Raises:

@@ -45,11 +45,12 @@ def heat_map(findings: Findings, refused: set[int], reason: str) -> np.ndarray:
         refused: numbers of the grasps that the arm's controller refuses.
         reason: written below where there is one.
     """
+    assert findings.view is not None and findings.maps is not None, "there is something to draw"
     quality = findings.maps.quality
-    colours = cv2.applyColorMap(np.uint8(255.0 * np.clip(quality, 0.0, 1.0)), cv2.COLORMAP_JET)
+    colours = cv2.applyColorMap((255.0 * np.clip(quality, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_JET)
     share = np.clip(1.5 * quality, 0.0, 0.6)[..., None]
-    picture = np.uint8((1.0 - share) * grey(findings.view.picture.depth)[..., None] + share * colours)
-    picture = cv2.resize(picture, None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_LINEAR)
+    mixed = (1.0 - share) * grey(findings.view.picture.depth)[..., None] + share * colours
+    picture = cv2.resize(mixed.astype(np.uint8), None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_LINEAR)
     for proposal in reversed(findings.proposals):
         best, peak = proposal is findings.proposals[0], proposal.peak
         middle = np.array([peak.column, peak.row]) + 0.5

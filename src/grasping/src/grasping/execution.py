@@ -141,7 +141,9 @@ class Execution:
         why = self._hindrance(seen, now)
         if why is not None:
             return self.end(f"{why}.")
+        assert seen.T_base_tool is not None, "an unknown place is a hindrance"
         if self.state == PERSON:
+            assert seen.hand is not None, "an unknown hand is a hindrance to the person"
             grasp = self._watch.step(seen.hand, seen.T_base_tool, seen.clock)
             if grasp is not None:
                 return self._over(grasp, grasp.held, grasp.reason)
@@ -196,6 +198,7 @@ class Execution:
 
     def _arrived(self, T_base_tool: np.ndarray) -> bool:
         target = self._T_base_above
+        assert target is not None, "an execution begins with it"
         near = np.linalg.norm(T_base_tool[:3, 3] - target[:3, 3]) <= self._config.arrival_distance
         turn = rotation_angle(target[:3, :3].T @ T_base_tool[:3, :3])
         return bool(near and np.degrees(turn) <= self._config.arrival_angle)

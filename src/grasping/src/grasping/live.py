@@ -19,10 +19,10 @@ from grasping.maps import Maps, Peak, Smoothing, peaks, smoothed
 from grasping.predictor import Predictor
 from grasping.preference import preferred
 from grasping.projection import Grasp, along, grasp, pixel_size, seen_by
-from grasping.refinement import refined_grasp
+from grasping.refinement import Refined, refined_grasp
 from grasping.surface import NORMAL, VERTICAL, ApproachConfig, surface_at
 from grasping.tool_pose import ToolPoseConfig
-from grasping.tracking import AveragingConfig, GraspTracker, MapAverage, Sighting, TrackingConfig
+from grasping.tracking import AveragingConfig, GraspTracker, MapAverage, Sighting, Tracked, TrackingConfig
 from grasping.view import CameraView, NoView, TableView, View
 
 
@@ -167,8 +167,11 @@ class Finder:
         missing = sum(c.no_normal for c in told)
         return Findings(view, maps, proposals, self._reason(candidates, proposals), missing, stages.seconds)
 
-    def _candidates(self, found: list[Peak], view: View, refined, T_base_camera) -> list[_Candidate]:
-        s, candidates = self._settings, []
+    def _candidates(
+        self, found: list[Peak], view: View, refined: Refined | None, T_base_camera: np.ndarray | None
+    ) -> list[_Candidate]:
+        s = self._settings
+        candidates: list[_Candidate] = []
         side = len(view.picture.input)
         for peak in found:
             peak = peak._replace(width=max(0.0, peak.width))
@@ -190,7 +193,7 @@ class Finder:
             candidates.append(_Candidate(peak, T, turned.width, no_normal, why))
         return candidates
 
-    def _approached(self, seen: Grasp, view: View, T_base_camera) -> tuple[Grasp | None, bool, str]:
+    def _approached(self, seen: Grasp, view: View, T_base_camera: np.ndarray | None) -> tuple[Grasp | None, bool, str]:
         """Returns the grasp with its approach, whether the normal is missing, and why there is no grasp."""
         c = self._settings.approach
         if c.kind == NORMAL:
@@ -233,7 +236,7 @@ class _Candidate(NamedTuple):
     objection: str
 
 
-def _proposal(tracked, peak: Peak, camera: CameraModel, T_base_camera: np.ndarray | None) -> Proposal:
+def _proposal(tracked: Tracked, peak: Peak, camera: CameraModel, T_base_camera: np.ndarray | None) -> Proposal:
     T_base = None if T_base_camera is None else tracked.T
     T_camera = tracked.T if T_base_camera is None else read_only(inverse(T_base_camera) @ tracked.T)
     angle, pixel, width_px = seen_by(camera, T_camera, tracked.width)

@@ -11,6 +11,7 @@ Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -65,13 +66,14 @@ class GGCNN(nn.Module):
 
     def forward(self, depth: torch.Tensor) -> torch.Tensor:
         """Returns the maps, shape (n, 4, h, w)."""
-        check_side(self, depth)
+        check_side(depth, self.side_multiple)
         x = depth
         for layer, (before, after) in zip((self.conv1, self.conv2, self.conv3), self.borders.conv):
             x = F.relu(layer(F.pad(x, (before, after, before, after))))
-        for i, layer in enumerate((self.convt1, self.convt2, self.convt3)):
-            size = [layer.stride[0] * n + self.borders.rest[i] for n in x.shape[2:]]
-            full = layer(x) if layer.stride[0] == 2 else shuffled_transpose(x, layer.weight, layer.bias)
+        for i, transposed in enumerate((self.convt1, self.convt2, self.convt3)):
+            stride = transposed.stride[0]
+            size = [stride * n + self.borders.rest[i] for n in x.shape[2:]]
+            full = transposed(x) if stride == 2 else shuffled_transpose(x, transposed.weight, transposed.bias)
             start = self.borders.crop[i]
             x = F.relu(full[:, :, start : start + size[0], start : start + size[1]])
         before, after = self.borders.head
@@ -105,15 +107,15 @@ class GGCNN2(nn.Module):
 
     def forward(self, depth: torch.Tensor) -> torch.Tensor:
         """Returns the maps, shape (n, 4, h, w)."""
-        check_side(self, depth)
+        check_side(depth, self.side_multiple)
         return _heads(self, self.features(depth))
 
 
-NETWORKS = {"ggcnn": GGCNN, "ggcnn2": GGCNN2, "ggcnn_keras": lambda: GGCNN(KERAS)}
+NETWORKS: dict[str, Callable[[], nn.Module]] = {"ggcnn": GGCNN, "ggcnn2": GGCNN2, "ggcnn_keras": lambda: GGCNN(KERAS)}
 """The known networks by name; `ggcnn_keras` is GG-CNN with the borders of the Keras weights."""
 
 
-def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:
     """Returns the transposed convolution with stride 3 and a 9 x 9 kernel, by a convolution and a pixel shuffle.
 
     Output row 3 q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row 3 m + r: for each remainder r
@@ -122,7 +124,7 @@ def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor
     Args:
         x: shape (n, i, h, w).
         weight: kernel of the transposed convolution, shape (i, o, 9, 9).
-        bias: shape (o,).
+        bias: shape (o,), or None.
 
     Returns:
         Shape (n, o, 3 h + 6, 3 w + 6).
@@ -130,16 +132,17 @@ def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor
     i, o = weight.shape[:2]
     taps = weight.reshape(i, o, 3, 3, 3, 3).flip(2, 4)  # (i, o, m, r, m, r), m reversed: a convolution correlates
     kernel = taps.permute(1, 3, 5, 0, 2, 4).reshape(9 * o, i, 3, 3)
-    return F.pixel_shuffle(F.conv2d(x, kernel, bias.repeat_interleave(9), padding=2), 3)
+    bias = None if bias is None else bias.repeat_interleave(9)
+    return F.pixel_shuffle(F.conv2d(x, kernel, bias, padding=2), 3)
 
 
-def check_side(network: nn.Module, depth: torch.Tensor) -> None:
-    """Raises ValueError when the network would return maps of another size than the picture's."""
-    if torch.jit.is_tracing():
+def check_side(depth: torch.Tensor, multiple: int) -> None:
+    """Raises ValueError when a network would return maps of another size than the picture's."""
+    if torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
         return  # a trace is of one size, which was checked before
     h, w = depth.shape[2:]
-    if h % network.side_multiple or w % network.side_multiple:
-        raise ValueError(f"the picture is {w} x {h}, but its sides must be multiples of {network.side_multiple}")
+    if h % multiple or w % multiple:
+        raise ValueError(f"the picture is {w} x {h}, but its sides must be multiples of {multiple}")
 
 
 def _conv_relu(inputs: int, outputs: int, kernel: int, dilation: int = 1) -> tuple[nn.Module, nn.Module]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Callable, NamedTuple
 
 import numpy as np
 import torch
@@ -15,6 +15,9 @@ from grasping.depth_image import CROP_SIDE, NETWORK_SIDE, Picture, centre_crop, 
 from grasping.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
 from grasping.projection import Grasp, grasp
 from grasping.refinement import Refined, Refinement, refined_grasp
+
+Network = Callable[[torch.Tensor], torch.Tensor]
+"""From depth pictures, shape (n, 1, h, w), to maps, shape (n, 4, h, w)."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ class Predictor:
         return None if self._refinement is None else self._refinement.apply(output, picture)
 
 
-def run(network, picture: np.ndarray) -> np.ndarray:
+def run(network: Network, picture: np.ndarray) -> np.ndarray:
     """Returns the network's maps, shape (4, h, w), of a picture, shape (h, w)."""
     with torch.no_grad():
         return network(torch.from_numpy(picture)[None, None])[0].contiguous().numpy()
@@ -100,8 +103,9 @@ def run(network, picture: np.ndarray) -> np.ndarray:
 
 def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> torch.jit.ScriptModule:
     """Returns the network traced for one picture of `side` rows and columns, its weights turned into constants."""
-    network = network.eval().to(memory_format=torch.channels_last)
+    network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
     with torch.no_grad(), warnings.catch_warnings():
         # torch advises its compiler instead, which needs a C++ compiler at run time.
         warnings.simplefilter("ignore", DeprecationWarning)
-        return torch.jit.freeze(torch.jit.trace(network, torch.zeros(1, 1, side, side)))
+        traced = torch.jit.trace(network, torch.zeros(1, 1, side, side))  # type: ignore[no-untyped-call]
+        return torch.jit.freeze(traced)

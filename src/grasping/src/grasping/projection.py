@@ -49,11 +49,11 @@ class Grasp(NamedTuple):
     pixel: tuple[float, float]
 
 
-def camera_pixel(peak: Peak, crop: Crop, side: int) -> tuple[float, float]:
+def camera_pixel(row: float, column: float, crop: Crop, side: int) -> tuple[float, float]:
     """Returns u, v in the camera's picture of a pixel of the network's picture with `side` rows and columns."""
     scale = crop.side / side
     # Pixels are squares: their centres, not their corners, lie on each other's grid.
-    return crop.column + (peak.column + 0.5) * scale - 0.5, crop.row + (peak.row + 0.5) * scale - 0.5
+    return crop.column + (column + 0.5) * scale - 0.5, crop.row + (row + 0.5) * scale - 0.5
 
 
 def pixel_size(picture: Picture, camera: CameraModel) -> np.ndarray:
@@ -76,7 +76,7 @@ def grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraMo
         depth: the camera's picture, shape (h, w) [m].
         camera: that took it.
     """
-    pixel = camera_pixel(peak, crop, side)
+    pixel = camera_pixel(peak.row, peak.column, crop, side)
     column, row = (round(p) for p in pixel)
     half = NEIGHBOURHOOD // 2
     near = depth[max(0, row - half) : row + half + 1, max(0, column - half) : column + half + 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -78,7 +79,7 @@ class ReachBook:
         entry = self._entries.get(number)
         return None if entry is None else entry.answer
 
-    def keep_only(self, numbers) -> None:
+    def keep_only(self, numbers: Collection[int]) -> None:
         """Forgets the other grasps."""
         self._entries = {n: e for n, e in self._entries.items() if n in numbers}
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from common.config import choice, flag, integer, number, parse, text
+from common.config import choice, flag, integer, number, parse_part, text
 from common.errors import ConfigError
 from grasping.limits import LimitsConfig
 from grasping.live import LiveSettings
@@ -124,15 +124,10 @@ def settings_from(values: Mapping[str, Any], prefix: str = "") -> GgcnnSettings:
     Raises:
         ConfigError: with the faults of all sections.
     """
-    read, faults = {}, []
-    for name, schema in {"main": GgcnnConfig, **SECTIONS}.items():
-        try:
-            if name == "main":
-                read[name] = parse(schema, values, prefix, others=SECTIONS)
-            else:
-                read[name] = parse(schema, values.get(name, {}), f"{prefix}{name}/")
-        except ConfigError as error:
-            faults.extend(error.faults)
+    faults: list[str] = []
+    read: dict[str, Any] = {"main": parse_part(GgcnnConfig, values, prefix, faults, others=SECTIONS)}
+    for name, schema in SECTIONS.items():
+        read[name] = parse_part(schema, values.get(name, {}), f"{prefix}{name}/", faults)
     if faults:
         raise ConfigError(faults)
     return GgcnnSettings(**read)
@@ -143,8 +138,10 @@ def overlaid(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str,
     result = dict(values)
     for key, change in changes.items():
         below = result.get(key)
-        both = isinstance(below, Mapping) and isinstance(change, Mapping)
-        result[key] = overlaid(below, change) if both else change
+        if isinstance(below, Mapping) and isinstance(change, Mapping):
+            result[key] = overlaid(below, change)
+        else:
+            result[key] = change
     return result
 
 

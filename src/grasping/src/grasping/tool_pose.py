@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.config import choice, number, vector
 from common.poses import pose, translation
@@ -53,7 +54,7 @@ class ToolPoseConfig:
         return [f"preferred_opening is [{low:g}, {high:g}], but the least must be below the largest."]
 
 
-def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarray, up=UP) -> np.ndarray:
+def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarray, up: ArrayLike = UP) -> np.ndarray:
     """Returns the pose of the tool that takes the grasp, T_base_tool, shape (4, 4) [m].
 
     Args:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -42,8 +42,7 @@ class MapAverage:
 
     def reset(self) -> None:
         """Forgets all maps."""
-        self._output: np.ndarray | None = None
-        self._depth: np.ndarray | None = None
+        self._averages: tuple[np.ndarray, np.ndarray] | None = None
 
     def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
         """Takes the newest maps in.
@@ -55,17 +54,17 @@ class MapAverage:
         Returns:
             The average, shape (4, h, w), and whether it began anew with these maps.
         """
-        anew = self._output is None or self._output.shape != output.shape or self._moved(depth)
-        if anew:
-            self._output, self._depth = output.copy(), depth.copy()
-        else:
-            for average, newest in ((self._output, output), (self._depth, depth)):
-                average += np.float32(self._config.weight) * (newest - average)
-        return self._output.copy(), anew
+        averages = self._averages
+        if averages is None or averages[0].shape != output.shape or self._moved(averages[1], depth):
+            self._averages = output.copy(), depth.copy()
+            return output.copy(), True
+        for average, newest in zip(averages, (output, depth)):
+            average += np.float32(self._config.weight) * (newest - average)
+        return averages[0].copy(), False
 
-    def _moved(self, depth: np.ndarray) -> bool:
+    def _moved(self, average: np.ndarray, depth: np.ndarray) -> bool:
         """Returns whether more than edges, which flicker, differ from the averaged depth."""
-        differs = (np.abs(depth - self._depth) > self._config.step).astype(np.uint8)
+        differs = (np.abs(depth - average) > self._config.step).astype(np.uint8)
         return float(np.mean(cv2.erode(differs, EDGE))) > self._config.share
 
 
@@ -227,14 +226,13 @@ class PoseFilter:
                 self._doubted.clear()
                 self._state, self.held = None, False
         median = np.median(self._accepted, axis=0)
-        if self._state is None:
-            self._state = median
-        else:
+        state = median
+        if self._state is not None:
             past = max(0.0, now - self._time)
             tau = self._config.time_constant
-            self._state = self._state + (1.0 - math.exp(-past / tau) if tau > 0.0 else 1.0) * (median - self._state)
-        self._time = now
-        return self._pose(self._state)
+            state = self._state + (1.0 - math.exp(-past / tau) if tau > 0.0 else 1.0) * (median - self._state)
+        self._state, self._time = state, now
+        return self._pose(state)
 
     def _values(self, T: np.ndarray, width: float) -> np.ndarray:
         """Returns x, y, z, cos 2 theta, sin 2 theta, approach, opening, shape (9,)."""
@@ -254,9 +252,9 @@ class PoseFilter:
         e1 = unit(np.eye(3)[self._axis] - z[self._axis] * z)
         return e1, np.cross(z, e1)
 
-    def _near(self, values: np.ndarray, others) -> bool:
+    def _near(self, values: np.ndarray, others: Iterable[np.ndarray]) -> bool:
         """Returns whether a pose is within the gate of the median of others."""
-        median = np.median(others, axis=0)
+        median = np.median(list(others), axis=0)
         far = np.linalg.norm(values[:3] - median[:3])
         turned = 0.5 * _between(values[3:5], median[3:5])
         tilted = _between(values[5:8], median[5:8])

@@ -102,6 +102,24 @@ class CameraView:
         """Forgets nothing: each picture stands for itself."""
 
 
+class _Place(NamedTuple):
+    """Where the view from above the table is.
+
+    Attributes:
+        made_for: camera, size and window of the pictures that it is for.
+        table: as it was found.
+        T: pose of the view's camera in the real one, shape (4, 4) [m].
+        turned: directions of the real camera's pixels in the view's axes, shape (3, h, w), float32.
+        shift: of the real camera in the view's axes, shape (3,) [m].
+    """
+
+    made_for: tuple[bytes, bytes, tuple[int, ...], Crop]
+    table: PlaneFound
+    T: np.ndarray
+    turned: np.ndarray
+    shift: np.ndarray
+
+
 class TableView:
     """Shows the table from above. The view stays where it is while the table seems to shake only."""
 
@@ -116,9 +134,7 @@ class TableView:
 
     def reset(self) -> None:
         """Forgets the table."""
-        self._table: PlaneFound | None = None
-        self._turned: tuple | None = None
-        self._T: np.ndarray | None = None
+        self._place: _Place | None = None
 
     def step(self, depth: np.ndarray, camera: CameraModel) -> View:
         """Returns the view of a depth picture, shape (h, w) [m].
@@ -128,8 +144,8 @@ class TableView:
         """
         crop = _window(depth, self._crop)
         rays = self._rays.of(camera)
-        self._find(depth, rays, crop, camera)
-        height = self._heights(depth, rays)
+        seen_from = self._find(depth, rays, crop, camera)
+        height = self._heights(depth, seen_from)
         if not (height > 0.0).any():
             raise NoView("nothing stands on the table")
         seen = np.float32(self._config.distance) - height
@@ -138,10 +154,10 @@ class TableView:
         # What is not above the table is known to be table.
         known = np.ones(seen.shape, bool)
         picture = Picture(inside, np.clip(seen - mean, -1.0, 1.0), seen, known, mean)
-        return View(picture, height > 0.0, seen, self._own_rays, self._camera, self._T)
+        return View(picture, height > 0.0, seen, self._own_rays, self._camera, seen_from.T)
 
-    def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> None:
-        """Looks for the table, and moves the view where the table is another one.
+    def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> _Place:
+        """Looks for the table, moves the view where the table is another one, and returns where it is.
 
         Raises:
             NoView: there is no table.
@@ -165,27 +181,27 @@ class TableView:
         if slope > c.max_slope:
             raise NoView(f"the largest plane is seen too flatly to be the table: {slope:.0f} degrees off its normal")
         made_for = (camera.K.tobytes(), camera.D.tobytes(), depth.shape, crop)
-        if self._turned is not None and self._turned[0] == made_for and self._same(table):
-            return
-        self._table = table
+        if self._place is not None and self._place.made_for == made_for and self._same(self._place.table, table):
+            return self._place
         on_it = np.abs(seen_rays @ table.a - 1.0 / seen_depth) < GATE_SD * c.noise
         shown = (seen_rays[on_it] * seen_depth[on_it, None]).mean(axis=0)
-        self._T = read_only(_looking_down(table, shown, c.distance))
-        R, p = self._T[:3, :3], self._T[:3, 3]
-        self._turned = (made_for, np.ascontiguousarray(np.moveaxis(rays @ R, -1, 0), np.float32), -R.T @ p)
+        T = read_only(_looking_down(table, shown, c.distance))
+        R, p = T[:3, :3], T[:3, 3]
+        turned = np.ascontiguousarray(np.moveaxis(rays @ R, -1, 0), np.float32)
+        self._place = _Place(made_for, table, T, turned, -R.T @ p)
+        return self._place
 
-    def _same(self, table: PlaneFound) -> bool:
-        turned = np.degrees(np.arccos(np.clip(table.direction @ self._table.direction, -1.0, 1.0)))
-        moved = abs(table.distance - self._table.distance)
+    def _same(self, known: PlaneFound, table: PlaneFound) -> bool:
+        turned = np.degrees(np.arccos(np.clip(table.direction @ known.direction, -1.0, 1.0)))
+        moved = abs(table.distance - known.distance)
         return bool(turned < self._config.keep_angle and moved < self._config.keep_distance)
 
-    def _heights(self, depth: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    def _heights(self, depth: np.ndarray, place: _Place) -> np.ndarray:
         """Returns the height above the table of what the view's camera sees, shape (300, 300), float32 [m]; 0: table.
 
         Gaps of a few pixels between readings, where the view is nearer than the camera, are closed.
         """
-        c, side = self._config, NETWORK_SIDE
-        _, turned, shift = self._turned
+        c, side, turned, shift = self._config, NETWORK_SIDE, place.turned, place.shift
         with np.errstate(invalid="ignore", divide="ignore"):
             z = depth * turned[2] + np.float32(shift[2])
             height = np.float32(c.distance) - z
@@ -207,8 +223,8 @@ class Rays:
     """The directions of a camera's pixels, computed once for each camera."""
 
     def __init__(self) -> None:
-        self._made_for: tuple | None = None
-        self._rays: np.ndarray | None = None
+        self._made_for: tuple[bytes, bytes, int, int] | None = None
+        self._rays = np.zeros((0, 0, 3), np.float32)
 
     def of(self, camera: CameraModel) -> np.ndarray:
         """Returns the directions, shape (height, width, 3), float32, read-only."""

@@ -12,7 +12,8 @@ import pickle
 import types
 import warnings
 from collections import OrderedDict
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import IO, Any, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
@@ -45,6 +46,9 @@ REBUILDERS = {
     ("torch.cuda", "FloatStorage"): torch.FloatStorage,
 }
 """All that a pickled model may call; whatever else it names becomes an empty stub."""
+
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 class WeightsError(RigError):
@@ -100,7 +104,7 @@ def checked_sha256(data: bytes, wanted: str | None) -> str:
     return found
 
 
-def filled(network: nn.Module, name: str, state: dict[str, torch.Tensor]) -> nn.Module:
+def filled(network: Network, name: str, state: dict[str, torch.Tensor]) -> Network:
     """Returns the network with the weights of a state dict, ready to be evaluated.
 
     Raises:
@@ -126,7 +130,7 @@ def listed_sha256(sums: str, name: str) -> str:
     raise WeightsError(f"The list of hashes does not name {name}.")
 
 
-def _which(state) -> str:
+def _which(state: Mapping[str, torch.Tensor]) -> str:
     """Returns the name of the network whose layers the state dict names."""
     for name in ("ggcnn", "ggcnn2"):
         if state.keys() == NETWORKS[name]().state_dict().keys():
@@ -137,7 +141,7 @@ def _which(state) -> str:
     raise WeightsError(f"The weight file holds {len(state)} arrays ({names}, ...), which fit no known network.")
 
 
-def _check_shapes(name, network, state) -> None:
+def _check_shapes(name: str, network: nn.Module, state: Mapping[str, torch.Tensor]) -> None:
     wanted = network.state_dict()
     if state.keys() != wanted.keys():
         raise WeightsError(f"The weight file lacks {', '.join(sorted(wanted.keys() - state.keys()))} of {name}.")
@@ -155,7 +159,7 @@ def _keras_state(data: bytes) -> dict[str, torch.Tensor]:
         with h5py.File(io.BytesIO(data), "r") as file:
             layers = file.get("model_weights", file)
             for theirs, ours in KERAS_LAYERS.items():
-                arrays = {}
+                arrays: dict[str, np.ndarray] = {}
                 layers[theirs].visititems(lambda path, item, into=arrays: _collect(into, path, item))
                 state[f"{ours}.weight"] = torch.from_numpy(
                     np.ascontiguousarray(arrays["kernel:0"].transpose(3, 2, 0, 1))
@@ -166,7 +170,7 @@ def _keras_state(data: bytes) -> dict[str, torch.Tensor]:
     return state
 
 
-def _collect(into, path, item) -> None:
+def _collect(into: dict[str, np.ndarray], path: str, item: Any) -> None:
     if isinstance(item, h5py.Dataset):
         into[path.rsplit("/", 1)[-1]] = np.asarray(item, dtype=np.float32)
 
@@ -189,7 +193,7 @@ def torch_state(data: bytes) -> dict[str, torch.Tensor]:
     return {key: value.detach().float() for key, value in state.items()}
 
 
-def _arrays(module, prefix: str = ""):
+def _arrays(module: object, prefix: str = "") -> Iterator[tuple[str, torch.Tensor]]:
     """Yields the names and values of a stub's parameters and buffers, as `state_dict` names them."""
     if not isinstance(module, _Stub):
         return
@@ -206,23 +210,23 @@ class _Stub:
 
     dump_patches = False
 
-    def __new__(cls, *_, **__):
+    def __new__(cls, *_: object, **__: object) -> _Stub:
         return super().__new__(cls)
 
-    def __init__(self, *_, **__):
+    def __init__(self, *_: object, **__: object) -> None:
         pass
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: object) -> None:
         if isinstance(state, dict):
             self.__dict__.update(state)
 
 
 class _SafeUnpickler(pickle.Unpickler):
-    def find_class(self, module, name):
+    def find_class(self, module: str, name: str) -> Any:
         return REBUILDERS.get((module, name), _Stub)
 
 
-def _safe_load(file, **options):
+def _safe_load(file: IO[bytes], **options: Any) -> Any:
     return _SafeUnpickler(file, **options).load()
 
 

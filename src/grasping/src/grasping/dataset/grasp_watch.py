@@ -122,7 +122,7 @@ class GraspWatch:
             self._untouched = hand.pressures
             return self._opened()
         if self._closed is not None:
-            return self._judge(hand, T_base_tool, now)
+            return self._judge(*self._closed, hand, T_base_tool, now)
         if self._open_seen and self._at_rest(hand, now) and _opposed(hand.angles > self._config.closed_angle):
             self._closed = (now, np.array(T_base_tool))
         return None
@@ -163,9 +163,12 @@ class GraspWatch:
         pressed = (hand.pressures - self._untouched).max(axis=1) > self._config.touch_pressure
         return pressed | (hand.loads - self._config.spring_load * hand.angles > self._config.touch_load)
 
-    def _judge(self, hand: HandState, T_base_tool: np.ndarray, now: float) -> SeenGrasp | None:
-        """The fingers have closed: returns the grasp once it is known whether it held."""
-        config, (time, T_closed) = self._config, self._closed
+    def _judge(
+        self, time: float, T_closed: np.ndarray, hand: HandState, T_base_tool: np.ndarray, now: float
+    ) -> SeenGrasp | None:
+        """The fingers have closed, at a time and a pose of the tool: returns the grasp once it is known whether it
+        held."""
+        config = self._config
         height = float(self._up @ (T_base_tool - T_closed)[:3, 3])
         if self._lifted is None and height >= config.lift:
             self._lifted = now

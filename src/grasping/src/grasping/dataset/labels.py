@@ -90,8 +90,7 @@ def pose_from_label(frame: Frame, label: RelativeLabel) -> np.ndarray:
     own = own_grasp(frame)
     if own is None:
         raise ValueError("GGCNN's own grasp has no place: the camera has no reading near its pixel")
-    peak = frame.peak._replace(row=label.row, column=label.column)
-    ray = frame.camera.rays(camera_pixel(peak, frame.crop, frame.maps.shape[-1]))
+    ray = frame.camera.rays(camera_pixel(label.row, label.column, frame.crop, frame.maps.shape[-1]))
     R = pin.exp3(np.append(label.tilt, 0.0)) @ rotation_about(2, -(own.angle + label.angle))
     return pose(R, (own.T_camera_grasp[2, 3] + label.depth) * ray)
 

@@ -193,7 +193,9 @@ def _arrays(files: dict[str, bytes]) -> dict[str, np.ndarray]:
 
 def _array(name: str, data: bytes) -> np.ndarray:
     try:
-        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        return np.lib.format.read_array(  # type: ignore[no-untyped-call]
+            io.BytesIO(data), allow_pickle=False
+        )
     except ValueError as error:
         raise DatasetError(f"The file is no episode: {name}: {' '.join(str(error).split())}.") from None
 

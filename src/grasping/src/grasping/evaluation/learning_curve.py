@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Callable, Mapping, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -31,11 +31,11 @@ def draw(
     figure = matplotlib.figure.Figure(figsize=(9, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
 
-    def middle(errors):
+    def middle(errors: Sequence[float]) -> tuple[float, float, float]:
         found = median(errors)
         return found.value, found.low, found.high
 
-    def near(errors):
+    def near(errors: Sequence[float]) -> tuple[float, float, float]:
         found = share(np.asarray(errors) < near_mm)
         return 100.0 * found.value, 100.0 * found.low, 100.0 * found.high
 
@@ -47,7 +47,12 @@ def draw(
     figure.savefig(path, dpi=110)
 
 
-def _curve(axes, learned, others, summary: Callable) -> None:
+def _curve(
+    axes: Any,
+    learned: Mapping[int, Sequence[float]],
+    others: Mapping[str, Sequence[float]],
+    summary: Callable[[Sequence[float]], tuple[float, float, float]],
+) -> None:
     counts = sorted(learned)
     value, low, high = np.transpose([summary(learned[n]) for n in counts])
     axes.errorbar(counts, value, [value - low, high - value], marker="o", capsize=3, label="with second network")

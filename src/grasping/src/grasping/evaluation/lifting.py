@@ -5,6 +5,7 @@ What the physics can say is bounded by its contact model: rigid bodies, Coulomb 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import mujoco
@@ -99,7 +100,7 @@ def lift(scene: Scene, T_world_grasp: np.ndarray, opening: float, gripper: Gripp
     return Lift(most > RISE_M and not data.warning.number.any(), most, reached)
 
 
-def _xml(scene, R, start, opening, gripper, friction) -> str:
+def _xml(scene: Scene, R: np.ndarray, start: np.ndarray, opening: float, gripper: Gripper, friction: float) -> str:
     """Returns the scene's world with the hand in it; the hand's origin is between the tips."""
     half = 0.5 * gripper.thickness
     fingers = "".join(
@@ -128,5 +129,5 @@ def _xml(scene, R, start, opening, gripper, friction) -> str:
     return world_xml(scene.objects, friction, noslip=5, bodies=hand, rest=REST.format(hold=HOLD_N))
 
 
-def _text(values) -> str:
+def _text(values: Iterable[float]) -> str:
     return " ".join(f"{v:.6g}" for v in values)

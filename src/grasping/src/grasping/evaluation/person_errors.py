@@ -10,7 +10,7 @@ import numpy as np
 from common.poses import inverse
 from common.rotations import rotation_about, rotation_angle
 from grasping.dataset.episode import Frame
-from grasping.dataset.labels import RelativeLabel, pose_from_label, relative_label
+from grasping.dataset.labels import pose_from_label, relative_label
 from grasping.depth_image import NETWORK_SIDE, Crop, prepare
 
 NEAR_M, NEAR_RAD = 0.020, np.radians(15.0)
@@ -50,9 +50,8 @@ class Neighbours:
     def __init__(self, frames: list[Frame]) -> None:
         """Keeps frames, of which at least one has GGCNN's grasp and the person's in sight, of grasps that held."""
         labelled = [(patch(frame), relative_label(frame)) for frame in frames]
-        labelled = [(seen, label) for seen, label in labelled if label is not None]
-        self._patches = np.stack([seen for seen, _ in labelled])
-        self._labels: list[RelativeLabel] = [label for _, label in labelled]
+        self._patches = np.stack([seen for seen, label in labelled if label is not None])
+        self._labels = [label for _, label in labelled if label is not None]
 
     def grasp(self, frame: Frame) -> np.ndarray:
         """Returns the pose before the camera, shape (4, 4) [m]."""

@@ -38,5 +38,5 @@ def overlap(a: Peak, b: Peak) -> float:
     return common / (0.5 * a.width**2 + 0.5 * b.width**2 - common)
 
 
-def _rectangle(peak: Peak):
+def _rectangle(peak: Peak) -> tuple[tuple[float, float], tuple[float, float], float]:
     return (float(peak.column), float(peak.row)), (peak.width, 0.5 * peak.width), -float(np.degrees(peak.angle))

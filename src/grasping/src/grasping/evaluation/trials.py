@@ -91,7 +91,8 @@ def situation(split: str, number: int, count: int) -> Situation:
     found = labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER)
     rectangles = []
     for k, angle in enumerate(found.angles):
-        one = labels.Labels(found.scores[k], np.full_like(found.scores[k], angle), found.openings[k], None)
+        score = found.scores[k]
+        one = labels.Labels(score, np.full_like(score, angle), found.openings[k], np.ones_like(score, bool))
         flat = labels.in_picture(one, seen.surface, CELL_M, exact, focal)
         maps = Maps(flat.quality.astype(np.float32), flat.angle, flat.opening)
         rectangles += peaks(maps, 20, distance=5, threshold=LABEL_QUALITY)
@@ -124,7 +125,7 @@ def executed(of: Situation, chosen: Peak | None) -> Executed | None:
 def judge(of: Situation, chosen: Peak | None) -> Outcome:
     """Returns what comes of a grasp."""
     tried = executed(of, chosen)
-    if tried is None:
+    if chosen is None or tried is None:
         return Outcome(False, False, False, False, 0.0)
     trial = lift(of.view.scene, tried.T_world_grasp, tried.width, GRIPPER, tried.friction)
     return Outcome(True, trial.lifted, trial.reached, is_right(chosen, of.rectangles), chosen.quality)

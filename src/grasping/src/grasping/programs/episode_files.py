@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ class Named(NamedTuple):
     episode: Episode
 
 
-def read(folder: Path, only=(), without=()) -> list[Named]:
+def read(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) -> list[Named]:
     """Returns the episodes in a folder and those below it, ordered by name.
 
     Args:

@@ -11,6 +11,7 @@ import argparse
 import csv
 import json
 import multiprocessing
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -54,6 +55,21 @@ class Trained(NamedTuple):
     tool: ToolPoseConfig | None
 
 
+class Task(NamedTuple):
+    """A scene to be tried.
+
+    Attributes:
+        split, number: of the scene.
+        methods: names of the methods.
+        trained: the networks among them.
+    """
+
+    split: str
+    number: int
+    methods: list[str]
+    trained: dict[str, Trained]
+
+
 @lru_cache(maxsize=8)
 def network(file: Path) -> torch.jit.ScriptModule:
     """Returns the network of a weight file."""
@@ -69,7 +85,7 @@ def network_grasp(picture: Picture, trained: Trained) -> maps.Peak:
     return maps.highest(found)
 
 
-def try_scene(task) -> list[dict]:
+def try_scene(task: Task) -> list[dict]:
     """Returns the rows of all methods that are still missing for one scene."""
     split, number, missing, trained = task
     of, chosen = chosen_grasps(split, number, missing, trained)
@@ -77,7 +93,7 @@ def try_scene(task) -> list[dict]:
     return [{**row, "method": name, **trials.judge(of, peak)._asdict()} for name, peak in chosen.items()]
 
 
-def export_scene(task) -> dict:
+def export_scene(task: Task) -> dict:
     """Returns one scene and all methods' grasps in it, as the file of --export has them."""
     split, number, names, trained = task
     of, chosen = chosen_grasps(split, number, names, trained)
@@ -99,13 +115,15 @@ def export_scene(task) -> dict:
     }
 
 
-def chosen_grasps(split: str, number: int, names, trained) -> tuple[trials.Situation, dict]:
+def chosen_grasps(
+    split: str, number: int, names: Iterable[str], trained: Mapping[str, Trained]
+) -> tuple[trials.Situation, dict[str, maps.Peak | None]]:
     """Returns a scene and what each method chooses in it."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
     of = trials.situation(split, number, 1 if number % 2 == 0 else 3 + number // 2 % 3)
-    chosen = {}
+    chosen: dict[str, maps.Peak | None] = {}
     for name in names:
         if name == "oracle":
             chosen[name] = trials.oracle(of)
@@ -116,7 +134,7 @@ def chosen_grasps(split: str, number: int, names, trained) -> tuple[trials.Situa
     return of, chosen
 
 
-def table(rows: list[dict], methods) -> str:
+def table(rows: list[dict], methods: Iterable[str]) -> str:
     """Returns the results as a Markdown table."""
     lines = [
         "| method | one object: lifted % | clutter: lifted % | one object: rectangle % | clutter: rectangle % |",
@@ -132,7 +150,7 @@ def table(rows: list[dict], methods) -> str:
     return "\n".join(lines) + "\n"
 
 
-def calibration(rows: list[dict], methods) -> str:
+def calibration(rows: list[dict], methods: Iterable[str]) -> str:
     """Returns, as a Markdown table, how many grasps were lifted by the quality that the method gave them."""
     ranges = list(zip((-np.inf, *QUALITY_LIMITS), (*QUALITY_LIMITS, np.inf)))
     names = [f"< {QUALITY_LIMITS[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {QUALITY_LIMITS[-1]}"]
@@ -158,7 +176,7 @@ def kept_rows(path: Path) -> list[dict]:
         return list(csv.DictReader(file))
 
 
-def export(path: Path, tasks, processes: int) -> None:
+def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
     """Writes the file of --export."""
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         scenes = list(tqdm(pool.imap(export_scene, tasks), total=len(tasks), unit="scene"))
@@ -199,7 +217,7 @@ def main() -> None:
         parser.error(str(error))
     methods = ["oracle", *heuristics.HEURISTICS, *trained]
     if arguments.export is not None:
-        every = [(arguments.split, number, methods, trained) for number in range(arguments.scenes)]
+        every = [Task(arguments.split, number, methods, trained) for number in range(arguments.scenes)]
         export(arguments.export, every, arguments.processes)
         return
     arguments.folder.mkdir(parents=True, exist_ok=True)
@@ -210,7 +228,7 @@ def main() -> None:
     for number in range(arguments.scenes):
         missing = [m for m in methods if (number, m) not in done]
         if missing:
-            tasks.append((arguments.split, number, missing, trained))
+            tasks.append(Task(arguments.split, number, missing, trained))
     with results.open("a", newline="") as file, multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if not rows:

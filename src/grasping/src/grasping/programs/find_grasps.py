@@ -18,6 +18,7 @@ from common.camera_model import pinhole
 from common.errors import RigError
 from grasping import weights
 from grasping.predictor import Prediction, Predictor, PredictorSettings
+from grasping.projection import Grasp
 from grasping.synthetic.sensor import FOCAL_PX
 
 
@@ -42,12 +43,14 @@ def read_depth(path: Path) -> np.ndarray:
 def drawn(found: Prediction) -> np.ndarray:
     """Returns the network's picture with the grasps: a line from finger to finger, shape (900, 900, 3), uint8."""
     depth = found.picture.depth
-    grey = np.uint8(255.0 * (depth.max() - depth) / max(1e-6, float(np.ptp(depth))))
+    grey = (255.0 * (depth.max() - depth) / max(1e-6, float(np.ptp(depth)))).astype(np.uint8)
     picture = cv2.resize(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), (900, 900), interpolation=cv2.INTER_NEAREST)
     for peak in found.peaks:
         half = 0.5 * peak.width * np.array([np.cos(peak.angle), -np.sin(peak.angle)])
-        ends = (3.0 * (np.array([peak.column, peak.row]) + sign * half + 0.5) for sign in (-1.0, 1.0))
-        cv2.line(picture, *(tuple(int(v) for v in end) for end in ends), (0, 200, 0), 3)
+        start, end = (
+            (3.0 * (np.array([peak.column, peak.row]) + sign * half + 0.5)).astype(int).tolist() for sign in (-1.0, 1.0)
+        )
+        cv2.line(picture, start, end, (0, 200, 0), 3)
     return picture
 
 
@@ -78,5 +81,5 @@ def main() -> None:
         cv2.imwrite(str(arguments.picture), drawn(found))
 
 
-def _plain(grasp) -> dict:
+def _plain(grasp: Grasp) -> dict:
     return {name: getattr(grasp, name) for name in ("angle", "width", "quality", "pixel")}

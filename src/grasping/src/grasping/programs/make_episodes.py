@@ -22,7 +22,7 @@ from grasping.synthetic.person import Person
 
 
 @lru_cache(maxsize=1)
-def network(path: Path):
+def network(path: Path) -> tuple[torch.jit.ScriptModule, str]:
     """Returns the network of a weight file, and the file's hash."""
     loaded = weights.load(path.read_bytes())
     return frozen(loaded.network), loaded.sha256
@@ -37,7 +37,8 @@ def make(task: tuple[Path, Path, str, int, int]) -> None:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    made = episodes.episode(split, number, *network(file), Person(), frames)
+    ggcnn, sha256 = network(file)
+    made = episodes.episode(split, number, ggcnn, sha256, Person(), frames)
     if made is not None:
         part = path.with_suffix(".part")
         part.write_bytes(store.encode(made))

@@ -53,7 +53,7 @@ def plot(rows: list[dict], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def save(value, path: Path) -> None:
+def save(value: object, path: Path) -> None:
     """Writes a torch file whole or not at all."""
     part = path.with_suffix(".part")
     torch.save(value, part)

@@ -17,7 +17,7 @@ from grasping import depth_image, maps
 from grasping.dataset.episode import TELEOPERATION, Episode, Metadata
 from grasping.evaluation import trials
 from grasping.evaluation.lifting import lift
-from grasping.predictor import run
+from grasping.predictor import Network, run
 from grasping.synthetic import labels, person, samples, sensor
 
 SMOOTHING = maps.Smoothing(quality=2.0)
@@ -80,7 +80,9 @@ def intended(of: Situation, made: Episode) -> np.ndarray:
     """
     who = person.Person(**made.metadata.configuration["person"])
     steady = who._replace(tremor_m=0.0, tremor_rad=0.0)
-    return _grasp(of, steady, np.random.default_rng(0))
+    T_base_grasp = _grasp(of, steady, np.random.default_rng(0))
+    assert T_base_grasp is not None, "an episode is of a grasp"
+    return T_base_grasp
 
 
 def held(of: Situation, T_base_grasp: np.ndarray, opening: float = samples.GRIPPER.opening) -> bool:
@@ -89,7 +91,9 @@ def held(of: Situation, T_base_grasp: np.ndarray, opening: float = samples.GRIPP
     return lift(of.view.scene, T_world_grasp, opening, samples.GRIPPER, of.friction).lifted
 
 
-def episode(split: str, number: int, network, network_sha256: str, who: person.Person, frames: int) -> Episode | None:
+def episode(
+    split: str, number: int, network: Network, network_sha256: str, who: person.Person, frames: int
+) -> Episode | None:
     """Returns the episode of a scene, None where the person finds nothing to grasp.
 
     Args:

@@ -103,8 +103,8 @@ def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper
     size = surface.shape
     for k, angle in enumerate(angles):
         turn, turn_back, turned_size = _turns(size, np.degrees(angle))
-        flat = cv2.warpAffine(surface, turn, turned_size, flags=cv2.INTER_NEAREST, borderValue=FREE)
-        ground = cv2.warpAffine(table, turn, turned_size, flags=cv2.INTER_LINEAR, borderValue=FREE)
+        flat = cv2.warpAffine(surface, turn, turned_size, flags=cv2.INTER_NEAREST, borderValue=(FREE,))
+        ground = cv2.warpAffine(table, turn, turned_size, flags=cv2.INTER_LINEAR, borderValue=(FREE,))
         score, opening = _along_rows(flat, ground, cell, gripper)
         # A grasp is worth what its neighbours are worth too: the hand misses by millimetres.
         score = cv2.blur(score, (3, 3))
@@ -122,7 +122,7 @@ def best(found: Grasps) -> Labels:
     choice = np.argmax(np.where(found.scores > 0.0, found.scores + bonus, -1.0), axis=0)
     count = len(found.angles)
 
-    def at(values, k):
+    def at(values: np.ndarray, k: np.ndarray) -> np.ndarray:
         return np.take_along_axis(values, (k % count)[None], axis=0)[0]
 
     quality = at(found.scores, choice)
@@ -157,7 +157,7 @@ def in_picture(labels: Labels, surface: np.ndarray, cell: float, depth: np.ndarr
     return Labels(quality, labels.angle[i, j], labels.opening[i, j] / depth * focal, ~inside | seen)
 
 
-def _along_rows(surface, table, cell, gripper):
+def _along_rows(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper) -> tuple[np.ndarray, np.ndarray]:
     """Returns score and opening [m] of the grasps whose jaws close along the rows."""
     half_pad = round(0.5 * gripper.breadth / cell)
     need = int(np.ceil((gripper.thickness + gripper.clearance) / cell))
@@ -211,7 +211,7 @@ def _along_rows(surface, table, cell, gripper):
     return score, opening
 
 
-def _ends(occupied, y, x):
+def _ends(occupied: np.ndarray, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the free columns on the left and right of the run of occupied cells that holds (y, x)."""
     last = occupied.shape[1]
     column = np.arange(last, dtype=np.int16)
@@ -225,14 +225,15 @@ def _around(mask: np.ndarray, margin: tuple[int, int]) -> tuple[slice, slice] | 
     rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
     if not len(rows):
         return None
-    return tuple(slice(max(0, v[0] - m), v[-1] + m + 1) for v, m in zip((rows, columns), margin))
+    high, wide = (slice(max(0, v[0] - m), v[-1] + m + 1) for v, m in zip((rows, columns), margin))
+    return high, wide
 
 
-def _turns(size, degrees):
+def _turns(size: tuple[int, ...], degrees: float) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
     """Returns the affine maps that turn a picture so that `degrees` becomes horizontal, and back, and the new size."""
     h, w = size
     c, s = abs(np.cos(np.radians(degrees))), abs(np.sin(np.radians(degrees)))
     turned = (int(np.ceil(w * c + h * s)) + 1, int(np.ceil(w * s + h * c)) + 1)
-    forward = cv2.getRotationMatrix2D((0.5 * (w - 1), 0.5 * (h - 1)), -degrees, 1.0)
+    forward = np.asarray(cv2.getRotationMatrix2D((0.5 * (w - 1), 0.5 * (h - 1)), -degrees, 1.0), dtype=float)
     forward[:, 2] += 0.5 * (turned[0] - w), 0.5 * (turned[1] - h)
     return forward, cv2.invertAffineTransform(forward), turned

@@ -6,7 +6,8 @@ z forward. Depths are distances along the optical axis [m].
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Callable, NamedTuple
 
 import mujoco
 import numpy as np
@@ -61,11 +62,13 @@ class Scene(NamedTuple):
 
     xml: str
     state: np.ndarray
-    objects: tuple
+    objects: tuple[shapes.Shape, ...]
     families: tuple[str, ...]
 
 
-def world_xml(objects, friction: float = 0.6, noslip: int = 0, bodies: str = "", rest: str = "") -> str:
+def world_xml(
+    objects: Iterable[shapes.Shape], friction: float = 0.6, noslip: int = 0, bodies: str = "", rest: str = ""
+) -> str:
     """Returns the model of a table with `objects`, each with a free joint, and what else is given as XML."""
     assets, xml = [], []
     for i, shape in enumerate(objects):
@@ -84,7 +87,9 @@ def world_xml(objects, friction: float = 0.6, noslip: int = 0, bodies: str = "",
     )
 
 
-def settled_scene(rng: np.random.Generator, families, count: int) -> Scene | None:
+def settled_scene(
+    rng: np.random.Generator, families: Sequence[Callable[[np.random.Generator], shapes.Shape]], count: int
+) -> Scene | None:
     """Returns `count` objects that were dropped on the table, or None when they ran away or do not lie still."""
     chosen = [families[i] for i in rng.integers(0, len(families), count)]
     objects = tuple(family(rng) for family in chosen)
@@ -151,7 +156,9 @@ def table_depth(camera: Camera, cell: float, side: int) -> np.ndarray:
     return -(camera.position[2] + camera.R[2, 0] * x + camera.R[2, 1] * y) / camera.R[2, 2]
 
 
-def _cast(model, data, origin, directions, side) -> np.ndarray:
+def _cast(
+    model: mujoco.MjModel, data: mujoco.MjData, origin: np.ndarray, directions: np.ndarray, side: int
+) -> np.ndarray:
     """Returns how many times its direction each ray goes until it meets something, shape (side, side).
 
     MuJoCo 3.2 sorts out objects by azimuth and elevation and loses some of those near the poles, straight above and
@@ -173,5 +180,5 @@ def _cast(model, data, origin, directions, side) -> np.ndarray:
     return (distance / lengths).reshape(side, side)
 
 
-def _text(values) -> str:
+def _text(values: Iterable[float]) -> str:
     return " ".join(f"{v:.6g}" for v in values)

@@ -81,10 +81,10 @@ def _incidence(depth: np.ndarray) -> np.ndarray:
     return np.arctan(np.hypot(*slopes) * FOCAL_PX / depth)
 
 
-def _field(rng: np.random.Generator, shape, blur: float) -> np.ndarray:
+def _field(rng: np.random.Generator, shape: tuple[int, ...], blur: float) -> np.ndarray:
     """Returns normal noise of unit variance that is blurred over `blur` pixels, float32."""
     shrink = max(1, int(blur / 3.0))
     small = (max(2, -(-shape[0] // shrink)), max(2, -(-shape[1] // shrink)))
     noise = cv2.GaussianBlur(rng.standard_normal(small, dtype=np.float32), (0, 0), blur / shrink)
-    noise *= 2.0 * np.sqrt(np.pi) * blur / shrink
+    noise = np.multiply(noise, np.float32(2.0 * np.sqrt(np.pi) * blur / shrink))
     return noise if shrink == 1 else cv2.resize(noise, shape[::-1], interpolation=cv2.INTER_LINEAR)

@@ -127,7 +127,7 @@ def prism(rng: np.random.Generator) -> Shape:
     radius, half, top = rng.uniform(0.022, 0.042), rng.uniform(0.015, 0.05), rng.uniform(0.7, 1.0)
     ground = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     corners = [(*p, -half) for p in ground] + [(*(top * p), half) for p in ground]
-    return (Geom("mesh", (), vertices=tuple(tuple(float(v) for v in c) for c in corners)),)
+    return (Geom("mesh", (), vertices=tuple((float(x), float(y), float(z)) for x, y, z in corners)),)
 
 
 TRAINING = (box, cylinder, capsule, ellipsoid, angle_bracket, tee, dumb_bell, ring, bottle, union)

@@ -6,7 +6,7 @@ Mirroring is all that may be done to the labels: between directions equally good
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Mapping, NamedTuple
 
 import numpy as np
 import torch
@@ -16,6 +16,8 @@ GRASPABLE = 0.3
 CENTRED_SHARE = 0.8
 """Share of the windows that are centred near a pixel that can be grasped."""
 MEAN_JITTER_M = 0.02
+
+Samples = Mapping[str, np.ndarray]
 
 
 class Targets(NamedTuple):
@@ -38,7 +40,7 @@ class Targets(NamedTuple):
     graspable: torch.Tensor
 
 
-def random_batch(samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, Targets]:
+def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, Targets]:
     """Returns `count` random windows of `side` pixels as input, shape (n, 1, side, side), and targets.
 
     Args:
@@ -54,17 +56,18 @@ def random_batch(samples, rng: np.random.Generator, count: int, side: int) -> tu
     return depth + jitter, target
 
 
-def batch(samples) -> tuple[torch.Tensor, Targets]:
+def batch(samples: Samples) -> tuple[torch.Tensor, Targets]:
     """Returns whole samples as input and targets."""
     depth = torch.from_numpy(samples["depth"].astype(np.float32)).clamp(-1.0, 1.0)[:, None]
     angle = samples["angle"].astype(np.float32) * (2.0 * np.pi / 256.0)
     quality = torch.from_numpy(samples["quality"].astype(np.float32) / 255.0)
-    maps = (np.cos(angle), np.sin(angle), samples["width"].astype(np.float32) / 255.0)
+    cos, sin = torch.from_numpy(np.cos(angle)), torch.from_numpy(np.sin(angle))
+    width = torch.from_numpy(samples["width"].astype(np.float32) / 255.0)
     known = torch.from_numpy(samples["known"])
-    return depth, Targets(quality, *(torch.from_numpy(m) for m in maps), known, known & (quality > GRASPABLE))
+    return depth, Targets(quality, cos, sin, width, known, known & (quality > GRASPABLE))
 
 
-def _window(samples, rng, side):
+def _window(samples: Samples, rng: np.random.Generator, side: int) -> dict[str, np.ndarray]:
     """Returns one window of one sample, perhaps mirrored."""
     i = rng.integers(len(samples["depth"]))
     h, w = samples["depth"].shape[1:]

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import copy
+from typing import Generic, TypeVar
 
 import torch
 from torch import nn
 
 LONGEST_GRADIENT = 1.0
 
+Network = TypeVar("Network", bound=nn.Module)
 
-class MeanTrainer:
+
+class MeanTrainer(Generic[Network]):
     """A network in training.
 
     Attributes:
@@ -19,7 +22,7 @@ class MeanTrainer:
         step: how many there were.
     """
 
-    def __init__(self, network: nn.Module, optimiser: torch.optim.Optimizer, memory: float) -> None:
+    def __init__(self, network: Network, optimiser: torch.optim.Optimizer, memory: float) -> None:
         """Takes the network before its first step; `memory` is of the mean, a step."""
         self.network = network
         self.mean = copy.deepcopy(network)
@@ -32,7 +35,7 @@ class MeanTrainer:
         for group in self._optimiser.param_groups:
             group["lr"] = rate
         self._optimiser.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), LONGEST_GRADIENT)
         self._optimiser.step()
         memory = min(self._memory, (self.step + 1) / (self.step + 10))

@@ -44,7 +44,7 @@ class Settings:
     seed: int = 1
 
 
-class Trainer(MeanTrainer):
+class Trainer(MeanTrainer[RefinementNetwork]):
     """The training of the second network."""
 
     def __init__(self, settings: Settings, offset: Offset) -> None:

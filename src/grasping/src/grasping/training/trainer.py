@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import nn
 
 from grasping.networks import NETWORKS
-from grasping.training.batches import Targets, batch, random_batch
+from grasping.training.batches import Samples, Targets, batch, random_batch
 from grasping.training.losses import losses
 from grasping.training.mean_trainer import MeanTrainer
 
@@ -46,13 +47,14 @@ class Settings:
     half: bool = True
 
 
-class Trainer(MeanTrainer):
+class Trainer(MeanTrainer[nn.Module]):
     """The training of a grasp network."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         torch.manual_seed(settings.seed)
-        network = NETWORKS[settings.network]().to(memory_format=torch.channels_last)
+        network = NETWORKS[settings.network]()
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
         super().__init__(network, torch.optim.Adam(network.parameters(), lr=settings.rate), settings.memory)
 
     def rate(self) -> float:
@@ -61,14 +63,14 @@ class Trainer(MeanTrainer):
         left = (s.steps - self.step) / max(1.0, s.decay * s.steps)
         return s.rate * min(1.0, (self.step + 1) / s.warm_up, max(0.0, left))
 
-    def train(self, samples) -> float:
+    def train(self, samples: Samples) -> float:
         """Does one step and returns its loss; the batch depends on the seed and the step alone."""
         rng = np.random.default_rng([self.settings.seed, self.step])
         depth, target = random_batch(samples, rng, self.settings.count, self.settings.side)
         self.network.train()
         return self.descend(losses(self._maps(self.network, depth), target).total, self.rate())
 
-    def validate(self, samples) -> dict[str, float]:
+    def validate(self, samples: Samples) -> dict[str, float]:
         """Returns the losses of the mean network on whole pictures, and the share of best pixels that are grasps."""
         rows = []
         for i in range(len(samples["depth"])):
@@ -80,9 +82,10 @@ class Trainer(MeanTrainer):
         names = ("validation", "quality", "angle", "width", "hits")
         return dict(zip(names, np.mean(rows, axis=0).tolist()))
 
-    def _maps(self, network, depth):
+    def _maps(self, network: nn.Module, depth: torch.Tensor) -> torch.Tensor:
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self.settings.half):
-            return network(depth.to(memory_format=torch.channels_last))
+            maps: torch.Tensor = network(depth.to(memory_format=torch.channels_last))
+        return maps
 
 
 def _best_is_grasp(maps: torch.Tensor, target: Targets) -> float:
