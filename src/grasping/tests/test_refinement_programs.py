@@ -114,10 +114,10 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     results = tmp_path / "results"
     untrained = tmp_path / "untrained.pt"
     torch.save(refinement.RefinementNetwork().state_dict(), untrained)
-    call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, results, "--refinement", "untrained", untrained)
+    call(monkeypatch, evaluate_refinement, data, data, results, "--refinement", "untrained", untrained)
     first = (results / "results.csv").read_text()
     more = ["--refinement", "untrained", untrained, "--refinement", "trained", run / "weights.pt"]
-    call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, results, *more)
+    call(monkeypatch, evaluate_refinement, data, data, results, *more)
     text = (results / "results.csv").read_text()
     assert text.startswith(first)
     rows = list(csv.DictReader(text.splitlines()))
@@ -140,9 +140,9 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert not (results / "curve.png").exists()
     call(monkeypatch, train_refinement, data, tmp_path / "few", "--steps", "1", "--episodes", "2", *options)
     curve = ["--refinement", "few", tmp_path / "few" / "weights.pt", "--refinement", "all", run / "weights.pt"]
-    call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, tmp_path / "curve", "--no-lifting", *curve)
+    call(monkeypatch, evaluate_refinement, data, data, tmp_path / "curve", "--no-lifting", *curve)
     assert (tmp_path / "curve" / "curve.png").stat().st_size > 1000
-    call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, tmp_path / "part", "--held-out", "--no-lifting")
+    call(monkeypatch, evaluate_refinement, data, data, tmp_path / "part", "--held-out", "--no-lifting")
     rows = list(csv.DictReader((tmp_path / "part" / "results.csv").read_text().splitlines()))
     assert {r["episode"] for r in rows} == {name for name in held if episode_files.is_held_out(name)}
     assert {r["lifted"] for r in rows} == {""}
@@ -174,7 +174,7 @@ def test_things_are_left_out_and_chosen(data):
     [
         (train_refinement, ["nowhere", "run"], "holds no episode"),
         (train_refinement, ["nowhere", "run", "--count", "0"], "--count is 0, but must be at least 1."),
-        (evaluate_refinement, ["nowhere", "nowhere", WEIGHTS, "results"], "holds no episode"),
+        (evaluate_refinement, ["nowhere", "nowhere", "results"], "holds no episode"),
         (make_episodes, ["made", "nowhere.pt"], "No such file"),
         (make_episodes, ["made", WEIGHTS, "--frames", "0"], "--frames is 0, but must be at least 1."),
         (evaluate, ["folder", "--export", "file"], "Either a folder for the results is needed, or --export."),
@@ -208,7 +208,7 @@ def test_too_few_episodes_are_refused(data, monkeypatch, capsys, tmp_path):
 def test_nothing_to_learn_from_is_refused(data, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(episode_files, "is_held_out", lambda name: True)
     with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate_refinement, data, data, WEIGHTS, tmp_path / "results")
+        call(monkeypatch, evaluate_refinement, data, data, tmp_path / "results")
     assert "and 0 to learn from, too few held." in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
 

@@ -1,12 +1,13 @@
 """Compares what predicts a person's grasps, on episodes that no training saw; resumable.
 
 GGCNN alone, with the person's constant offset, the nearest neighbour among the training episodes, and GGCNN with the
-second network: how far from the person's grasp, in the last frame of each episode whose grasp held; all maps are
-smoothed alike. Where the episodes are simulated, each grasp is tried by lifting in MuJoCo too, hand wide open, and the
-bound is what the simulated person intended: the grasp without the tremor, which nobody can foresee. Results go to
-results.csv, one line a grasp, and table.md, with the differences over the same episodes, and with the likelihood of the
-person's places: which of several equal grasps it is to be, nobody can foresee either. Where second networks learned
-from different numbers of episodes, as settings.json beside their files says, curve.png shows what more of them bring.
+second network: how far from the person's grasp, in the last frame of each episode whose grasp held. GGCNN's maps are
+those that the episodes recorded, and all are smoothed alike. Where the episodes are simulated, each grasp is tried by
+lifting in MuJoCo too, hand wide open, and the bound is what the simulated person intended: the grasp without the
+tremor, which nobody can foresee. Results go to results.csv, one line a grasp, and table.md, with the differences over
+the same episodes, and with the likelihood of the person's places: which of several equal grasps it is to be, nobody can
+foresee either. Where second networks learned from different numbers of episodes, as settings.json beside their files
+says, curve.png shows what more of them bring.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-from functools import lru_cache
 from pathlib import Path
 from typing import Callable, Dict, List, Union
 
@@ -22,23 +22,24 @@ import cv2
 import mujoco
 import numpy as np
 import torch
-from torch import nn
 from tqdm import tqdm
 
 from common.errors import RigError
 from common.poses import inverse
 from common.statistics import median, paired_difference, share
-from grasping import refinement, weights
+from grasping import refinement
 from grasping.dataset.episode import Frame
-from grasping.dataset.labels import own_grasp, pose_from_label, windowed
+from grasping.dataset.labels import own_grasp, pose_from_label
+from grasping.depth_image import NETWORK_SIDE, Crop, Picture, prepare
 from grasping.evaluation import learning_curve
 from grasping.evaluation.likelihood import calibrated, log_likelihoods
 from grasping.evaluation.person_errors import NEAR_M, Neighbours, miss
-from grasping.predictor import Prediction, Predictor, PredictorSettings
+from grasping.maps import Peak, peaks, smoothed
 from grasping.programs import episode_files
 from grasping.programs.evaluate import NETWORK_SMOOTHING, kept_rows
 from grasping.programs.make_dataset import ignore_warning
 from grasping.projection import Grasp
+from grasping.refinement import refined_grasp
 from grasping.synthetic import episodes
 from grasping.training.refinement_batches import batch
 from grasping.training.refinement_examples import Example, Offset, constant_offset, example, offset_label
@@ -61,28 +62,22 @@ MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = 
 """Columns of the tables: what is made of the episodes' values, and the value of a line of results.csv."""
 
 
-def methods(
-    training: list[episode_files.Named], offset: Offset, first: Path, second: list[tuple[str, str]]
-) -> dict[str, Method]:
+def methods(training: list[episode_files.Named], offset: Offset, second: list[tuple[str, str]]) -> dict[str, Method]:
     """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first.
 
     Args:
         training: episodes that teach the neighbours.
         offset: the person's.
-        first: weight file of GGCNN.
         second: names and weight files of second networks.
 
     Raises:
         RigError: a weight file cannot be used.
         OSError: likewise.
     """
-    frames = [f for named in training if named.episode.held for f in named.episode.frames()]
-    neighbours = Neighbours(frames)
-    network = weights.load(first.read_bytes()).network
-    predict = _predicting(network, None)
+    neighbours = Neighbours([f for named in training if named.episode.held for f in named.episode.frames()])
 
     def own(frame: Frame) -> list[tuple[Frame, Grasp]]:
-        frames = (frame._replace(peak=peak) for peak in predict(frame).peaks)
+        frames = (frame._replace(peak=peak) for peak in _best(*_seen(frame)))
         return [(f, grasp) for f in frames if (grasp := own_grasp(f)) is not None]
 
     found: dict[str, Method] = {
@@ -91,24 +86,28 @@ def methods(
         NEIGHBOUR: lambda frame: [neighbours.grasp(f) for f, _ in own(frame)[:1]],
     }
     for name, file in second:
-        found[name] = _refined(network, refinement.load(Path(file).read_bytes()))
+        found[name] = _refined(refinement.load(Path(file).read_bytes()))
     return found
 
 
-def _predicting(network: nn.Module, second: refinement.Refinement | None) -> Callable[[Frame], Prediction]:
-    """Returns what makes the prediction for a frame."""
-
-    @lru_cache(maxsize=2)
-    def predictor(side: int) -> Predictor:
-        settings = PredictorSettings(side, smoothing=NETWORK_SMOOTHING, count=FIRST, threshold=0.0)
-        return Predictor(network, settings, second)
-
-    return lambda frame: predictor(frame.crop.side).predict(frame.depth_m, windowed(frame.camera, frame.crop))
+def _seen(frame: Frame) -> tuple[np.ndarray, Picture]:
+    """Returns GGCNN's maps as they were recorded, at their full size, shape (4, 300, 300), and what it saw."""
+    output = [cv2.resize(m.astype(np.float32), (NETWORK_SIDE, NETWORK_SIDE)) for m in frame.maps]
+    return np.stack(output), prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
 
 
-def _refined(network: nn.Module, second: refinement.Refinement) -> Method:
-    predict = _predicting(network, second)
-    return lambda frame: [g.T_camera_grasp for g in predict(frame).grasps if g is not None]
+def _best(output: np.ndarray, picture: Picture) -> list[Peak]:
+    return peaks(smoothed(output, picture.valid, NETWORK_SMOOTHING), FIRST, threshold=-np.inf)
+
+
+def _refined(second: refinement.Refinement) -> Method:
+    def grasps(frame: Frame) -> list[np.ndarray]:
+        output, picture = _seen(frame)
+        refined = second.apply(output, picture)
+        found = [(peak, own_grasp(frame._replace(peak=peak))) for peak in _best(refined.output, picture)]
+        return [refined_grasp(grasp, refined, peak).T_camera_grasp for peak, grasp in found if grasp is not None]
+
+    return grasps
 
 
 def row(
@@ -245,7 +244,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("training", type=Path, help="folder of the episodes that training saw")
     parser.add_argument("test", type=Path, help="folder of episodes that it did not see")
-    parser.add_argument("weights", type=Path, help="weight file of GGCNN")
     parser.add_argument("folder", type=Path, help="where the results go")
     parser.add_argument(
         "--refinement", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a second network"
@@ -268,7 +266,7 @@ def main() -> None:
         if not test or not any(named.episode.held for named in training):
             raise RigError(f"Of {len(test)} episodes to test on and {len(training)} to learn from, too few held.")
         offset = constant_offset([f for named in training if named.episode.held for f in named.episode.frames()])
-        found: dict[str, Method | None] = {**methods(training, offset, arguments.weights, arguments.refinement)}
+        found: dict[str, Method | None] = {**methods(training, offset, arguments.refinement)}
     except (RigError, OSError) as error:
         parser.error(str(error))
     if all(episodes.scene_of(named.name) for named in test):
