@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import socket
+import sys
 
 import pytest
 
@@ -16,7 +17,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.rig]
 def demo(processes, free_port, tmp_path):
     """Starts the demo on free ports with a master of its own; returns the process and where its report will be."""
 
-    def start(*arguments: str, **launch):
+    def start(*arguments: str, within: tuple[str, ...] = (), **launch):
         report = tmp_path / "report.json"
         ports = (
             "robot_port",
@@ -28,7 +29,7 @@ def demo(processes, free_port, tmp_path):
         )
         launch = {**{name: free_port() for name in ports}, "hand_port": free_port(socket.SOCK_DGRAM), **launch}
         process = processes.start(
-            "rosrun", "leap_rig", "demo.py", "--headless", "--report", str(report), *arguments,
+            *within, "rosrun", "leap_rig", "demo.py", "--headless", "--report", str(report), *arguments,
             "--", *(f"{name}:={value}" for name, value in launch.items()),
             env={"ROS_MASTER_URI": f"http://localhost:{free_port()}", "ROS_HOME": str(tmp_path / "ros"),
                  "ROS_LOG_DIR": str(tmp_path / "log")},
@@ -98,6 +99,66 @@ def test_a_dead_node_is_named(demo, wait_until):
     os.kill(driver(), signal.SIGKILL)
     assert process.wait(100) == 1, process.log_path.read_text()
     assert "leap_driver ended" in " ".join(json.loads(process.report.read_text())["faults"])
+
+
+@pytest.mark.timeout(300)
+def test_ctrl_c_ends_everything_and_prints_the_report(demo, wait_until):
+    process = demo()
+    wait_until(lambda: " s | arm servo" in process.log_path.read_text(), 120.0, "the arm following")
+    nodes = descendants(process.pid)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0, process.log_path.read_text()
+    assert "The arm followed" in process.log_path.read_text()
+    assert json.loads(process.report.read_text())["servo_goals_sent"] > 0
+    wait_until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes), 20.0, "the end of all nodes")
+
+
+@pytest.mark.timeout(300)
+def test_ctrl_c_while_the_rig_starts_ends_everything(demo, wait_until):
+    process = demo()
+    wait_until(lambda: len(descendants(process.pid)) > 3, 60.0, "the first nodes")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) in (1, 2), process.log_path.read_text()
+    assert "Traceback" not in process.log_path.read_text()
+    assert not descendants(process.pid)
+
+
+IN_A_TERMINAL = (sys.executable, "-c", "import pty, sys; pty.spawn(sys.argv[1:])")
+"""Runs a command in a terminal of its own, as a window does; the terminal closes when this program ends."""
+IN_THE_BACKGROUND = ("sh", "-c", 'trap "" INT; exec "$@"', "sh")
+"""Runs a command without interrupts, as the shell of a script does with what ends by &."""
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("within", "number"),
+    [(IN_A_TERMINAL, signal.SIGKILL), (IN_THE_BACKGROUND, signal.SIGINT), ((), signal.SIGTERM)],
+    ids=["closed terminal", "interrupt in the background", "SIGTERM"],
+)
+def test_it_ends_with_everything_that_it_started(demo, wait_until, tmp_path, within, number):
+    process = demo(within=within)
+    wait_until(lambda: " s | arm servo" in process.log_path.read_text(), 90.0, "the arm to follow")
+    everything = {process.pid, *descendants(process.pid)}
+
+    def ends():
+        process.send_signal(number)  # again and again, as somebody does who is impatient
+        return not any(map(runs, everything))
+
+    try:
+        wait_until(ends, 30.0, "the end of everything")
+    finally:
+        for pid in filter(runs, everything):
+            os.kill(pid, signal.SIGKILL)
+    logs = [path.read_text() for path in tmp_path.glob("log/*/kuka_real_time_node-*.log")]
+    assert any("The connection to the robot is closed." in log for log in logs)
+
+
+def runs(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except OSError:
+        return False
 
 
 @pytest.mark.timeout(400)

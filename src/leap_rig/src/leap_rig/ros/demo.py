@@ -148,14 +148,19 @@ class Interrupts:
     """
 
     def __init__(self) -> None:
-        self._came = False
+        self._came = self._ignored = False
         roslib.set_interactive(True)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._interrupt)
 
     def _interrupt(self, _signal, _frame) -> None:
         self._came = True
-        raise KeyboardInterrupt
+        if not self._ignored:
+            raise KeyboardInterrupt
+
+    def ignore(self) -> None:
+        """Lets no further one disturb: a second Ctrl-C while the nodes end would leave some of them behind."""
+        self._ignored = True
 
     def check(self) -> None:
         """Raises KeyboardInterrupt if there was one already: while it starts nodes, roslaunch swallows it."""
@@ -201,10 +206,10 @@ def run(arguments: argparse.Namespace) -> int:
             status.say(f"{why}: the arm goes to the zero position.")
             end_in_order(deaths)
     finally:
+        interrupts.ignore()
         with contextlib.suppress(OSError):  # the terminal may be closed
             status.finish()
-        with contextlib.suppress(KeyboardInterrupt):
-            parent.shutdown()
+        parent.shutdown()
     summary = summarise(recorder, summary_time, deaths.sentences)
     if arguments.report is not None:
         arguments.report.write_text(json.dumps(summary, indent=2) + "\n")
