@@ -47,10 +47,15 @@ def panel(ros, application, failures):
     widget.link = PanelLink(widget)
     widget.show()
     yield widget
-    widget.link.close()
+    close(widget.link)
     widget.close()
+
+
+def close(link):
+    """Closes the link; its thread unsubscribes at its end, which must not be later than that of the test's graph."""
+    link.close()
     for thread in threading.enumerate():
-        if thread.name == "watch":  # it unsubscribes at its end, which must not be later than that of the test's graph
+        if thread.name == "watch":
             thread.join(LONG_S)
 
 
@@ -194,6 +199,22 @@ def test_a_controller_that_comes_goes_and_comes_again(panel, start, see):
     click(panel.gripper)
     see(panel.gripper.isChecked, "green")
     assert "is on" in panel.answer.full
+
+
+def test_without_a_master_it_says_so_while_rospy_waits_for_one(ros, application, failures, see, monkeypatch, free_port):
+    import rospy
+
+    from kuka_control.gui.panel import ControlPanel
+    from kuka_control.ros.panel_link import PanelLink
+
+    uri = f"http://localhost:{free_port()}"
+    panel = ControlPanel()
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setenv("ROS_MASTER_URI", uri)
+        with rospy.topics.get_topic_manager().lock:  # as rospy's first topic does
+            link = PanelLink(panel)
+            see(lambda: panel.status.full == f"Waiting for the ROS master at {uri}.", "the sentence")
+        close(link)
 
 
 def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controller, see, suspend):

@@ -97,7 +97,10 @@ class Screen:
             self._follow_window()
             return False
 
-        self._wait_until(seen, LONG_S, f"{name} in one of {colours}, not {self.colour(name)}")
+        try:
+            self._wait_until(seen, LONG_S, f"{name} in one of {colours}")
+        except pytest.fail.Exception as failure:
+            pytest.fail(f"{failure.msg}; it is {self.colour(name)} at {self.place(name)}")
 
 
 @pytest.fixture(scope="module")

@@ -127,8 +127,7 @@ class PanelLink(QObject):
 
     def _watch(self) -> None:
         """Subscribes once there is a node to do it, keeps addresses, and subscribes anew at a master that forgot us."""
-        while not rospy.core.is_initialized():
-            self._master_lost = True
+        while not (self._master_answers() and rospy.core.is_initialized()):
             if self._closed:
                 return
             time.sleep(REFRESH_MS * 1e-3)
@@ -147,6 +146,16 @@ class PanelLink(QObject):
                 subscriber = self._subscribe()
             self._wake.wait(0.0 if self._closed else WATCH_S)
         subscriber.unregister()
+
+    def _master_answers(self) -> bool:
+        """Asks, because rospy counts a node without topics as initialized, and waits with its first topic for ever."""
+        try:
+            ask_master("getPid")
+        except MasterLost:
+            self._master_lost = True
+            return False
+        self._master_lost = False
+        return True
 
     def _hears(self) -> bool:
         status = self._status
