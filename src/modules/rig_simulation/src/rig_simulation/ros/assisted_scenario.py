@@ -39,6 +39,8 @@ FRESH_S = 2.0
 """Proposals in an older picture are not looked at."""
 SERVICE_TIMEOUT_S = 10.0
 HOLD_S = 2.0
+NETWORK_START_S = 180.0
+"""Where other programs want the processor, the network's libraries take a minute and more to load."""
 
 
 class Proposals:
@@ -51,6 +53,11 @@ class Proposals:
         rospy.Subscriber("ggcnn/out/grasps", GraspList, self._take_grasps, queue_size=1)
         rospy.Subscriber("grasping/state", DiagnosticStatus, self._take_execution, queue_size=10)
         rospy.Subscriber("grasping/outcome", GraspOutcome, self._take_outcome, queue_size=10)
+
+    @property
+    def came(self) -> bool:
+        """Whether the network has said anything yet."""
+        return self._grasps is not None
 
     def best(self) -> tuple[Proposal | None, str]:
         """Returns the best grasp in a fresh picture that the arm reaches, and if there is none, why."""
@@ -102,6 +109,7 @@ class AssistedScenario:
         Raises:
             DeviceError: the world or the Leap service does not answer.
         """
+        self._wait_for_network()
         while not rospy.is_shutdown():
             time.sleep(PERIOD_S)
             if self._eyes.grip is None:
@@ -112,6 +120,13 @@ class AssistedScenario:
             if result.over:
                 break
         self._leapd.ask(HIDE)
+
+    def _wait_for_network(self) -> None:
+        """Waits for the first list of grasps; without one the person looks in vain, and says so."""
+        deadline = time.monotonic() + NETWORK_START_S
+        while not rospy.is_shutdown() and not self._proposals.came and time.monotonic() < deadline:
+            self._story.tell("network starts")
+            time.sleep(PERIOD_S)
 
     def _do(self, result: Result) -> None:
         if result.move is not None:
