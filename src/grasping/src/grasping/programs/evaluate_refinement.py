@@ -190,20 +190,19 @@ def likelihoods(
     seen = [batch(_examples(part), offset) for part in (known, test)]
     places = [target.place.numpy() for _, target in seen]
 
-    def found(quality: Callable[[torch.Tensor], torch.Tensor]) -> np.ndarray:
+    def found(network: refinement.RefinementNetwork | None) -> np.ndarray:
         with torch.no_grad():
-            before, now = (quality(features).numpy() for features, _ in seen)
+            before, now = ((x[:, 0] if network is None else x[:, 0] + network(x)[:, 0]).numpy() for x, _ in seen)
         return log_likelihoods(now, places[1], calibrated(before, places[0]))
 
-    plain = found(lambda features: features[:, 0])
+    plain = found(None)
     lines = [
         _line("map", "log-likelihood of the person's place [nats], mean", "more than GGCNN's"),
         _line(*["---"] * 3),
     ]
     lines.append(_line(OFFSET, f"{plain.mean():.2f}", ""))
     for name, file in second:
-        network = refinement.load(Path(file).read_bytes()).network
-        values = found(lambda features, network=network: features[:, 0] + network(features)[:, 0])
+        values = found(refinement.load(Path(file).read_bytes()).network)
         lines.append(_line(name, f"{values.mean():.2f}", f"{paired_difference(values, plain):.2f}"))
     return "\n".join(lines) + "\n"
 
