@@ -15,6 +15,7 @@ import numpy as np
 
 from common.poses import pose
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
+from rig_simulation.world.elements import child
 from rig_simulation.world.hand import PhysicalMechanics
 from rig_simulation.world.hand_model import prepare_hand
 from rig_simulation.world.mjcf import body, numbers
@@ -123,11 +124,11 @@ def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:
 def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
     """Returns the scene's MJCF with the hand `START_M` above its place, on a slide that goes up."""
     root = ET.fromstring(scene)
-    root.find("option").set("timestep", str(TIMESTEP_S))
-    world = root.find("worldbody")
+    child(root, "option").set("timestep", str(TIMESTEP_S))
+    world = child(root, "worldbody")
     add_robot(root, world, read_urdf(ROBOTS[0], FLANGES[0]), np.eye(3), None)
-    arm = world.find(f"body[@name='{ROOT}']")
-    hand = arm.find(".//body[@name='reflex/base_link']")
+    arm = child(world, f"body[@name='{ROOT}']")
+    hand = child(arm, ".//body[@name='reflex/base_link']")
     world.remove(arm)
     start = T_world_hand.copy()
     start[2, 3] += START_M
@@ -139,5 +140,5 @@ def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
     for part in carriage.iter("body"):
         part.set("gravcomp", "1")  # the arm carries the hand
     law = {"kp": "40000", "forcerange": numbers((-SLIDE_N, SLIDE_N))}
-    ET.SubElement(root.find("actuator"), "position", name=SLIDE, joint=SLIDE, **law)
+    ET.SubElement(child(root, "actuator"), "position", {"name": SLIDE, "joint": SLIDE, **law})
     return ET.tostring(root, encoding="unicode")

@@ -10,6 +10,7 @@ import json
 import math
 import multiprocessing
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -86,7 +87,7 @@ def _ignore(_text: str) -> None:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Returns the shares of lifted objects in percent as a Markdown table, in brackets the 95 % Wilson intervals."""
-    groups = {
+    groups: dict[str, Callable[[dict[str, Any]], bool]] = {
         "one object: lifted %": lambda row: row["objects"] == 1,
         "clutter: lifted %": lambda row: row["objects"] > 1,
         f"opening below {1000 * NARROW_M:.0f} mm: lifted %": lambda row: (row["width"] or 0.0) < NARROW_M,

@@ -72,7 +72,7 @@ class HandLink:
 
     def collect(self) -> list[bytes]:
         """Returns the datagrams of others that came in since the last call, in their order."""
-        found = []
+        found: list[bytes] = []
         while True:
             try:
                 data, source = self._inbox.recvfrom(MAX_DATAGRAM_BYTES)

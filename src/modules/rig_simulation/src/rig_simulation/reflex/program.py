@@ -8,7 +8,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import wraps
+from typing import Any
 
 from common.errors import RigError
 from rig_simulation.command_line import parse_options, port
@@ -73,12 +75,12 @@ def exchange(hand: SimulatedHand, link: HandLink) -> None:
             hand.handle(command)
 
 
-def handlers(hand: SimulatedHand, lock: threading.Lock) -> dict[str, Callable]:
+def handlers(hand: SimulatedHand, lock: AbstractContextManager[bool]) -> dict[str, Callable[..., Any]]:
     """Returns what the hand's control port does; each request holds the lock."""
 
-    def locked(method: Callable) -> Callable:
+    def locked(method: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(method)
-        def call(**fields):
+        def call(**fields: Any) -> Any:
             with lock:
                 return method(**fields)
 

@@ -57,7 +57,7 @@ class PhysicalMechanics:
         for finger, end in enumerate(self._ends):
             self.block(finger, end)
 
-    def pull(self, spools: Sequence[float]) -> None:
+    def pull(self, spools: Sequence[float] | np.ndarray) -> None:
         """Sets where the motors pull tendons and swivels to in the next step."""
         self._data.ctrl[self._tendons] = spools[:FINGERS]
         self._data.ctrl[self._swivels] = spools[FINGERS], -spools[FINGERS]

@@ -11,9 +11,12 @@ far from its overload. Lengths in m, angles in rad, in the frames of the URDF.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Tuple
 from xml.etree import ElementTree as ET
 
-from rig_simulation.world.mjcf import Touch, geom, numbers
+from rig_simulation.world.elements import child
+from rig_simulation.world.mjcf import NOTHING, Touch, geom, numbers
 
 FINGERS = (1, 2, 3)
 PARTS = ("proximal", "distal")
@@ -50,6 +53,7 @@ _PAD_RADIUS = 0.008
 _PADS = {"proximal": (0.019, 0.054, 0.006), "distal": (0.013, 0.040, 0.002)}
 """First and last point of the middle line along the link, and its height."""
 
+_Corners = Tuple[Tuple[float, float, float], Tuple[float, float, float]]
 _PALM = ((-0.016, -0.050, 0.066), (0.080, 0.050, 0.089))
 _SHELL = ((-0.055, -0.053, 0.030), (0.083, 0.053, 0.066)), ((-0.055, -0.024, 0.066), (-0.016, 0.024, 0.090))
 _BEAM = ((-0.011, -0.007, -0.008), (0.060, 0.007, 0.004))
@@ -78,7 +82,7 @@ def prepare_hand(root: ET.Element) -> None:
     Raises:
         KeyError: a body or joint of the hand is missing.
     """
-    bodies = {body.get("name"): body for body in root.iter("body")}
+    bodies = {body.get("name", ""): body for body in root.iter("body")}
     joints = {joint.get("name"): joint for joint in root.iter("joint")}
     for name, body in bodies.items():
         if name.startswith("reflex/"):
@@ -86,9 +90,9 @@ def prepare_hand(root: ET.Element) -> None:
                 if shape.get("contype") != "0":
                     body.remove(shape)
     base = bodies["reflex/base_link"]
-    _box(base, "palm", _PALM, friction=RUBBER_FRICTION, **_RUBBER)
+    _box(base, "palm", _PALM, RUBBER_FRICTION, _RUBBER)
     for number, corners in enumerate(_SHELL):
-        _box(base, f"shell_{number}", corners, friction=SHELL_FRICTION)
+        _box(base, f"shell_{number}", corners, SHELL_FRICTION)
     contact = _section(root, "contact")
     for finger in FINGERS:
         if finger != 3:
@@ -97,12 +101,12 @@ def prepare_hand(root: ET.Element) -> None:
             ET.SubElement(contact, "exclude", body1="reflex/base_link", body2=f"reflex/swivel_{finger}")
         for kind in ("proximal_joint", "distal_joint"):
             _spring(joints[f"reflex/{kind}_{finger}"], kind)
-        _box(bodies[f"reflex/proximal_{finger}"], "beam", _BEAM, friction=SHELL_FRICTION)
+        _box(bodies[f"reflex/proximal_{finger}"], "beam", _BEAM, SHELL_FRICTION)
         for part in PARTS:
             _pad(bodies[f"reflex/{part}_{finger}"], part, finger)
         ET.SubElement(contact, "exclude", body1="reflex/base_link", body2=f"reflex/proximal_{finger}")
     _add_motors(root)
-    root.find("option").attrib.update(HOLDING)
+    child(root, "option").attrib.update(HOLDING)
 
 
 def _spring(joint: ET.Element, kind: str) -> None:
@@ -112,10 +116,10 @@ def _spring(joint: ET.Element, kind: str) -> None:
         joint.attrib.update(stiffness=str(stiffness), springref=str(-PRELOAD_NM / stiffness))
 
 
-def _box(body: ET.Element, name: str, corners, **look) -> None:
+def _box(body: ET.Element, name: str, corners: _Corners, friction: float, more: Mapping[str, str] = NOTHING) -> None:
     middle = [(low + high) / 2 for low, high in zip(*corners)]
     halves = [(high - low) / 2 for low, high in zip(*corners)]
-    geom(body, f"{body.get('name')}/{name}", HAND, "box", halves, p=middle, **look)
+    geom(body, f"{body.get('name')}/{name}", HAND, "box", halves, p=middle, friction=friction, more=more)
 
 
 def _swivel(body: ET.Element) -> None:
@@ -126,7 +130,7 @@ def _swivel(body: ET.Element) -> None:
 
 def _pad(body: ET.Element, part: str, finger: int) -> None:
     first, last, height = _PADS[part]
-    capsule = geom(body, pad_name(part, finger), HAND, "capsule", [_PAD_RADIUS], friction=RUBBER_FRICTION, **_RUBBER)
+    capsule = geom(body, pad_name(part, finger), HAND, "capsule", [_PAD_RADIUS], friction=RUBBER_FRICTION, more=_RUBBER)
     del capsule.attrib["pos"]
     capsule.set("fromto", numbers((first, 0, height, last, 0, height)))
 
@@ -140,11 +144,11 @@ def _add_motors(root: ET.Element) -> None:
         for kind in ("proximal_joint", "distal_joint"):
             ET.SubElement(fixed, "joint", joint=f"reflex/{kind}_{finger}", coef="1")
         law = _law(TENDON_STIFFNESS_NM_RAD, TENDON_DAMPING_NM_S_RAD, 0.0, MOST_TENSION_NM)
-        ET.SubElement(actuators, "general", name=name, tendon=name, **law)
+        ET.SubElement(actuators, "general", {"name": name, "tendon": name, **law})
     for finger in (1, 2):
         name = f"reflex/preshape_{finger}"
         law = _law(SWIVEL_STIFFNESS_NM_RAD, SWIVEL_DAMPING_NM_S_RAD, -MOST_SWIVEL_TORQUE_NM, MOST_SWIVEL_TORQUE_NM)
-        ET.SubElement(actuators, "general", name=name, joint=name, **law)
+        ET.SubElement(actuators, "general", {"name": name, "joint": name, **law})
 
 
 def _law(stiffness: float, damping: float, low: float, high: float) -> dict[str, str]:

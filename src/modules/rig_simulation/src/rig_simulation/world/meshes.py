@@ -32,13 +32,13 @@ def surface_from_collada(text: str) -> Surface:
         ValueError: the text is no such file.
     """
     root = ET.fromstring(text)
-    positions = root.find(".//c:source[@id='positions']/c:float_array", _NAMESPACE)
-    indices = root.find(".//c:triangles/c:p", _NAMESPACE)
-    colour = root.find(".//c:diffuse/c:color", _NAMESPACE)
-    if positions is None or indices is None or colour is None:
+    positions = root.findtext(".//c:source[@id='positions']/c:float_array", namespaces=_NAMESPACE)
+    indices = root.findtext(".//c:triangles/c:p", namespaces=_NAMESPACE)
+    colour = root.findtext(".//c:diffuse/c:color", namespaces=_NAMESPACE)
+    if not positions or not indices or not colour:
         raise ValueError("the COLLADA text has no positions, no triangles or no colour")
     return Surface(
-        np.array(positions.text.split(), dtype=float).reshape(-1, 3),
-        np.array(indices.text.split(), dtype=int).reshape(-1, 3),
-        np.array(colour.text.split(), dtype=float)[:3],
+        np.array(positions.split(), dtype=float).reshape(-1, 3),
+        np.array(indices.split(), dtype=int).reshape(-1, 3),
+        np.array(colour.split(), dtype=float)[:3],
     )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -30,6 +32,8 @@ BOARD = Touch(kind=2, partners=1, group=0)
 OBJECT = Touch(kind=2, partners=3, group=0)
 SEEN = Touch(kind=0, partners=0, group=1)
 
+NOTHING: Mapping[str, str] = MappingProxyType({})
+
 
 def body(parent: ET.Element, name: str, T: np.ndarray) -> ET.Element:
     """Adds a body at the pose T in its parent, shape (4, 4)."""
@@ -37,8 +41,18 @@ def body(parent: ET.Element, name: str, T: np.ndarray) -> ET.Element:
 
 
 def geom(
-    parent, name, touch: Touch, kind: str, size, p=(0, 0, 0), R=None, friction=None, mass=None, colour=None, **more
-):
+    parent: ET.Element,
+    name: str,
+    touch: Touch,
+    kind: str,
+    size: Iterable[float] | None,
+    p: Iterable[float] = (0, 0, 0),
+    R: np.ndarray | None = None,
+    friction: float | None = None,
+    mass: float | None = None,
+    colour: Iterable[float] | None = None,
+    more: Mapping[str, str] = NOTHING,
+) -> ET.Element:
     """Adds a geom.
 
     Args:
@@ -67,7 +81,7 @@ def geom(
     values["mass"] = numbers([0.0 if mass is None else mass])
     if colour is not None:
         values["rgba"] = numbers((*colour, 1.0))
-    return ET.SubElement(parent, "geom", **values)
+    return ET.SubElement(parent, "geom", values)
 
 
 def quaternion(R: np.ndarray) -> str:
@@ -76,6 +90,6 @@ def quaternion(R: np.ndarray) -> str:
     return numbers((w, x, y, z))
 
 
-def numbers(values) -> str:
+def numbers(values: Iterable[float]) -> str:
     """Returns numbers as text that gives back the same doubles."""
     return " ".join(repr(float(value)) for value in values)

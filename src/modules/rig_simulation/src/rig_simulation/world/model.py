@@ -21,6 +21,7 @@ import numpy as np
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_zyx, unit
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
+from rig_simulation.world.elements import child
 from rig_simulation.world.files import read_mesh
 from rig_simulation.world.hand_model import prepare_hand
 from rig_simulation.world.meshes import Surface, surface_from_collada
@@ -110,7 +111,7 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     floor = body(world, "floor", pose(p=(0, 0, scene.table.top - FLOOR_BELOW_TABLE)))
     geom(floor, "floor", BOARD, "plane", (5, 5, 0.1), colour=FLOOR_COLOUR)
     add_table(world, scene.table)
-    world.find("body[@name='table']/geom").set("rgba", numbers((*BOARD_COLOUR, 1.0)))
+    child(world, "body[@name='table']/geom").set("rgba", numbers((*BOARD_COLOUR, 1.0)))
     _add_camera(world, scene.camera)
     roll, pitch, yaw = np.radians(description.mounting)
     R_world_base = rotation_from_zyx(yaw, pitch, roll)
@@ -162,13 +163,13 @@ def _add_camera(world: ET.Element, camera: CameraPlace) -> None:
 
 
 def _add_panel(root: ET.Element, world: ET.Element, panel: Panel, visuals: bool) -> None:
-    flange = world.find(".//body[@name='kuka/flange']")
+    flange = child(world, ".//body[@name='kuka/flange']")
     plate = body(flange, "panel", pose(R_FLANGE_PANEL, panel.centre))
     half = (*(panel.size / 2.0), PLATE_THICKNESS / 2.0)
     geom(plate, "panel/plate", ROBOT, "box", half, p=(0, 0, -PLATE_THICKNESS / 2.0), colour=WHITE, mass=0.1).set(
         "group", "1"
     )
     for tag in panel.tags if visuals else ():
-        add_mesh(root.find("asset"), f"panel/tag_{tag.id}", *tag_mesh(tag.id, tag.size))
+        add_mesh(child(root, "asset"), f"panel/tag_{tag.id}", *tag_mesh(tag.id, tag.size))
         name = f"panel/tag_{tag.id}"
-        geom(plate, name, SEEN, "mesh", None, p=(*tag.position, 0.0), mesh=name, colour=BLACK)
+        geom(plate, name, SEEN, "mesh", None, p=(*tag.position, 0.0), colour=BLACK, more={"mesh": name})

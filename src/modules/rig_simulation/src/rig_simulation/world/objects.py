@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -37,7 +38,7 @@ def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:
     """Adds an object that can move freely; its pose is set at a reset."""
     element = body(world, f"object/{name}", np.eye(4))
     ET.SubElement(element, "freejoint", name=f"object/{name}")
-    look = {"friction": shape.friction, "colour": shape.colour}
+    look: dict[str, Any] = {"friction": shape.friction, "colour": shape.colour}
     prefix = f"object/{name}"
     if isinstance(shape, Box):
         geom(element, f"{prefix}/box", OBJECT, "box", shape.size / 2.0, mass=shape.mass, **look)
@@ -55,7 +56,7 @@ def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:
         raise TypeError(f"no shape for {type(shape).__name__}")
 
 
-def _cup(element: ET.Element, prefix: str, cup: Cup, look: dict) -> None:
+def _cup(element: ET.Element, prefix: str, cup: Cup, look: dict[str, Any]) -> None:
     bottom = (cup.radius, cup.wall / 2.0)
     below = (0, 0, cup.wall / 2.0 - cup.height / 2.0)
     geom(element, f"{prefix}/bottom", OBJECT, "cylinder", bottom, p=below, mass=BOTTOM_SHARE * cup.mass, **look)
@@ -70,7 +71,7 @@ def _cup(element: ET.Element, prefix: str, cup: Cup, look: dict) -> None:
     _feet(element, prefix, cup.radius, cup.height, look)
 
 
-def _bottle(element: ET.Element, prefix: str, bottle: Bottle, look: dict) -> None:
+def _bottle(element: ET.Element, prefix: str, bottle: Bottle, look: dict[str, Any]) -> None:
     low, high = bottle.height - bottle.neck_height, bottle.neck_height
     volumes = np.array([bottle.radius**2 * low, bottle.neck_radius**2 * high])
     masses = bottle.mass * volumes / volumes.sum()
@@ -81,7 +82,7 @@ def _bottle(element: ET.Element, prefix: str, bottle: Bottle, look: dict) -> Non
     _feet(element, prefix, bottle.radius, bottle.height, look)
 
 
-def _feet(element: ET.Element, prefix: str, radius: float, height: float, look: dict) -> None:
+def _feet(element: ET.Element, prefix: str, radius: float, height: float, look: dict[str, Any]) -> None:
     for i in range(FEET):
         angle = 2.0 * np.pi * (i + 0.5) / FEET
         across = radius - FOOT_RADIUS

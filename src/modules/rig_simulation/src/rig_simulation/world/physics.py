@@ -168,7 +168,7 @@ class World:
     def objects(self) -> dict[str, ObjectState]:
         """Returns the state of each object by name."""
         pairs = _pairs(self.data, self._geom_bodies)
-        touches = {name: set() for name in self._scene.objects}
+        touches: dict[str, set[str]] = {name: set() for name in self._scene.objects}
         for one, other in pairs + [pair[::-1] for pair in pairs]:
             if one.startswith("object/"):
                 touches[one[7:]].add(other)
@@ -189,7 +189,7 @@ class World:
     def _load(self, description: WorldDescription) -> None:
         model = build_model(description, visuals=False)
         scene = scene_from(description.scene)
-        self.data = self._placed(model, scene, self.data if self.loads else None)
+        self.data: mujoco.MjData = self._placed(model, scene, self.data if self.loads else None)
         self.model, self.description, self._scene = model, description, scene
         self._geom_bodies = _geom_bodies(model)
         self.loads += 1
@@ -210,7 +210,8 @@ class World:
             overlap = _overlap(model, data)
             if overlap is None:
                 return data
-        raise ValueError(f"There is no room: {overlap[0]} would stand in {overlap[1]}.")
+            one, other = overlap
+        raise ValueError(f"There is no room: {one} would stand in {other}.")
 
     def _place(self, scene: Scene, shape: SceneObject) -> np.ndarray:
         shift, turn = np.zeros(2), 0.0

@@ -5,7 +5,7 @@ What touches are the URDF's plain collision shapes; arm and hand do not touch ea
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -13,8 +13,9 @@ import numpy as np
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 from rig_simulation.sunrise.robot import JOINTS
+from rig_simulation.world.elements import attribute, child
 from rig_simulation.world.meshes import Surface
-from rig_simulation.world.mjcf import ROBOT, SEEN, body, geom, numbers
+from rig_simulation.world.mjcf import ROBOT, SEEN, Touch, body, geom, numbers
 
 ROOT = "kuka/base_frame"
 ROBOT_FRICTION = 0.7
@@ -42,74 +43,98 @@ def add_robot(
         ValueError: the URDF has a shape that is not known here.
     """
     description = ET.fromstring(urdf)
-    links = {link.get("name"): link for link in description.findall("link")}
+    links = {attribute(link, "name"): link for link in description.findall("link")}
     joints = description.findall("joint")
     bodies = {ROOT: body(world, ROOT, pose(R_world_base))}
     waiting = list(joints)
     while waiting:
-        ready = [joint for joint in waiting if joint.find("parent").get("link") in bodies]
+        ready = [joint for joint in waiting if _parent(joint) in bodies]
         if not ready:
             raise ValueError(f"the links of the robot description do not hang together from {ROOT}")
         for joint in ready:
-            child = joint.find("child").get("link")
-            bodies[child] = body(bodies[joint.find("parent").get("link")], child, _origin(joint))
-            _add_joint(bodies[child], joint)
+            name = attribute(child(joint, "child"), "link")
+            bodies[name] = body(bodies[_parent(joint)], name, _origin(joint))
+            _add_joint(bodies[name], joint)
             waiting.remove(joint)
     for name, element in bodies.items():
         _add_link(root, element, links[name], read)
 
 
+def _parent(joint: ET.Element) -> str:
+    """Returns the name of the link that a joint hangs from."""
+    return attribute(child(joint, "parent"), "link")
+
+
 def _add_joint(element: ET.Element, joint: ET.Element) -> None:
     if joint.get("type") == "fixed":
         return
-    name, limit, axis = joint.get("name"), joint.find("limit"), joint.find("axis").get("xyz")
+    name, limit, axis = attribute(joint, "name"), child(joint, "limit"), attribute(child(joint, "axis"), "xyz")
     if name in JOINTS:
         drive = {"damping": str(ARM_DAMPING[JOINTS.index(name)]), "armature": str(ARM_ARMATURE)}
-        drive["actuatorfrcrange"] = f"-{limit.get('effort')} {limit.get('effort')}"
+        effort = attribute(limit, "effort")
+        drive["actuatorfrcrange"] = f"-{effort} {effort}"
     else:
-        drive = {"range": f"{limit.get('lower')} {limit.get('upper')}", "armature": str(HAND_ARMATURE)}
-    ET.SubElement(element, "joint", name=name, axis=axis, **drive)
+        drive = {"range": f"{attribute(limit, 'lower')} {attribute(limit, 'upper')}", "armature": str(HAND_ARMATURE)}
+    ET.SubElement(element, "joint", {"name": name, "axis": axis, **drive})
 
 
-def _add_link(root: ET.Element, element: ET.Element, link: ET.Element, read) -> None:
+def _add_link(root: ET.Element, element: ET.Element, link: ET.Element, read: Callable[[str], Surface] | None) -> None:
     inertial = link.find("inertial")
     if inertial is not None:
-        inertia = inertial.find("inertia")
-        entries = " ".join(inertia.get(key) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
-        position, mass = inertial.find("origin").get("xyz"), inertial.find("mass").get("value")
+        inertia = child(inertial, "inertia")
+        entries = " ".join(attribute(inertia, key) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+        position, mass = attribute(child(inertial, "origin"), "xyz"), attribute(child(inertial, "mass"), "value")
         ET.SubElement(element, "inertial", pos=position, mass=mass, fullinertia=entries)
-    name = link.get("name")
+    name = attribute(link, "name")
     for i, collision in enumerate(link.findall("collision")):
         _plain(element, f"{name}/collision_{i}", ROBOT, collision, friction=ROBOT_FRICTION)
-    for i, visual in enumerate(link.findall("visual") if read is not None else []):
+    if read is None:
+        return
+    for i, visual in enumerate(link.findall("visual")):
         mesh = visual.find("geometry/mesh")
         if mesh is None:
-            colour = [float(value) for value in visual.find("material/color").get("rgba").split()[:3]]
+            colour = [float(value) for value in attribute(child(visual, "material/color"), "rgba").split()[:3]]
             _plain(element, f"{name}/visual_{i}", SEEN, visual, colour=colour)
         else:
             _mesh(root, element, f"{name}/visual_{i}", visual, mesh, read)
 
 
-def _plain(element: ET.Element, name: str, touch, shape: ET.Element, **more) -> None:
+def _plain(
+    element: ET.Element,
+    name: str,
+    touch: Touch,
+    shape: ET.Element,
+    friction: float | None = None,
+    colour: Iterable[float] | None = None,
+) -> None:
     T = _origin(shape)
     box, cylinder = shape.find("geometry/box"), shape.find("geometry/cylinder")
     if box is not None:
-        kind, size = "box", np.array(box.get("size").split(), dtype=float) / 2.0
+        kind, size = "box", np.array(attribute(box, "size").split(), dtype=float) / 2.0
     elif cylinder is not None:
-        kind, size = "cylinder", (float(cylinder.get("radius")), float(cylinder.get("length")) / 2.0)
+        radius, length = float(attribute(cylinder, "radius")), float(attribute(cylinder, "length"))
+        kind, size = "cylinder", np.array([radius, length / 2.0])
     else:
         raise ValueError(f"the shape {name} is neither box nor cylinder")
-    geom(element, name, touch, kind, size, p=T[:3, 3], R=T[:3, :3], **more)
+    geom(element, name, touch, kind, size, p=T[:3, 3], R=T[:3, :3], friction=friction, colour=colour)
 
 
-def _mesh(root: ET.Element, element: ET.Element, name: str, visual: ET.Element, mesh: ET.Element, read) -> None:
-    surface = read(mesh.get("filename"))
-    asset, T = root.find("asset"), _origin(visual)
-    label = mesh.get("filename").partition("meshes/")[2]
+def _mesh(
+    root: ET.Element,
+    element: ET.Element,
+    name: str,
+    visual: ET.Element,
+    mesh: ET.Element,
+    read: Callable[[str], Surface],
+) -> None:
+    file = attribute(mesh, "filename")
+    surface = read(file)
+    asset, T = child(root, "asset"), _origin(visual)
+    label = file.partition("meshes/")[2]
     if asset.find(f"mesh[@name='{label}']") is None:
         scale = np.array(mesh.get("scale", "1 1 1").split(), dtype=float)
         add_mesh(asset, label, surface.vertices * scale, surface.triangles)
-    geom(element, name, SEEN, "mesh", None, p=T[:3, 3], R=T[:3, :3], mesh=label, colour=surface.colour)
+    geom(element, name, SEEN, "mesh", None, p=T[:3, 3], R=T[:3, :3], colour=surface.colour, more={"mesh": label})
 
 
 def add_mesh(asset: ET.Element, name: str, vertices: np.ndarray, triangles: np.ndarray) -> None:
@@ -119,6 +144,6 @@ def add_mesh(asset: ET.Element, name: str, vertices: np.ndarray, triangles: np.n
 
 
 def _origin(element: ET.Element) -> np.ndarray:
-    origin = element.find("origin")
-    roll, pitch, yaw = (float(value) for value in origin.get("rpy").split())
-    return pose(rotation_from_zyx(yaw, pitch, roll), [float(value) for value in origin.get("xyz").split()])
+    origin = child(element, "origin")
+    roll, pitch, yaw = (float(value) for value in attribute(origin, "rpy").split())
+    return pose(rotation_from_zyx(yaw, pitch, roll), [float(value) for value in attribute(origin, "xyz").split()])

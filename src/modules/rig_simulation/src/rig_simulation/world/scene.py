@@ -9,11 +9,11 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from common.config import integer, number, parse, vector
+from common.config import integer, number, parse_part, vector
 from common.errors import ConfigError
 
 NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -53,6 +53,12 @@ class SceneObject:
     mass: float = number("kg", above=0.0, high=5.0)
     friction: float = number(above=0.0, high=2.0, doc="sliding friction")
     colour: np.ndarray = vector(3, low=0.0, high=1.0, doc="red, green, blue")
+
+    if TYPE_CHECKING:  # a field of some, which a property here would be in the way of, and a property of others
+
+        @property
+        def height(self) -> float:
+            """From the lowest point to the highest [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +118,7 @@ class Bottle(SceneObject):
         return []
 
 
-KINDS = {"cup": Cup, "box": Box, "ball": Ball, "cylinder": Cylinder, "bottle": Bottle}
+KINDS: Mapping[str, type[SceneObject]] = {"cup": Cup, "box": Box, "ball": Ball, "cylinder": Cylinder, "bottle": Bottle}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,18 +174,17 @@ def scene_from(values: Any) -> Scene:
         ConfigError: with all faults.
     """
     faults: list[str] = []
-    rest = _parsed(_Rest, values, "", faults, ("table", "camera", "objects"))
+    rest = parse_part(_Rest, values, "", faults, ("table", "camera", "objects"))
     sections = values if isinstance(values, Mapping) else {}
-    found = {key: _section(sections, key, faults) for key in ("table", "camera", "objects")}
-    if None in found.values():
+    table_values, camera_values, listed = (_section(sections, key, faults) for key in ("table", "camera", "objects"))
+    if table_values is None or camera_values is None or listed is None:
         raise ConfigError(faults)
-    table = _parsed(Table, found["table"], "table/", faults)
-    camera = _parsed(CameraPlace, found["camera"], "camera/", faults)
-    listed = found["objects"]
-    objects = {name: _object(name, entry, faults) for name, entry in listed.items()}
-    if faults:
+    table = parse_part(Table, table_values, "table/", faults)
+    camera = parse_part(CameraPlace, camera_values, "camera/", faults)
+    shapes = {name: _object(name, entry, faults) for name, entry in listed.items()}
+    if faults or rest is None or table is None or camera is None:
         raise ConfigError(faults)
-    return Scene(table, camera, rest.scatter, objects)
+    return Scene(table, camera, rest.scatter, {name: shape for name, shape in shapes.items() if shape is not None})
 
 
 def panel_from(values: Any) -> Panel:
@@ -189,15 +194,15 @@ def panel_from(values: Any) -> Panel:
         ConfigError: with all faults.
     """
     faults: list[str] = []
-    plate = _parsed(_Plate, values, "", faults, ("tags",))
+    plate = parse_part(_Plate, values, "", faults, ("tags",))
     listed = values.get("tags") if isinstance(values, Mapping) else None
     if not isinstance(listed, list) or not listed:
         faults.append(f"tags is {listed!r}, but must be a list of tags.")
         listed = []
-    tags = [_parsed(Tag, entry, f"tags/{i}/", faults) for i, entry in enumerate(listed)]
-    if faults:
+    tags = [parse_part(Tag, entry, f"tags/{i}/", faults) for i, entry in enumerate(listed)]
+    if faults or plate is None:
         raise ConfigError(faults)
-    return Panel(plate.size, plate.centre, tuple(tags))
+    return Panel(plate.size, plate.centre, tuple(tag for tag in tags if tag is not None))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -220,15 +225,7 @@ def _object(name: Any, entry: Any, faults: list[str]) -> SceneObject | None:
     if not isinstance(name, str) or not NAME.fullmatch(name):
         faults.append(f"objects/{name} is no name of small letters, digits and underscores.")
     kind = entry.get("kind") if isinstance(entry, Mapping) else None
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         faults.append(f"objects/{name}/kind is {kind!r}, but must be one of {', '.join(KINDS)}.")
         return None
-    return _parsed(KINDS[kind], entry, f"objects/{name}/", faults, ("kind",))
-
-
-def _parsed(schema, values: Any, prefix: str, faults: list[str], others=()):
-    try:
-        return parse(schema, values, prefix, others)
-    except ConfigError as error:
-        faults += error.faults
-        return None
+    return parse_part(KINDS[kind], entry, f"objects/{name}/", faults, ("kind",))

@@ -38,7 +38,8 @@ def tag_mesh(tag: int, size: float) -> tuple[np.ndarray, np.ndarray]:
         size: edge of the black square [m].
     """
     cell = size / CELLS
-    vertices, triangles = [], []
+    vertices: list[np.ndarray] = []
+    triangles: list[np.ndarray] = []
     for row, cells in enumerate(black_cells(tag)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], cells, [False]]).astype(int)))
         for start, end in edges.reshape(-1, 2):
