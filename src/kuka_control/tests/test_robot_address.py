@@ -18,7 +18,8 @@ def values(name="kuka_params_rt.yaml"):
 
 
 def test_it_is_a_part_of_the_controllers_parameters():
-    assert set(keys(RobotAddress)) <= set(keys(ArmConfig))
+    of_arm = {key.name: key for key in keys(ArmConfig)}
+    assert all(of_arm[key.name] == key for key in keys(RobotAddress))
 
 
 @pytest.mark.parametrize("name", ["kuka_params_rt.yaml", "kuka_params_ptp.yaml"])
