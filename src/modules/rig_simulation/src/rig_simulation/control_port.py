@@ -73,7 +73,7 @@ class ControlPort:
     def __enter__(self) -> ControlPort:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _accept(self) -> None:
@@ -151,7 +151,6 @@ class ControlClient:
     def __init__(self, host: str, port: int, timeout: float = 2.0) -> None:
         self._address = (host, port)
         self._timeout = timeout
-        self._socket: socket.socket | None = None
         self._lines: _Lines | None = None
         self._lock = threading.Lock()
 
@@ -176,17 +175,16 @@ class ControlClient:
     def __enter__(self) -> ControlClient:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _exchange(self, request: dict[str, Any]) -> Any:
         try:
-            if self._socket is None:
-                self._socket = socket.create_connection(self._address, self._timeout)
-                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._lines = _Lines(self._socket)
-            self._socket.settimeout(self._timeout)
-            _send(self._socket, request)
+            if self._lines is None:
+                self._lines = _Lines(socket.create_connection(self._address, self._timeout))
+                self._lines.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._lines.connection.settimeout(self._timeout)
+            _send(self._lines.connection, request)
             line = self._lines.next()
             if line is None:
                 raise socket.timeout("timed out")
@@ -196,9 +194,9 @@ class ControlClient:
             raise DeviceError(f"The control port {self._name()} does not answer: {error}.") from None
 
     def _disconnect(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket = self._lines = None
+        if self._lines is not None:
+            self._lines.connection.close()
+        self._lines = None
 
     def _name(self) -> str:
         return f"{self._address[0]}:{self._address[1]}"
@@ -234,10 +232,10 @@ def listen(host: str, port: int, what: str, backlog: int) -> socket.socket:
 
 
 class _Lines:
-    """Cuts what a socket receives into lines of bounded length."""
+    """Cuts what a socket with a time-out receives into lines of bounded length."""
 
     def __init__(self, connection: socket.socket) -> None:
-        self._connection = connection
+        self.connection = connection
         self._buffer = bytearray()
         self._half_line_since: float | None = None
 
@@ -248,7 +246,9 @@ class _Lines:
             EOFError: the peer closed the connection.
             DeviceError: the line is longer than MAX_LINE_BYTES.
         """
-        deadline = time.monotonic() + self._connection.gettimeout()
+        timeout = self.connection.gettimeout()
+        assert timeout is not None  # whoever made the connection has set one
+        deadline = time.monotonic() + timeout
         while True:
             line, newline, rest = self._buffer.partition(b"\n")
             if newline:
@@ -260,7 +260,7 @@ class _Lines:
             if time.monotonic() >= deadline:
                 return None
             try:
-                chunk = self._connection.recv(65536)
+                chunk = self.connection.recv(65536)
             except socket.timeout:
                 return None
             if not chunk:

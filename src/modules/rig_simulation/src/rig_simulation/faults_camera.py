@@ -64,7 +64,8 @@ class Stream:
 
 
 def _without_depth(pictures: Pictures) -> Pictures:
-    depths = {name: getattr(pictures, name) for name in ("depth", "registered")}
-    return dataclasses.replace(
-        pictures, **{name: None if depth is None else np.zeros_like(depth) for name, depth in depths.items()}
-    )
+    return dataclasses.replace(pictures, depth=_empty(pictures.depth), registered=_empty(pictures.registered))
+
+
+def _empty(depth: np.ndarray | None) -> np.ndarray | None:
+    return None if depth is None else np.zeros_like(depth)

@@ -112,7 +112,7 @@ class Wire:
 
 def broken(packet: bytes, rng: random.Random) -> bytes:
     """Returns a datagram that is no state packet, in one of several ways."""
-    ways = [
+    ways: list[Callable[[], bytes]] = [
         lambda: garbled(packet, rng),
         lambda: packet[: rng.randrange(1, len(packet))],
         lambda: packet + garbled(packet[:9], rng),

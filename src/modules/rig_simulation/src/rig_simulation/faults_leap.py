@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from collections.abc import Callable
 
 from rig_simulation.delay_line import DelayLine
 from rig_simulation.faults import Fault, Faults, Value, share_of
@@ -118,7 +119,7 @@ class Hands:
 def broken(frame: str, rng: random.Random) -> str:
     """Returns a message that is no frame, in one of several ways."""
     message = json.loads(frame)
-    ways = [
+    ways: list[Callable[[], str]] = [
         lambda: frame[: rng.randrange(len(frame))],
         lambda: garbled(frame.encode("ascii"), rng).decode("latin-1"),
         lambda: wire.text({key: value for key, value in message.items() if key != "hands"}),

@@ -25,12 +25,12 @@ WARP_NODES = (4, 5)
 """Of the grid, over the height and the width of the picture, that a unit's warp is smooth between."""
 
 
-def axial_sigma(z):
+def axial_sigma(z: float | np.ndarray) -> float | np.ndarray:
     """Returns the standard deviation of depth at z [m], for surfaces up to 60 deg (Nguyen, Izadi, Lovell 2012)."""
     return 0.0012 + 0.0019 * (z - 0.4) ** 2
 
 
-def steep_sigma(angle):
+def steep_sigma(angle: float | np.ndarray) -> np.ndarray:
     """Returns what a steep surface adds to the standard deviation, times sqrt(z) [m sqrt(m)] (the same paper).
 
     Args:
@@ -135,6 +135,7 @@ class DepthSensor:
         grey = self._lens.look(cv2.cvtColor(brightness, cv2.COLOR_RGB2GRAY))
         dark = self._config.dark_return
         returned = (dark + (1.0 - dark) * np.linspace(0.0, 1.0, 256) ** 2.2).astype(np.float32)
+        assert self._noise is not None  # made for it
         ragged = 1.0 + SIGNAL_SPREAD * self._noise.cut()
         return cv2.LUT(grey, returned) * cosine * w * w * ragged
 
@@ -147,6 +148,7 @@ class DepthSensor:
             level = cv2.convertScaleAbs(cosine, alpha=ANGLE_STEPS)
             sigma = self._fb * per_metre + cv2.LUT(level, self._steep) * w * w * np.sqrt(w)
             rounding = self._config.quantisation**2 / 12.0
+            assert self._noise is not None  # made for it
             disparity += np.sqrt(np.maximum(sigma * sigma - rounding, 0.0)) * self._noise.cut()
         return disparity
 

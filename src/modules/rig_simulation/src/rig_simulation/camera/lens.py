@@ -65,7 +65,8 @@ class Lens:
         Args:
             picture: shape (window.height, window.width[, 3]), rows from the bottom.
         """
-        return cv2.remap(picture, *self._smooth, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        places, fractions = self._smooth
+        return cv2.remap(picture, places, fractions, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
     def look_beside(self, picture: np.ndarray, shift: np.ndarray | np.int16) -> np.ndarray:
         """Returns the camera's picture, each pixel taken whole from a place `shift` beside its own.

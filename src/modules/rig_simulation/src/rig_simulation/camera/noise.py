@@ -23,7 +23,7 @@ class NoiseField:
     """
 
     def __init__(self, height: int, width: int, channels: int, correlation: float, rng: np.random.Generator) -> None:
-        field = rng.standard_normal((height + SPARE_PX, width + SPARE_PX, channels), dtype=np.float32)
+        field: np.ndarray = rng.standard_normal((height + SPARE_PX, width + SPARE_PX, channels), dtype=np.float32)
         if correlation > 0.0:
             field = cv2.GaussianBlur(field, (0, 0), correlation)
         field = field.reshape(height + SPARE_PX, width + SPARE_PX, channels)

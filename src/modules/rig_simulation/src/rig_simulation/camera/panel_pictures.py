@@ -11,6 +11,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import mujoco
@@ -111,7 +112,7 @@ def _take(options: argparse.Namespace) -> int:
     rgb, depth = (from_calibration(values) for values in calibrations.values())
     rng = np.random.default_rng(options.seed)
     options.folder.mkdir(parents=True, exist_ok=True)
-    entries = []
+    entries: list[dict[str, Any]] = []
     for number in range(options.units):
         camera = _camera(options.config, rgb, depth, seed=options.seed + 1 + number)
         try:
@@ -123,6 +124,7 @@ def _take(options: argparse.Namespace) -> int:
                         scene.look(T)
                         taken = camera.take(scene.data, colour=True, depth=True, registered=False)
                         files = [f"{len(entries):04d}_{name}.png" for name in ("colour", "depth")]
+                        assert taken.colour is not None and taken.depth is not None  # both were asked for
                         for file, picture in zip(files, (taken.colour[..., ::-1], taken.depth)):
                             if not cv2.imwrite(str(options.folder / file), picture):
                                 raise DeviceError(f"The picture {options.folder / file} cannot be written.")
@@ -144,8 +146,9 @@ def _take(options: argparse.Namespace) -> int:
 
 
 def _camera(config: dict, rgb: CameraModel, depth: CameraModel, seed: int) -> RgbdCamera:
-    colour_config = parse(ColourConfig, config.get("colour"), prefix="colour/")
-    depth_config = parse(DepthConfig, config.get("depth"), prefix="depth/")
+    sections: dict[str, Any] = {name: config.get(name) for name in ("colour", "depth")}
+    colour_config = parse(ColourConfig, sections["colour"], prefix="colour/")
+    depth_config = parse(DepthConfig, sections["depth"], prefix="depth/")
     return RgbdCamera(rgb, depth, colour_config, depth_config, int(config.get("samples", 0)), seed)
 
 

@@ -106,6 +106,7 @@ class RgbdCamera:
                 colour_picture = self._colour.take(seen)
                 finished("colour")
             if registered:
+                assert self._registered is not None  # made by `attach`
                 registered_picture = self._registered.take(inverse_depth, seen)
                 finished("registered")
         if depth:

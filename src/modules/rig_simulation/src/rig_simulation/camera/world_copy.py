@@ -16,14 +16,14 @@ class WorldCopy:
         client: of the world's control port.
 
     Attributes:
-        model, data: MuJoCo's; None before the first `follow`. A new model after a change of scene.
+        model, data: MuJoCo's, from the first `follow` on. A new model after a change of scene.
     """
 
     def __init__(self, client: ControlClient) -> None:
         self._client = client
         self._load: int | None = None
-        self.model: mujoco.MjModel | None = None
-        self.data: mujoco.MjData | None = None
+        self.model: mujoco.MjModel
+        self.data: mujoco.MjData
 
     def follow(self) -> bool:
         """Takes the world's present state over, and returns whether the model is a new one.

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from common.errors import RigError
 from rig_simulation.command_line import finite, parse_options, port, positive
@@ -13,7 +15,7 @@ from rig_simulation.faults import add_option, switch_all
 from rig_simulation.faults_leap import LEAP_FAULTS
 from rig_simulation.leap import motion, wire
 from rig_simulation.leap.guided import GuidedPerson
-from rig_simulation.leap.playback import Playback
+from rig_simulation.leap.playback import Playback, Source
 from rig_simulation.leap.server import LeapService
 from rig_simulation.leap.sources import Person, Recording
 
@@ -23,16 +25,17 @@ NAME = "leapd"
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulated service; returns the exit code."""
     options = parse(arguments)
-    calls = {}
+    source: Source
+    calls: dict[str, Callable[..., Any]] = {}
     try:
         if options.recording is not None:
             source = Recording(options.recording, options.rate, options.offset, options.loop)
         else:
             script = motion.Script(options.figure, options.size, options.speed, options.plane, away=options.away)
-            source = Person(script, options.hand, options.scale, tuple(options.centre), options.fields)
+            source = person = Person(script, options.hand, options.scale, tuple(options.centre), options.fields)
             if options.guided:
-                source = GuidedPerson(source)
-                calls = {name: getattr(source, name) for name in ("show", "reach", "hide", "hand")}
+                source = guided = GuidedPerson(person)
+                calls = {name: getattr(guided, name) for name in ("show", "reach", "hide", "hand")}
         playback = Playback(source, options.seed, options.fields, playing=not options.paused)
         service = LeapService(
             playback, options.host, options.port, options.control_port, options.fields, options.lenient, calls

@@ -135,7 +135,8 @@ class Tracker:
 
     def _confidence(self, curl: float, age: float, left: float) -> float:
         settled = 0.98 - (0.98 - FIST_CONFIDENCE) * curl
-        entered = np.interp(age, [0.0, 0.1, SETTLE_S], [self._entry_confidence, self._entry_confidence - 0.1, settled])
+        rising = [self._entry_confidence, self._entry_confidence - 0.1, settled]
+        entered = float(np.interp(age, [0.0, 0.1, SETTLE_S], rising))
         leaving = np.interp(left, [0.0, SETTLE_S], [0.1, 1.0])
         noise = 0.02 * (1.0 + 2.0 * curl) * self._confidence_noise.step()[0]
         return float(np.clip(min(entered, settled) * leaving + noise, 0.02, 1.0))
@@ -145,7 +146,7 @@ def _filtered(hand: ReportedHand, last: ReportedHand, dt: float) -> ReportedHand
     """Returns the hand with velocities and stabilised positions, which follow the measured ones with a delay."""
     geometry, before = hand.geometry, last.geometry
 
-    def velocity(now, then, filtered):
+    def velocity(now: np.ndarray, then: np.ndarray, filtered: np.ndarray) -> np.ndarray:
         return VELOCITY_MEMORY * filtered + (1.0 - VELOCITY_MEMORY) * (now - then) / dt
 
     return replace(

@@ -110,7 +110,12 @@ class LeapService:
         self._stopping = False
         self._socket = listen(host, port, "the Leap service", BACKLOG)
         self.host, self.port = self._socket.getsockname()[:2]
-        handlers = {**calls, "state": self._state, "play": self._play, "pause": self._pause}
+        handlers: dict[str, Callable[..., Any]] = {
+            **calls,
+            "state": self._state,
+            "play": self._play,
+            "pause": self._pause,
+        }
         handlers.update({"plug": lambda: self._plug(True), "unplug": lambda: self._plug(False), **self.faults.requests})
         self._control = ControlPort(handlers, host, control_port)
         self.control_port = self._control.port
@@ -130,9 +135,15 @@ class LeapService:
         self._stopping = True
 
     async def _serve(self) -> None:
-        options = {"compression": None, "close_timeout": CLOSE_TIMEOUT_S, "ping_interval": None}
         while not self._stopping:
-            async with serve(self._converse, sock=self._socket, process_request=self._meet, **options):
+            async with serve(
+                self._converse,
+                sock=self._socket,
+                process_request=self._meet,
+                compression=None,
+                close_timeout=CLOSE_TIMEOUT_S,
+                ping_interval=None,
+            ):
                 await self._play_frames()
             while not self._stopping and not self._started_again():
                 await asyncio.sleep(POLL_S)
@@ -193,6 +204,7 @@ class LeapService:
             await asyncio.sleep(min(due - time.monotonic(), LONGEST_SLEEP_S))
 
     async def _converse(self, connection: ServerConnection) -> None:
+        assert connection.request is not None  # the handshake is over
         version = wire.version_of(connection.request.path)
         if version is None:
             await connection.close(1001)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -92,7 +93,7 @@ def shifted(message: dict, offset: Sequence[float]) -> dict:
     }
 
 
-def six(values):
+def six(values: float | np.ndarray | list[Any]) -> Any:
     """Returns numbers, or nested arrays of them, with the six digits that the service prints."""
     if isinstance(values, np.ndarray):
         values = values.tolist()
@@ -128,7 +129,7 @@ def _hand(hand: ReportedHand, fields: str) -> dict:
         "wrist": six(g.wrist),
     }
     if fields == "new":
-        pinch = np.linalg.norm(g.tips[0] - g.tips[1])
+        pinch = float(np.linalg.norm(g.tips[0] - g.tips[1]))
         return {**message, "grabAngle": six(min(hand.mean_flexion, np.pi)), "pinchDistance": six(pinch)}
     radius = 60.0 - 25.0 * hand.grab
     sphere = {"sphereCenter": six(g.palm + radius * g.normal), "sphereRadius": six(radius)}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -224,7 +225,7 @@ class AssistedGrasp:
         if scene.proposal.id not in self._seen:
             self._seen.add(scene.proposal.id)
             self._change(proposals=self._round.proposals + 1)
-        name, distance = self._nearest(scene)
+        name, distance = self._nearest(scene, scene.proposal)
         if distance > self._habits.reach:
             return self._result()
         self._change(object=name, correction=None, turn=None, lifted=0.0, held=None, reason="")
@@ -233,6 +234,7 @@ class AssistedGrasp:
 
     def _approach(self, scene: Scene, now: float) -> Result:
         """Waits until the arm stands above the proposal, and brings the hand in."""
+        assert self._since is not None  # `step` sets it
         if scene.execution in (IDLE, OVER) and now - self._since > self._habits.look:
             return self._again(f"it ended before the hand came in: {scene.reason}", now)
         if scene.execution != WAITING_FOR_HAND:
@@ -246,6 +248,7 @@ class AssistedGrasp:
     def _work(self, scene: Scene, now: float) -> Result:
         """Takes over, corrects, picks up, puts down."""
         seen, attempt = scene.objects[self._round.object], self._try
+        assert attempt is not None  # `_approach` begins one
         if scene.following:
             attempt.followed = now
         elif attempt.followed is not None and now - attempt.followed > self._habits.lost:
@@ -295,9 +298,9 @@ class AssistedGrasp:
         self._try = None
         return result
 
-    def _nearest(self, scene: Scene) -> tuple[str, float]:
+    def _nearest(self, scene: Scene, proposal: Proposal) -> tuple[str, float]:
         """Returns the object whose top is nearest to the proposal, and how far that is [m], seen from above."""
-        place = scene.proposal.place[:2]
+        place = proposal.place[:2]
         away = {name: float(np.linalg.norm(seen.top[:2] - place)) for name, seen in scene.objects.items()}
         return min(away.items(), key=lambda item: item[1])
 
@@ -311,15 +314,15 @@ class AssistedGrasp:
             return f"{waited}: no grasp is proposed: {scene.complaint}"
         if self._round.refused:
             return f"{waited}: {self._round.refused[-1]}"
-        name, distance = self._nearest(scene)
+        name, distance = self._nearest(scene, scene.proposal)
         return f"{waited}: the best grasp lies {1e3 * distance:.0f} mm from {name}, the nearest object"
 
-    def _change(self, **values) -> None:
+    def _change(self, **values: Any) -> None:
         self._round = dataclasses.replace(self._round, **values)
 
     def _go(self, step: str, now: float) -> None:
         self._step, self._since, self._ready_since = step, now, None
 
-    def _result(self, **what) -> Result:
+    def _result(self, **what: Any) -> Result:
         name = self._try.name if self._try is not None else self._step
         return Result(name, self._round, **what)

@@ -182,8 +182,8 @@ class PickAndPlace:
         """Returns the hand's move that shifts the tool by `way`, shape (3,) [m], in the base and turns it [rad]."""
         self._palm = self._palm + self._R_leap_base @ way
         self._yaw -= turn
-        fastest = max(np.linalg.norm(way) / self._plan.speed, abs(turn) / self._plan.turn_speed)
-        seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * float(fastest))
+        fastest = max(float(np.linalg.norm(way) / self._plan.speed), abs(turn) / self._plan.turn_speed)
+        seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * fastest)
         self._busy_until = now + seconds + SETTLE_S
         return Move(self._palm, self._yaw, self._curl, seconds)
 

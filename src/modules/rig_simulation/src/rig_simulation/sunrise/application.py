@@ -333,7 +333,9 @@ class Application:
         target = self._goals.target
         self._guarded(words, motions.line, lambda arm: motions.arrived_at_pose(arm, pose_from_frame(target)))
 
-    def _guarded(self, words: list[str], make, arrived: Callable[[Arm], bool]) -> None:
+    def _guarded(
+        self, words: list[str], make: Callable[[Arm, Goals], Motion | None], arrived: Callable[[Arm], bool]
+    ) -> None:
         ranges = finite(words[: len(words) // 3 * 3]).reshape(-1, 3)
         if len(ranges) == 0:
             self._replies += [DONE, DONE]

@@ -142,7 +142,7 @@ class Arm:
         """Moves the arm by one step of dt [s]."""
         v_before = self.v
         if self._motion is not None:
-            self._step_motion(dt)
+            self._step_motion(self._motion, dt)
         elif self._backing_off:
             self._step_back(dt)
         elif self._servo is not None and self.safety_stop is None:
@@ -291,7 +291,7 @@ class Arm:
             return np.zeros(6)
         return self.robot.wrench(self.q, self.T_flange_tool, self._touch_torque)
 
-    def _step_motion(self, dt: float) -> None:
+    def _step_motion(self, motion: Motion, dt: float) -> None:
         if self._break_when is not None and self._break_when(self):
             self._breaking = True
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
@@ -301,9 +301,9 @@ class Arm:
         rate = self._motion_rate + min(max(wanted - self._motion_rate, -change), change)
         self._motion_time += 0.5 * (rate + self._motion_rate) * dt
         self._motion_rate = rate
-        q = self._motion.at(self._motion_time)
+        q = motion.at(self._motion_time)
         self.v, self.q = (q - self.q) / dt, q
-        if self._motion_time >= self._motion.duration or (self._breaking and rate == 0.0):
+        if self._motion_time >= motion.duration or (self._breaking and rate == 0.0):
             self._motion = None
             self.v = np.zeros(7)
         elif rate == 0.0:

@@ -24,6 +24,7 @@ def text(value: float) -> str:
     if value == 0.0:
         return f"{sign}0.0"
     _, digit_tuple, exponent = Decimal(repr(abs(value))).as_tuple()
+    assert isinstance(exponent, int)  # a letter stands for what is not finite
     digits = "".join(map(str, digit_tuple)).rstrip("0")
     point = len(digit_tuple) + exponent
     if -3 < point <= 7:

@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from typing import NoReturn
 
 from common.errors import DeviceError
 from rig_simulation.command_line import angle, not_negative, parse_options, port, positive
@@ -83,7 +84,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(prog=f"{name}.py", description=description)
         self._name = name
 
-    def error(self, message: str) -> None:
+    def error(self, message: str) -> NoReturn:
         """Ends the program."""
         self.exit(1, f"{self._name}: {message}\n")
 

@@ -11,6 +11,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -99,10 +100,10 @@ class Server:
         self._lines = LineSplitter()
         self._deaf = False
         self._selector = selectors.DefaultSelector()
-        self._listener = listen(host, port, "the toolbox port", BACKLOG)
+        self._listener: socket.socket | None = listen(host, port, "the toolbox port", BACKLOG)
         self._listener.setblocking(False)
         self.host, self.port = self._listener.getsockname()[:2]
-        handlers = {
+        handlers: dict[str, Callable[..., Any]] = {
             "state": self._state,
             "release": self._release,
             "back_off": self._back_off,
@@ -150,6 +151,7 @@ class Server:
         self._stop.set()
 
     def _start_application(self) -> None:
+        assert self._listener is not None  # where it is closed, nothing is started
         self._application = Application(self._arm, self._panel, self._settings.wiped_window, self._encoders.read)
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._waiting_since = time.monotonic()
@@ -169,6 +171,7 @@ class Server:
                 self._receive()
 
     def _accept(self) -> None:
+        assert self._listener is not None  # it has somebody waiting
         try:
             self._client, address = self._listener.accept()
         except OSError:
@@ -181,6 +184,7 @@ class Server:
         self._log(f"client {address[0]}:{address[1]} connected")
 
     def _receive(self) -> None:
+        assert self._client is not None  # it has sent something
         try:
             data = self._client.recv(65536)
             lines = self._lines.feed(data)
@@ -234,7 +238,8 @@ class Server:
         if self._listener is None:
             return
         self._application.abandon()
-        self._stop_listening()
+        if self._listener in self._selector.get_map():
+            self._selector.unregister(self._listener)
         self._listener.close()
         self._listener, self._deaf = None, False
 
@@ -245,12 +250,10 @@ class Server:
             return
         self._listener.setblocking(False)
 
-    def _stop_listening(self) -> None:
-        if self._listener in self._selector.get_map():
-            self._selector.unregister(self._listener)
-
     def _close_client(self) -> None:
         self._answers.drop()
+        if self._client is None:  # lost while it was answered
+            return
         self._selector.unregister(self._client)
         self._client.close()
         self._client = None
@@ -273,6 +276,7 @@ class Server:
         self._close_client()
 
     def _reset_waiting_clients(self) -> None:
+        assert self._listener is not None  # it is closed only while there is no client
         with contextlib.suppress(OSError):
             while True:
                 waiting, _ = self._listener.accept()
@@ -292,7 +296,7 @@ class Server:
         elif not self._arm.in_motion and not self._arm.v.any():
             self._start_application()
 
-    def _state(self) -> dict:
+    def _state(self) -> dict[str, Any]:
         with self.lock:
             self._advance()
             arm = self._arm
@@ -348,7 +352,7 @@ class Server:
         self._answers.put(self._application.advance(self._next_time()), time.monotonic())
 
 
-def _numbers(value, count: int) -> np.ndarray:
+def _numbers(value: Any, count: int) -> np.ndarray:
     """Returns a list of finite numbers from a request as an array.
 
     Raises:

@@ -69,23 +69,23 @@ class Mp4:
             self._start = time
             height, width = picture.shape[:2]
             self._writer = cv2.VideoWriter(
-                str(self._path), cv2.VideoWriter_fourcc(*"mp4v"), self._rate, (width, height)
+                str(self._path), cv2.VideoWriter.fourcc(*"mp4v"), self._rate, (width, height)
             )
             if not self._writer.isOpened():
                 raise FilmError(f"The film {self._path} cannot be written.")
         due = math.floor((time - self._start) * self._rate + 1e-6)
         while self.frames < due:
-            self._write(self._last)
+            self._write(self._writer, self._last)
         if self.frames == due:
-            self._write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+            self._write(self._writer, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
 
     def close(self) -> None:
         """Ends the file."""
         if self._writer is not None:
             self._writer.release()
 
-    def _write(self, picture: np.ndarray) -> None:
-        self._writer.write(picture)
+    def _write(self, writer: cv2.VideoWriter, picture: np.ndarray) -> None:
+        writer.write(picture)
         self._last = picture
         self.frames += 1
 

@@ -124,6 +124,7 @@ class View:
         if self._is_new:
             self._attach()
             self._is_new = False
+        assert self._renderer is not None  # the first state is of a new model
         self._renderer.update_scene(self._world.data, self._camera)
         add_arrows(self._renderer.scene, arrows(self._contacts))
         grasp = [pair for pair in pair_forces(self._contacts) if pair.by_robot][:SHOWN_FORCES]

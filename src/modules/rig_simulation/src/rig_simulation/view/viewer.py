@@ -66,6 +66,7 @@ def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Ev
                 if window is not None:
                     window.close()
                 window = viewer.launch_passive(world.model, world.data, show_left_ui=False, show_right_ui=False)
+            assert window is not None  # the first state is of a new model
             with window.lock():
                 if is_new:
                     aim(window.cam, tuple(options.view), world.data)
