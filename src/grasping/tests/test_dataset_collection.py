@@ -175,7 +175,7 @@ def offer(collector, stamps, camera=CAMERA):
 
 
 @given(st.lists(st.floats(0.001, 0.5), min_size=1, max_size=60), st.floats(0.0, 0.02))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_frames_are_thinned_by_rate_and_motion(steps, speed):
     collector = Collector(FRAMES, WATCH, UP)
     collector.hand(OPEN, LOW, 0.0)

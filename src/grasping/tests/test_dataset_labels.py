@@ -44,7 +44,7 @@ def test_the_label_is_zero_where_the_person_grasps_as_ggcnn_proposes(camera):
 
 
 @given(SMALL, SMALL, SMALL, ANGLES, TILTS, TILTS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_the_label_tells_the_whole_grasp_but_for_half_a_turn(x, y, z, turn, about_x, about_y):
     T = pose(rotation(about_x, about_y, turn), (x, y, 0.9 + z))
     frame = grasped(FRAME._replace(camera=DISTORTED), T)
@@ -55,7 +55,7 @@ def test_the_label_tells_the_whole_grasp_but_for_half_a_turn(x, y, z, turn, abou
 
 
 @given(ANGLES, ANGLES, TILTS, TILTS, SMALL, SMALL)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_picture_that_turns_about_the_optical_axis_turns_the_label(by, turn, about_x, about_y, x, y):
     frame = grasped(FRAME, pose(rotation(about_x, about_y, turn), (x, y, 0.9)))
     before = relative_label(frame)
@@ -96,7 +96,7 @@ def test_a_window_that_moves_shifts_the_pixel_alone(rows, columns):
 
 
 @given(ANGLES, TILTS, TILTS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_half_a_turn_of_the_hand_changes_nothing(turn, about_x, about_y):
     T = pose(rotation(about_x, about_y, turn), (0.01, 0.02, 0.9))
     labels = [relative_label(grasped(FRAME, T @ pose(rotation_about(2, a)))) for a in (0.0, np.pi)]
@@ -127,7 +127,6 @@ def test_a_frame_whose_grasps_have_no_place_has_no_label():
 
 
 @given(st.floats(0.0, 300.0), st.floats(0.0, 300.0), st.sampled_from([75, 150, 300]))
-@settings(deadline=None)
 def test_pixels_of_map_and_camera_undo_each_other(row, column, side):
     peak = FRAME.peak._replace(row=row, column=column)
     found = map_pixel(np.array(camera_pixel(peak.row, peak.column, FRAME.crop, side)), FRAME.crop, side)

@@ -59,7 +59,7 @@ def assert_equal(a: Episode, b: Episode) -> None:
 
 
 @given(st.integers(1, 4), st.integers(8, 20), st.sampled_from([3, 6]), st.booleans())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_an_episode_comes_back_as_it_was(n, side, m, held):
     given_one = episode(n, Crop(200, 300, side), m=m, held=held)
     found = decode(encode(given_one))
@@ -132,7 +132,7 @@ def test_a_file_cut_anywhere_is_named_torn():
 
 
 @given(st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_damaged_bytes_are_noticed_or_harmless(data):
     """Not every byte of an archive carries meaning; what comes back is the episode or a sentence."""
     damaged = bytearray(WHOLE)

@@ -49,7 +49,7 @@ def test_crop_is_in_the_middle_and_moves_up():
         centre_crop((480, 640), 400, 41)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6), st.floats(0.0, 0.5))
 def test_filling_touches_holes_only_and_stays_in_range(seed, share):
     depth = scene(seed, share)[:90, :120]

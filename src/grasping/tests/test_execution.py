@@ -195,7 +195,7 @@ moments = st.tuples(
 )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(moments, max_size=12))
 def test_whatever_comes_an_execution_ends_once(moments):
     trial = Trial().start()

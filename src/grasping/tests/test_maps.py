@@ -42,7 +42,7 @@ def test_angle_is_not_spoilt_where_it_jumps():
 
 
 @given(st.floats(-1.5, 1.5))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_constant_maps_stay(angle):
     maps = smoothed(output(np.full((30, 30), angle)), np.ones((30, 30), bool), Smoothing())
     np.testing.assert_allclose(maps.angle, angle, atol=1e-3)
@@ -77,7 +77,7 @@ def test_peaks_come_best_first_and_apart():
 
 
 @given(st.integers(0, 10**6), st.integers(2, 12))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_peaks_are_maxima_and_keep_their_distance(seed, distance):
     quality = gaussian(np.random.default_rng(seed).random((80, 80), dtype=np.float32), 2.0)
     found = peaks(Maps(quality, quality, quality), 50, distance, 0.0)

@@ -50,7 +50,7 @@ def test_number_of_parameters(name, count):
     assert sum(p.numel() for p in NETWORKS[name]().parameters()) == count
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(1, 7), st.integers(1, 7), st.integers(1, 4), st.integers(1, 4))
 def test_shuffled_transpose_is_the_transposed_convolution(h, w, inputs, outputs):
     x, bias = torch.randn(2, inputs, h, w), torch.randn(outputs)

@@ -20,7 +20,7 @@ CAMERA = pinhole("test", 640, 480, [[F, 0.0, 319.5], [0.0, F, 239.5], [0.0, 0.0,
 CROP = Crop(40, 120, 400)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 299), st.integers(0, 299), st.floats(-1.57, 1.57), st.floats(0.5, 1.5))
 def test_the_grasp_is_where_its_pixel_looks(row, column, angle, z):
     found = grasp(Peak(row, column, 0.8, angle, 60.0), CROP, 300, np.full((480, 640), z), CAMERA)
@@ -61,7 +61,7 @@ def test_depth_between_the_fingers_is_the_mean_of_the_ten_nearest_readings():
 directions = st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)).map(lambda t: np.array([*t, 1.0]))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(20, 280), st.integers(20, 280), st.floats(-1.57, 1.57), directions, st.floats(5.0, 60.0))
 def test_another_approach_leaves_the_fingers_on_their_line_in_the_picture(row, column, angle, direction, width):
     first = grasp(Peak(row, column, 0.8, angle, width), CROP, 300, np.full((480, 640), 0.8), CAMERA)
@@ -75,7 +75,7 @@ def test_another_approach_leaves_the_fingers_on_their_line_in_the_picture(row, c
     assert abs(np.sin(found - angle)) < 1e-4  # modulo half a turn
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(20, 280), st.integers(20, 280), st.floats(-1.5, 1.5), st.floats(1.0, 60.0))
 def test_a_grasp_along_the_axis_is_seen_as_the_network_saw_it(row, column, angle, width):
     first = grasp(Peak(row, column, 0.8, angle, width), CROP, 300, np.full((480, 640), 0.8), CAMERA)

@@ -81,7 +81,7 @@ def test_a_turned_picture_gives_turned_changes(quarters):
     np.testing.assert_allclose(found, np.rot90(plain, quarters, (1, 2)), atol=0.02 * np.abs(plain).max())
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(-3, 3), st.integers(-3, 3))
 def test_a_shifted_picture_gives_shifted_changes(rows, columns):
     found = looks(lambda m: np.roll(m, (SHRINK * rows, SHRINK * columns), (0, 1)))

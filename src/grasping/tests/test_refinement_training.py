@@ -56,7 +56,7 @@ def own_pose(peak: Peak = PEAK) -> np.ndarray:
     return grasp(peak, CROP, NETWORK_SIDE, np.full((400, 400), 0.7), CAMERA).T_camera_grasp
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.floats(-0.1, 0.1),
     st.floats(-0.1, 0.1),
@@ -148,7 +148,7 @@ def right_change(seen, target):
     return change
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.sampled_from((0, 1)), st.floats(0.05, 0.5), st.booleans())
 def test_losses_are_smallest_at_the_label(channel, size, negative):
     one = example(frame_of(grasp_at(0.02, -0.015, 0.69)), held=True)

@@ -24,7 +24,7 @@ def leaning_table(focal: float, distance: float, lean_x: float, lean_y: float) -
     return (distance / (rays @ normal)).astype(np.float32)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(450.0, 700.0), st.floats(0.5, 0.9), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.integers(0, 99))
 def test_it_is_seen_past_things_noise_and_holes(focal, distance, lean_x, lean_y, seed):
     rng = np.random.default_rng(seed)

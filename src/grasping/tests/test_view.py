@@ -38,7 +38,7 @@ places = st.tuples(st.floats(0.0, 55.0), st.floats(-3.1, 3.1), st.floats(0.7, 1.
 )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(places)
 def test_from_wherever_the_camera_looks_the_view_shows_the_table_from_above(place):
     T_base_camera = looking_at(place, (0.0, 0.0, 0.0))
@@ -145,7 +145,7 @@ def test_the_cameras_view_is_the_published_nodes_picture():
 normals = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7)).map(lambda t: np.array([*t, 1.0]))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(normals, st.floats(0.4, 2.0), st.integers(0, 1000))
 def test_a_plane_is_found_among_a_third_of_outliers(n, distance, seed):
     random = np.random.default_rng(seed)
@@ -164,7 +164,7 @@ def test_too_few_pixels_and_pixels_in_a_row_make_no_plane():
     assert best_plane(np.ones((50, 3)), np.ones(50), 0.003) is None
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.floats(-40.0, 40.0), st.floats(-3.1, 3.1))
 def test_the_normal_at_a_grasp_is_that_of_its_own_surface(tilt, yaw):
     """A box on the table, seen from above: its top has the normal of the table; the table beside it has no say."""

@@ -116,7 +116,7 @@ def test_a_file_without_deviations_is_the_closed_form_itself(model):
 
 @models
 @pytest.mark.parametrize("degrees", [0.5, 3.0, 15.0])
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=seeds)
 def test_every_pose_near_the_present_one_is_reached(model, degrees, seed):
     rng = np.random.default_rng(seed)
@@ -155,7 +155,7 @@ def test_a_tool_that_stands_still_leaves_the_joints_where_they_are(model, seed):
 
 
 @models
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seeds)
 def test_paths_are_followed_with_small_steps_and_the_elbow_of_the_closed_form(model, seed):
     """As a hand moves the tool; the arm of the data sheet on the same way sets the measure."""

@@ -635,7 +635,7 @@ hands = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.sampled_from([RealTimeConfig, PtpConfig]), hands)
 def test_whatever_the_hand_does_goals_keep_the_limits_and_modes_keep_their_order(schema, acts):
     """The fake arm asserts that no command comes in the wrong mode."""

@@ -115,7 +115,7 @@ def smooth(rng, steps, size, count=3):
 
 
 @arms
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_smooth_paths_are_followed_without_a_flip(arm, seed):
     """As a hand moves the tool: up to 0.5 m and 30 deg about home, some of it out of reach."""

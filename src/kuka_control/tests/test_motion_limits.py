@@ -48,7 +48,7 @@ def speeds(goals, dt=DT):
     return np.diff(goals, axis=0) / dt
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(joints, st.lists(st.tuples(joints, st.integers(1, 60)), min_size=1, max_size=5))
 def test_speed_acceleration_and_jerk_keep_their_limits_whatever_the_targets(start, targets):
     follower = limits(start)
@@ -60,7 +60,7 @@ def test_speed_acceleration_and_jerk_keep_their_limits_whatever_the_targets(star
     assert np.all(np.abs(np.diff(v, n=2, axis=0)) / DT**2 <= 1.05 * JERK + 1.0)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(joints, joints)
 def test_the_tool_keeps_its_speed_limit(start, target):
     tool = np.array([tool_position(q) for q in run(limits(start), target, 1.0)])
@@ -68,7 +68,7 @@ def test_the_tool_keeps_its_speed_limit(start, target):
     assert np.max(np.linalg.norm(np.diff(tool, axis=0), axis=1)) <= 1.05 * TCP_SPEED * DT
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(joints, joints)
 def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):
     follower = limits(start)
@@ -80,7 +80,6 @@ def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):
     assert step.limited_by is None
 
 
-@settings(deadline=None)
 @given(cycles)
 def test_uneven_cycles_do_not_count_for_longer_than_they_may(dts):
     follower = limits()
@@ -91,7 +90,6 @@ def test_uneven_cycles_do_not_count_for_longer_than_they_may(dts):
         before = q
 
 
-@settings(deadline=None)
 @given(st.floats(-0.6, 0.6), st.floats(0.002, 0.006))
 def test_a_steady_target_within_the_limits_is_met_without_lag(share, dt):
     v = share * SPEEDS * WRIST
@@ -132,7 +130,7 @@ def test_a_stall_of_the_loop_is_not_made_up_for():
     assert after[6] - before[6] <= SPEEDS[6] * MAX_CYCLE_S + 1e-9
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(joints)
 def test_the_goal_waits_for_an_arm_that_stands(target):
     follower = limits()
@@ -154,7 +152,7 @@ def test_a_share_of_the_limits():
     assert np.max(v[:, 6]) == pytest.approx(0.5 * SPEEDS[6])
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.lists(st.tuples(joints, st.floats(-3.0, 3.0), st.integers(1, 60)), min_size=1, max_size=6))
 def test_no_goal_leaves_the_joint_ranges_also_when_the_target_rushes_at_them(targets):
     follower = limits()

@@ -82,7 +82,7 @@ def test_a_low_workspace_is_reached_everywhere_and_with_a_long_tool_nowhere():
     assert beyond.percent_down == beyond.percent_within == beyond.percent_always == 0.0
 
 
-@settings(deadline=None, max_examples=5)
+@settings(max_examples=5)
 @given(st.integers(0, 100))
 def test_percentages_are_in_order(seed):
     found = study(seed=seed, count=60)

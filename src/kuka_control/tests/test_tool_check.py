@@ -44,7 +44,7 @@ def test_scaling_is_undone(position, scale):
     np.testing.assert_allclose(scaled(unscaled(position, HOME.centre, scale), HOME.centre, scale), position, atol=1e-12)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(coordinates, coordinates, st.floats(-0.3, 0.3), st.floats(-1.5, 1.5), scales)
 def test_the_answer_is_what_the_control_loop_makes_of_the_desired_frame(x, y, z, turn, scale):
     T = tool(x, y, z, turn)

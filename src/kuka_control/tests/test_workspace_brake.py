@@ -64,7 +64,7 @@ def run(follower, targets):
     return np.array([follower.step(target, follower.goal, DT).q for target in targets])
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(speeds, st.integers(5, 60)), min_size=1, max_size=6))
 def test_no_wish_of_joint_speeds_carries_the_tool_out(wishes):
     brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
@@ -76,7 +76,7 @@ def test_no_wish_of_joint_speeds_carries_the_tool_out(wishes):
             assert outside(now.q) < ALLOWED_M
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(speeds, st.integers(5, 60))
 def test_what_stays_inside_is_untouched_bit_by_bit(wish, steps):
     brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
@@ -92,7 +92,7 @@ def test_what_stays_inside_is_untouched_bit_by_bit(wish, steps):
             np.testing.assert_array_equal(taken, expected)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(st.lists(st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06)), min_size=2, max_size=4))
 def test_far_from_all_bounds_the_stream_is_the_same_as_without_a_brake(turns):
     targets = [HOME + np.array([a, b, 0, a, 0, b, a]) for a, b in turns for _ in range(40)]
@@ -130,7 +130,7 @@ def test_along_takes_away_the_way_out_and_nothing_else(place, wish):
     assert np.linalg.norm(rest) < 2e-2
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(shifts)
 def test_a_tool_that_is_outside_comes_back_in(shift):
     follower = limits()
@@ -199,7 +199,7 @@ def feasible(T, shift):
     return x - y > 0.1 and z > 0.02
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.lists(shifts, min_size=2, max_size=6), st.floats(0.2, 1.5), st.sampled_from([74.0, 115.0]))
 def test_whatever_the_hand_does_the_goals_stay_in_the_workspace(moves, speed, rate):
     rig = simulated()

@@ -29,7 +29,7 @@ workspaces = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(workspaces, st.integers(0, 1000))
 def test_volume_samples_lie_in_the_workspace(space, seed):
     positions = volume_samples(space, 50, np.random.default_rng(seed))
@@ -53,7 +53,7 @@ def test_volume_samples_are_spread_evenly_over_the_volume():
     assert np.mean(turns > 0.0) == pytest.approx(0.5, abs=0.015)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(workspaces, st.integers(0, 1000))
 def test_constrained_samples_are_in_the_workspace_and_say_what_acted(space, seed):
     samples = constrained_samples(space, 60, np.random.default_rng(seed))

@@ -210,7 +210,7 @@ def test_reset_ends_the_stream(play, sample):
     assert play.step(sample()).state == WAITING
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(-math.pi, math.pi), st.lists(st.tuples(*[st.floats(-40.0, 40.0)] * 3), min_size=1, max_size=15))
 def test_turning_the_device_about_the_vertical_changes_nothing_in_the_base_frame(
     leap, arm, player, sample, turn, attitudes
@@ -225,7 +225,7 @@ def test_turning_the_device_about_the_vertical_changes_nothing_in_the_base_frame
     np.testing.assert_allclose(tool_in_base(results[0]), tool_in_base(results[1]), atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(-0.04, 0.04))
 def test_a_left_hand_does_what_the_mirrored_right_hand_does(leap, arm, player, sample, yaw, pitch, roll, x):
     right, left = (player(Teleop(leap(), arm())) for _ in range(2))

@@ -57,7 +57,7 @@ def test_the_tool_is_held_with_every_frame_until_the_time_is_over(holding):
     assert play.step().reason == "no hand is seen"
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(place, st.floats(-180.0, 180.0), st.floats(-9.0, 9.0), st.floats(-180.0, 180.0), level, level, in_box, in_box)
 def test_a_hand_begins_exactly_where_the_tool_is_held(holding, sample, p, turn, tilt, yaw, pitch, roll, x, z):
     """Whatever its place in the box, its heading and its tilt; and later its own attitude counts as ever."""
@@ -77,7 +77,7 @@ def test_a_hand_begins_exactly_where_the_tool_is_held(holding, sample, p, turn, 
     np.testing.assert_allclose(math.atan2(R[1, 0], R[0, 0]), math.atan2(T[1, 0], T[0, 0]), atol=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-180.0, 180.0), *[st.floats(-0.05, 0.05)] * 3, *[st.floats(-30.0, 30.0)] * 3)
 def test_the_tool_then_moves_as_without_a_hold_but_for_its_heading(
     leap, arm, player, holding, sample, turn, x, y, z, yaw, pitch, roll

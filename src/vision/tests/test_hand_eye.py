@@ -13,7 +13,7 @@ from common.rotations import rotation_about
 from vision.hand_eye import Degenerate, View, camera_pose, information, leave_one_out, point_sd, scales, solve
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(5, 16))
 def test_exact_views_give_the_truth(seed, count):
     X, Z, views = scene(seed, count)
@@ -44,7 +44,7 @@ def test_more_views_make_it_surer_and_points_near_the_panel_are_surest():
     assert point_sd(many, near) < 0.7 * point_sd(many, Z[:3, 3])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6), st.integers(1, 4))
 def test_wrong_views_are_left_out(seed, wrong):
     X, Z, views = scene(seed, 12, SD)

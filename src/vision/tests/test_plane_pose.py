@@ -40,7 +40,7 @@ def see(T, points=POINTS, picture=None, pixels=None, plate=PLATE, config=SETTING
     return depth_pose(T_colour, points, pixels, camera, picture, DEPTH, T_RGB_DEPTH, plate, config)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(T=poses)
 def test_without_errors_all_poses_are_the_truth(T):
     result = see(T)
@@ -51,7 +51,7 @@ def test_without_errors_all_poses_are_the_truth(T):
     assert abs(result.disagreement) < 1e-3
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(T=poses, seed=st.integers(0, 1000))
 def test_fused_is_surer_than_either(T, seed):
     rng = np.random.default_rng(seed)
@@ -110,7 +110,7 @@ def test_the_wrong_one_of_two_solutions_is_put_right():
     np.testing.assert_allclose(result.fused.T_camera_panel, T, atol=1e-3)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(T=poses, share=st.floats(0.0, 0.3))
 def test_an_arm_before_the_panel_and_holes_do_not_bend_it(T, share):
     picture = depth_picture(T)
@@ -150,7 +150,7 @@ def test_a_tag_of_another_size_than_told_is_noticed():
     np.testing.assert_allclose(result.plane.T_camera_panel, T, atol=1e-3)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(T=poses)
 def test_derivatives_of_a_poses_plane(T):
     plane, J = _plane_of(T)
@@ -161,7 +161,7 @@ def test_derivatives_of_a_poses_plane(T):
     np.testing.assert_allclose(plane @ T[:3, 3], 1.0)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(T=poses)
 def test_a_plane_seen_from_another_frame_holds_the_same_points(T):
     before, C = _plane_of(T)[0], np.diag([1e-4, 2e-4, 3e-4])
@@ -174,7 +174,7 @@ def test_a_plane_seen_from_another_frame_holds_the_same_points(T):
     np.testing.assert_allclose(covariance, J @ C @ J.T, rtol=1e-3, atol=1e-8)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(share=st.floats(0.0, 0.4), seed=st.integers(0, 1000))
 def test_the_majority_makes_the_plane(share, seed):
     rng = np.random.default_rng(seed)

@@ -24,7 +24,7 @@ def one_point(u, v, z):
     return REGISTRATION.register(picture)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(u=st.integers(60, 580), v=st.integers(60, 420), z=st.floats(0.5, 3.5))
 def test_a_point_lands_where_the_rectified_camera_sees_it(u, v, z):
     X = RGB.R @ (T_RGB_DEPTH[:3, :3] @ (DEPTH.rays((u, v)) * z) + T_RGB_DEPTH[:3, 3])
@@ -35,7 +35,7 @@ def test_a_point_lands_where_the_rectified_camera_sees_it(u, v, z):
     assert registered[rows[0], columns[0]] == pytest.approx(X[2], rel=1e-5)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(slant=st.floats(-0.4, 0.4), z=st.floats(0.6, 2.0))
 def test_as_taken_is_the_depth_of_what_the_raw_colour_picture_shows(slant, z):
     """A slanted wall: every pixel of the raw picture looks at one place of it."""

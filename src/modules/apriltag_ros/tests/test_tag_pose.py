@@ -36,7 +36,7 @@ def error(T, truth):
     return np.concatenate((T[:3, 3] - truth[:3, 3], pin.log3(T[:3, :3] @ truth[:3, :3].T)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @example(0.625, 0.0, 0.0, 0.0, 0.1, 0.0, False)  # head-on, where OpenCV's IPPE goes wrong
 @example(0.5, 0.75, 1.5707963, 0.0, 0.1, 0.0, False)
 @given(

@@ -71,7 +71,7 @@ def test_finds_where_each_knuckle_turns(make_settings):
 slacks = st.one_of(st.none(), st.integers(0, 400))
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(slack=st.tuples(slacks, slacks, slacks), most=st.integers(20, 300), step_ticks=st.integers(4, 20))
 def test_is_bounded(make_settings, slack, most, step_ticks):
     hand = Hand(slack)

@@ -15,7 +15,7 @@ from reflex.status import status
 from rig_simulation.reflex.hand import SimulatedHand
 
 TRAVEL = (3.6, 3.6, 3.6, 1.75)
-once = settings(deadline=None, max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+once = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def angles(bench):
@@ -497,7 +497,7 @@ actions = st.lists(
 )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(plan=actions, seed=st.integers(0, 100))
 def test_any_sequence_of_events_leaves_a_driver_that_works(bench, plan, seed):
     b = bench(seed)

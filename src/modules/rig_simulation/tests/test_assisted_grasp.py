@@ -130,7 +130,7 @@ def work(rig, rounds=1, seconds=300.0, each=lambda rig, result: None):
     pytest.fail(f"not over after {seconds} s: {steps}")
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(-0.03, 0.03), st.floats(-0.03, 0.03), st.floats(-1.5, 1.5), st.floats(-0.3, 0.3))
 def test_the_person_makes_good_what_the_proposal_lacks(dx, dy, turned, off):
     rig = Rig((dx, dy, 0.0), turned, wanted=turned + off)

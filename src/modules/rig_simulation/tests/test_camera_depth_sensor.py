@@ -64,13 +64,13 @@ def take(lens: Lens, z: float, count: int = 1, **changes) -> np.ndarray:
     return np.stack([camera.take(wall(lens, z), white(lens)) for _ in range(count)]).astype(float)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(z=st.floats(0.46, 3.49))
 def test_an_ideal_sensor_tells_the_truth_to_the_millimetre(lens, z):
     np.testing.assert_allclose(take(lens, z), 1000.0 * z, atol=0.51)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(nx=st.floats(-0.7, 0.7), ny=st.floats(-0.7, 0.7))
 def test_an_ideal_sensor_sees_slanted_planes_as_they_are(lens, nx, ny):
     """A plane n . p = 1 has the inverse depth n . ray."""
@@ -150,7 +150,7 @@ def test_registered_depth_also_misses_what_the_infrared_camera_does_not_see(lens
     assert (right.min(), len(right)) == (200, pytest.approx(F * 0.027 * 0.625, abs=1.0))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(slope=st.floats(-0.9, 0.9), fb=st.sampled_from([-14.0, 43.0]))
 def test_a_plane_hides_no_part_of_itself(slope, fb):
     w = 1.0 + slope * (np.arange(WIDTH, dtype=np.float32) - 159.5) / F

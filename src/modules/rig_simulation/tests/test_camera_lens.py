@@ -52,7 +52,7 @@ def test_a_shift_goes_to_the_right_and_up(camera):
         np.testing.assert_allclose(moved, step, atol=1e-5)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(dx=st.floats(-0.5, 0.5), dy=st.floats(-0.5, 0.5))
 def test_a_window_sampled_beside_its_centres_shows_the_same(camera, dx, dy):
     lens = Lens(camera, (dx, dy))

@@ -48,7 +48,7 @@ def test_nobody_is_there_before_a_hand_is_shown(guided):
     assert guided.hand() == {"in_view": False, "moving": False}
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     *(st.floats(-0.3, 0.3) for _ in range(3)),
     st.floats(0.0, 1.0),

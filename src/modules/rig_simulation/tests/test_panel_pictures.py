@@ -20,7 +20,7 @@ CALIBRATIONS = Path(__file__).parents[3] / "vision" / "config"
 CAMERAS = ["--rgb", str(CALIBRATIONS / "xtion_rgb.yaml"), "--depth", str(CALIBRATIONS / "xtion_depth.yaml")]
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(distance=st.floats(0.5, 3.0), tilt=st.floats(0.0, 1.2), seed=st.integers(0, 100))
 def test_a_pose_has_the_distance_and_the_tilt_that_were_asked_for(distance, tilt, seed):
     T = random_pose(distance, tilt, 0.3, np.random.default_rng(seed))

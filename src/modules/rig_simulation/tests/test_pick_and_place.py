@@ -29,7 +29,7 @@ def work(rig, seconds=120.0, following=lambda now: True, wanted=None):
     pytest.fail(f"not over after {seconds} s: {steps}")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(0.6, 1.1), st.floats(0.05, 0.4), st.floats(-0.06, 0.06), st.floats(-0.06, 0.06))
 def test_the_object_is_lifted_and_put_down_where_it_stood(scale, lag, dx, dy):
     top = TOP + np.array([dx, dy, 0.0])
@@ -75,7 +75,7 @@ def test_a_person_waits_out_an_interruption():
     assert not result.failure and steps[-1] == "done"
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(-PLAN.most_turn, PLAN.most_turn), st.floats(0.6, 1.1))
 def test_the_hand_turns_until_the_fingers_fit(wanted, scale):
     rig = FollowingRig(scale)

@@ -119,7 +119,7 @@ def test_the_last_motors_mode_decides_how_targets_are_read():
     assert hand.state()["torque"] == [False, False, False, True]
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(
     st.lists(
         st.one_of(

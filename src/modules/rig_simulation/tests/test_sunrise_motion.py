@@ -44,7 +44,7 @@ def test_a_step_keeps_its_limits_and_is_symmetric(speed, acceleration):
     assert_allclose(s + s[::-1], 1.0, atol=1e-9)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(joints, joints, st.floats(0.01, 1.0))
 def test_a_joint_move_arrives_exactly_with_all_joints_in_step(start, end, share):
     if np.array_equal(start, end):
@@ -148,7 +148,7 @@ def test_forward_kinematics_against_the_reference(q, robot, flange, shift_mm, xy
     assert_allclose(T[:3, :3], rotation_from_zyx(*abc), atol=2e-6)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(joints)
 def test_the_jacobian_is_the_derivative_of_the_pose(q):
     v, h = np.linspace(-1.0, 1.0, 7), 1e-6

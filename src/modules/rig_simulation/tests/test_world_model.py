@@ -44,7 +44,7 @@ PAIRS.append(Pair(ROBOTS[0], FLANGES[0], MOUNTINGS[0]))
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(q=joints)
 def test_flange_and_gravity_are_those_of_the_controllers_model(pair, q):
     pair.take(q)
