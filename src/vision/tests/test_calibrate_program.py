@@ -1,13 +1,18 @@
 """The program calibrate_camera on the simulated arm: it asks, visits, refuses or stores, and ends with a sentence."""
 
 import re
+from dataclasses import replace
 
+import hand_eye_scene
 import numpy as np
 import pytest
 from panel_scene import T_FLANGE_PANEL, PanelScene, parameters
 
+from common.config import parse
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle, unit
+from vision.calibration import CalibrationConfig, judge
+from vision.calibration_record import by_views
 
 pytestmark = pytest.mark.ros
 
@@ -96,6 +101,35 @@ def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scen
     assert again.wait(30.0) == 1, "nobody was there to say yes"
     assert "The camera is 0.0 mm and 0.00 deg from where" in again.log_path.read_text()
     assert stored(tmp_path) == [file]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("robot", "LBR14R820"),
+        ("flange", "MF_touch_pneumatisch"),
+        ("camera", "another_camera"),
+        ("panel", "other_panel"),
+    ],
+)
+def test_views_of_another_rig_are_not_taken_for_this_ones(processes, scene, tmp_path, key, value):
+    from vision.ros.calibration_store import CalibrationStore, StoreConfig
+
+    X, _, views = hand_eye_scene.scene(1, 12, hand_eye_scene.SD / 10.0)
+    views = [replace(view, T_base_flange=view.T_base_flange @ X @ inverse(T_FLANGE_PANEL)) for view in views]
+    limits = parse(CalibrationConfig, parameters(tmp_path)["limits"])
+    verdict = judge(views, T_FLANGE_PANEL, limits)
+    assert verdict.accepted, verdict.sentence
+    head = {"robot": "LBR7R800", "flange": "MF_elektrisch", "camera": "1234", "panel": "tag_frame", key: value}
+    record = by_views(verdict, views, date="2026-01-01T00:00:00", camera_frame="camera_rgb_optical_frame", **head)
+    other = CalibrationStore(StoreConfig(str(tmp_path / "other"), "1234", "LBR7R800", "MF_elektrisch"))
+    file = other.save(record)
+    program = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file), "--yes")
+    assert program.wait(60.0) == 1
+    log = program.log_path.read_text()
+    assert f"The file is not of this rig: {key} {value}, not" in log
+    assert "Traceback" not in log
+    assert stored(tmp_path) == []
 
 
 def test_a_panel_that_is_not_as_drawn_is_refused_and_the_old_one_kept(calibrate, scene, arm, tmp_path):

@@ -24,7 +24,7 @@ from common.rotations import rotation_angle
 from rig_description.urdf import urdf
 from vision.arm_model import ArmModel
 from vision.calibration import judge, mean_pose, table, view_from
-from vision.calibration_record import by_views
+from vision.calibration_record import CalibrationRecord, by_views
 from vision.calibration_views import Leg, Place, ViewPlanner, ViewsConfig, guessed_camera
 from vision.hand_eye import Degenerate, View
 from vision.ros.calibration_setup import NAMESPACE, CalibrationSetup, read_setup
@@ -73,6 +73,7 @@ def _run(options: argparse.Namespace) -> None:
     sights = PanelSights(setup.target)
     if options.again:
         record = read(options.again)
+        _refuse_foreign(record, setup)
         views, frame = list(record.views), record.camera_frame
     elif options.by_hand:
         views = _views_by_hand(setup, PanelViewer(setup, sights, DETECTOR))
@@ -81,6 +82,19 @@ def _run(options: argparse.Namespace) -> None:
         views = _views_by_arm(options, setup, sights)
         frame = sights.frame
     _conclude(options, setup, views, frame)
+
+
+def _refuse_foreign(record: CalibrationRecord, setup: CalibrationSetup) -> None:
+    """Raises DeviceError if the views in a file are of another arm, media flange, camera or panel."""
+    store = setup.store_config
+    present = {"robot": store.robot, "flange": store.flange, "camera": store.camera, "panel": setup.panel.frame}
+    others = [
+        f"{key} {getattr(record, key)}, not {value}" for key, value in present.items() if getattr(record, key) != value
+    ]
+    if others:
+        raise DeviceError(
+            f"The file is not of this rig: {'; '.join(others)}. Start camera_apriltag.launch for the rig that it is of."
+        )
 
 
 def _views_by_hand(setup: CalibrationSetup, viewer: PanelViewer) -> list[View]:
