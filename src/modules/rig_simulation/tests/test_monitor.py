@@ -51,6 +51,20 @@ def test_the_flange_the_status_and_the_key(ros, controller, wait_until):
     wait_until(lambda: status[-1].level == DiagnosticStatus.OK, 15.0, "the release")
 
 
+def test_the_stamp_tells_when_the_arm_stood_there_by_the_arms_own_clock(ros, controller, wait_until):
+    import rospy
+    from geometry_msgs.msg import PoseStamped
+
+    from rig_simulation.control_port import ControlPort
+
+    state = {**controller.ask("state"), "time": -1e6, "age": 1000.0}
+    poses = ros.record("simulation/flange", PoseStamped)
+    with ControlPort({"state": lambda: state}) as port:
+        ros.run("rig_simulation", "monitor.py", f"_port:={port.port}")
+        poses.wait(1, 30.0)
+        assert abs((rospy.Time.now() - poses[-1].header.stamp).to_sec() - 1000.0) < 30.0
+
+
 def test_without_a_controller_it_says_so_and_waits(ros, free_port):
     from diagnostic_msgs.msg import DiagnosticStatus
 

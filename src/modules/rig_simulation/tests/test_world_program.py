@@ -96,6 +96,8 @@ def test_one_clock_moves_arm_hand_and_objects(start, wait_until):
     wait_until(lambda: program.world.ask("state")["time"] > 1.0, 60.0, "a second of the world")
     state, hand = program.world.ask("state"), program.hand.ask("state")
     assert not state["stepped"]
+    ages = [program.arm.ask("state")["age"] for _ in range(10)]
+    assert -1e-3 < min(ages) < 0.5, "by the world's clock, which is seconds away from the machine's"
     assert abs(hand["time"] - state["time"]) < 5.0
     objects = program.world.ask("objects")["objects"]
     assert {name for name, one in objects.items() if one["touches"] == ["table"]} == set(objects)
@@ -111,7 +113,8 @@ def test_time_that_is_stepped_stands_still_otherwise(start):
     assert program.world.ask("state")["time"] == 0.0
     assert program.world.ask("step")["steps"] == 1
     assert program.world.ask("step", count=999)["time"] == pytest.approx(1.0)
-    assert program.arm.ask("state")["time"] == pytest.approx(1.0)
+    arm = program.arm.ask("state")
+    assert (arm["time"], arm["age"]) == pytest.approx((1.0, 0.0), abs=1e-6)
     assert program.hand.ask("state")["time"] == pytest.approx(1.0)
     for count in (0, 1001, 1.5, True, "many"):
         with pytest.raises(DeviceError, match="count of steps is a whole number from 1 to 1000"):

@@ -56,8 +56,7 @@ class Monitor:
         flange = np.array(state["flange"])
         message = PoseStamped()
         message.header.frame_id = BASE_FRAME
-        age = max(0.0, time.monotonic() - state["time"])
-        message.header.stamp = rospy.Time.now() - rospy.Duration.from_sec(age)
+        message.header.stamp = rospy.Time.now() - rospy.Duration.from_sec(state["age"])
         message.pose = Pose(Point(*flange[:3, 3]), Quaternion(*quaternion_from_rotation(flange[:3, :3])))
         self._flange.publish(message)
         if time.monotonic() >= self._next_status:

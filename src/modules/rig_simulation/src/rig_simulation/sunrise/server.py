@@ -300,8 +300,10 @@ class Server:
         with self.lock:
             self._advance()
             arm = self._arm
+            assert arm.time is not None  # it has just moved on
             return {
                 "time": arm.time,
+                "age": self._clock() - arm.time,
                 "joints": arm.q.tolist(),
                 "velocities": arm.v.tolist(),
                 "flange": arm.robot.flange(arm.q).tolist(),

@@ -11,7 +11,7 @@ class Clock:
     Args:
         speed: seconds of the world in a second; None: it stands until it is moved.
 
-    With speed 1 it is the system's monotonic clock, so that ages can be told by it.
+    With speed 1 it is the system's monotonic clock; with another it is not, so ages are differences of its own times.
     """
 
     def __init__(self, speed: float | None) -> None:

@@ -60,7 +60,7 @@ class WorldRequests:
 
     def _snapshot(self) -> dict[str, Any]:
         world = self._world
-        return {"time": world.time, "clock": self._clock(), "loads": world.loads, "qpos": world.data.qpos.tolist()}
+        return {"time": world.time, "loads": world.loads, "qpos": world.data.qpos.tolist()}
 
     def _scene(self) -> dict[str, Any]:
         return {"loads": self._world.loads, **self._world.description.as_fields()}
