@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import io
 import os
+import tarfile
 from collections import OrderedDict
 from pathlib import Path
+from typing import Tuple
 
 import published_networks
 import pytest
 import torch
 
-from grasping import weights
+from grasping import refinement, weights
 
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 
@@ -68,6 +70,49 @@ def test_nothing_foreign_runs(tmp_path, old):
     with pytest.raises(weights.WeightsError, match="neither a state dict nor a model"):
         weights.load(data)
     assert not mark.exists()
+
+
+class Program(torch.nn.Module):
+    """What it would do when torch reads it as a TorchScript archive must not happen; it works where it stands."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(3))
+
+    def forward(self, x):
+        return x
+
+    @torch.jit.export
+    def __getstate__(self):
+        return self.weight, self.training
+
+    @torch.jit.export
+    def __setstate__(self, state: Tuple[torch.Tensor, bool]):  # noqa: UP006  # evaluated, also by Python 3.8
+        torch.save(state[0], "ran")
+        self.weight = state[0]
+        self.training = state[1]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize("load", [weights.load, refinement.load], ids=["first network", "second network"])
+def test_no_program_runs(tmp_path, monkeypatch, load):
+    monkeypatch.chdir(tmp_path)
+    buffer = io.BytesIO()
+    torch.jit.save(torch.jit.script(Program()), buffer)
+    with pytest.raises(weights.WeightsError, match="it is a TorchScript program, not a state dict"):
+        load(buffer.getvalue())
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_tar_archive_is_unpacked():
+    """Its first file's name makes it begin as a pickle does."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.GNU_FORMAT, encoding="latin-1") as archive:
+        archive.addfile(tarfile.TarInfo("\x80"))
+        archive.addfile(tarfile.TarInfo("storages"))
+    assert buffer.getvalue().startswith(weights.PICKLE_MAGIC)
+    with pytest.raises(weights.WeightsError, match="it is a tar archive"):
+        weights.load(buffer.getvalue())
 
 
 @pytest.mark.parametrize(

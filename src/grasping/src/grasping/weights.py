@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import pickle
+import tarfile
 import types
 import warnings
 from collections import OrderedDict
@@ -30,6 +31,8 @@ KNOWN = {
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 ZIP_MAGIC = b"PK\x03\x04"
 PICKLE_MAGIC = b"\x80"
+PROGRAM = "constants.pkl"
+"""Record by which torch tells a TorchScript archive, whose code it would run while it reads it."""
 KERAS_LAYERS = {
     **{f"conv2d_{i}": f"conv{i}" for i in (1, 2, 3)},
     **{f"conv2d_transpose_{i}": f"convt{i}" for i in (1, 2, 3)},
@@ -179,9 +182,14 @@ def torch_state(data: bytes) -> dict[str, torch.Tensor]:
     """Returns the state dict of a torch file, which may hold the whole model.
 
     Raises:
-        WeightsError: it holds neither.
+        WeightsError: it holds neither, or torch would not read it with the pickle given here.
     """
     try:
+        # Of the records asks torch's own reader: another one may see others in a malformed archive.
+        if data.startswith(ZIP_MAGIC) and PROGRAM in torch._C.PyTorchFileReader(io.BytesIO(data)).get_all_records():
+            raise WeightsError("it is a TorchScript program, not a state dict")
+        if tarfile.is_tarfile(io.BytesIO(data)):
+            raise WeightsError("it is a tar archive of a torch before 0.2")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # torch remarks that the model's source is not the stub's
             content = torch.load(io.BytesIO(data), map_location="cpu", pickle_module=_SAFE_PICKLE, weights_only=False)
