@@ -58,7 +58,7 @@ class PanelScene:
             flange,
             measured,
         )
-        self.visible, self.noise = True, SD / 3.0
+        self.visible, self.noise, self.sd = True, SD / 3.0, SD
         rospy.set_param(DETECTOR, yaml.safe_load((CONFIG / "tags.yaml").read_text()))
         self._model = pinhole("test", 640, 480, [[545.0, 0, 319.5], [0, 545.0, 239.5], [0, 0, 1]])
         self._rng = np.random.default_rng(0)
@@ -110,5 +110,5 @@ class PanelScene:
         T = pose(pin.exp3(noise[3:]) @ T[:3, :3], T[:3, 3] + noise[:3])
         stamped = PoseWithCovarianceStamped(header=header)
         stamped.pose.pose = Pose(Point(*T[:3, 3]), Quaternion(*quaternion_from_rotation(T[:3, :3])))
-        stamped.pose.covariance = np.diag(SD**2).ravel().tolist()
+        stamped.pose.covariance = np.diag(self.sd**2).ravel().tolist()
         return AprilTagDetection([0, 1, 2, 3, 4], [0.1, 0.06, 0.06, 0.06, 0.06], stamped)

@@ -151,6 +151,8 @@ def test_a_record_survives_its_file(config):
         (lambda v: v["T_base_camera"].update(position=[1200.0, 0, 0]), "T_base_camera/position is"),
         (lambda v: v.update(views=None), "views is None, but must be a list"),
         (lambda v: v["views"].append(3), "views[14]/ is 3"),
+        (lambda v: v.pop("rms_deg"), "rms_mm and rms_deg are missing"),
+        (lambda v: v["views"][2].pop("error"), "The error of a view is missing"),
         (lambda v: v["views"][2].pop("T_base_flange"), "views[2]/T_base_flange/ is None"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import yaml
 from panel_scene import OPTICAL, T_FLANGE_PANEL, T_LINK_OPTICAL, PanelScene, parameters
 
 from common.poses import inverse, pose
@@ -67,12 +68,18 @@ def test_live_then_stored_then_loaded_without_the_tag(ros, scene, buffer, proces
     assert "is stored in" in answer.message
     assert processes.end(node) == 0
     (file,) = (tmp_path / "store").iterdir()
+    values = yaml.safe_load(file.read_text())
+    assert values["kind"] == "live" and 0.5 < values["point_sd_mm"] < 1.5
+    assert not {"rms_mm", "rms_deg"} & set(values) and "error" not in values["views"][0], "one view has no residual"
 
     scene.visible = False
     buffer.clear()
     again = ros.run("vision", "camera_place_node.py", "_mode:=stored")
     np.testing.assert_allclose(place(buffer), T_BASE_CAMERA, atol=0.005)
     assert file.name in again.log_path.read_text()
+    assert "one view, which nothing confirms; a point at the panel known to" in again.log_path.read_text()
+    assert "is a stored one already" in call("camera_place/store").message
+    assert call("camera_place/reload").message.startswith("The place is stored on ")
 
 
 def test_who_saw_the_live_place_also_gets_the_stored_one(ros, scene, buffer, wait_until):
@@ -115,6 +122,38 @@ def test_what_does_not_keep_still_is_not_stored(ros, scene, wait_until, tmp_path
     assert not (tmp_path / "store").exists()
 
 
+@pytest.mark.parametrize(
+    ("sd", "sentence"),
+    [
+        ([0.05, 0.05, 0.05, 0.001, 0.001, 0.001], "A point is known to 86.60 mm only, 1.5 mm are needed."),
+        ([2e-4, 2e-4, 5e-4, 0.2, 0.2, 0.2], "The camera's turn is known to 19.85 deg only, 0.25 deg are needed."),
+    ],
+)
+def test_what_is_known_badly_is_not_stored(ros, scene, wait_until, tmp_path, sd, sentence):
+    """As a small tag that faces the camera, or one with two poses that fit."""
+    scene.sd, scene.noise = np.array(sd), np.zeros(6)
+    ros.run("vision", "camera_place_node.py", "_mode:=live")
+    wait_until(lambda: sentence in call("camera_place/store").message, 20.0, "the refusal")
+    assert not (tmp_path / "store").exists()
+
+
+def test_diagnostics_say_when_the_panel_is_gone(ros, scene, wait_until):
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    ros.run("vision", "camera_place_node.py", "_mode:=live")
+    heard = ros.record("/diagnostics", DiagnosticArray)
+
+    def state():
+        found = [status for message in heard for status in message.status if status.name == "camera_place"]
+        return (found[-1].level, found[-1].message) if found else (None, "")
+
+    wait_until(lambda: state() == (DiagnosticStatus.OK, "live"), 20.0, "a place")
+    scene.visible = False
+    wait_until(lambda: state()[0] == DiagnosticStatus.WARN and "was not seen for" in state()[1], 20.0, "the warning")
+    scene.visible = True
+    wait_until(lambda: state() == (DiagnosticStatus.OK, "live"), 20.0, "a place again")
+
+
 def test_a_torn_calibration_is_named_and_left_aside(ros, scene, wait_until, tmp_path):
     (tmp_path / "store").mkdir()
     (tmp_path / "store" / "camera_place_2026-01-01T000000.yaml").write_text("date: '2026-01-01T00:00:00'\nT_base_cam")
@@ -123,9 +162,21 @@ def test_a_torn_calibration_is_named_and_left_aside(ros, scene, wait_until, tmp_
     wait_until(lambda: "the place is live" in node.log_path.read_text(), 20.0, "live")
 
 
-def test_reload_without_a_calibration(ros, scene):
+@pytest.mark.parametrize(("mode", "why"), [("auto", "nothing is stored in"), ("live", "the mode is live")])
+def test_reload_without_a_calibration(ros, scene, mode, why):
+    ros.run("vision", "camera_place_node.py", f"_mode:={mode}")
+    answer = call("camera_place/reload")
+    assert answer.success and answer.message.startswith(f"The place is live, for {why}")
+
+
+def test_reload_after_the_only_calibration_was_moved_away(ros, scene, buffer, wait_until, tmp_path):
     ros.run("vision", "camera_place_node.py")
-    assert call("camera_place/reload").success
+    place(buffer)
+    wait_until(lambda: call("camera_place/store").success, 15.0, "the storing")
+    (file,) = (tmp_path / "store").iterdir()
+    file.unlink()
+    assert "nothing is stored in" in call("camera_place/reload").message
+    wait_until(lambda: call("camera_place/store").success, 15.0, "the storing of what is live again")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from tag_renderer import render
 
 from apriltag_ros.detector import MEMORY_S, TagDetector
 from apriltag_ros.settings import detector_settings
-from apriltag_ros.tag_pose import CORNER_SIGMA_PX, HINT, REPROJECTION, corner_jacobian, tag_pose
+from apriltag_ros.tag_pose import CORNER_SIGMA_PX, HINT, REPROJECTION, corner_jacobian, covariance, tag_pose
 from apriltag_ros.target import TagPlace, Target
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle
@@ -105,6 +105,26 @@ def test_a_far_small_tag_is_ambiguous_and_a_hint_decides(camera, single):
             )
             wrong += hinted.ratio < 1.0
     assert decided > 5 and wrong > 0
+
+
+def test_covariance_allows_for_the_other_pose_where_the_picture_does_not_tell(camera, single):
+    rng = np.random.default_rng(7)
+    squares, of_corners = [], []
+    for _ in range(150):
+        truth = view(1.4, 12.0, azimuth=rng.uniform(0.0, 6.3))
+        points, exact = corners(single, truth, camera)
+        found = tag_pose(points, exact + rng.normal(0.0, CORNER_SIGMA_PX, exact.shape), camera)
+        e = error(found.T_camera_tag, truth)
+        squares.append(e @ np.linalg.solve(found.covariance, e))
+        of_corners.append(e @ np.linalg.solve(covariance(found.T_camera_tag, points, camera.K), e))
+    assert 4.0 < np.mean(squares) < 9.0  # chi squared of 6
+    assert np.mean(of_corners) > 20.0  # a tenth of the poses is tilted the wrong way
+
+
+def test_covariance_of_a_clear_pose_is_that_of_its_corners(camera, single):
+    points, pixels = corners(single, view(0.5, 40.0), camera)
+    found = tag_pose(points, pixels, camera)
+    np.testing.assert_allclose(found.covariance, covariance(found.T_camera_tag, points, camera.K))
 
 
 def test_the_bundle_is_not_ambiguous_where_one_tag_is(camera, bundle, single):

@@ -158,14 +158,7 @@ def judge(views: list[View], T_flange_panel: np.ndarray, config: CalibrationConf
         (share >= config.min_share, f"Only {share:.0%} of the views fit together, {config.min_share:.0%} are needed."),
         (rms[0] <= config.max_rms_mm, f"The views are {rms[0]:.2f} mm off, {config.max_rms_mm:g} mm are allowed."),
         (rms[1] <= config.max_rms_deg, f"The views are {rms[1]:.2f} deg off, {config.max_rms_deg:g} deg are allowed."),
-        (
-            point <= config.max_point_sd_mm,
-            f"A point is known to {point:.2f} mm only, {config.max_point_sd_mm:g} mm are needed.",
-        ),
-        (
-            turn <= config.max_turn_sd_deg,
-            f"The camera's turn is known to {turn:.2f} deg only, {config.max_turn_sd_deg:g} deg are needed.",
-        ),
+        *_known(point, turn, config),
         (
             not np.isnan(predicted[result.fits]).any(),
             "All hangs on one view: without it the flange turns about one axis only.",
@@ -189,6 +182,20 @@ def judge(views: list[View], T_flange_panel: np.ndarray, config: CalibrationConf
     return Verdict(result, not reasons, reasons, rms, predicted, point, turn, float(size), float(ahead), panel)
 
 
+def check_alone(view: View, config: CalibrationConfig) -> float:
+    """Returns the standard deviation of a point at the panel [mm] where one view alone tells the camera's place.
+
+    Raises:
+        ValueError: with a sentence for each thing that is known too badly.
+    """
+    point = 1e3 * float(np.sqrt(np.trace(view.covariance[:3, :3])))
+    turn = float(np.degrees(np.sqrt(np.trace(view.covariance[3:, 3:]))))
+    reasons = [sentence for holds, sentence in _known(point, turn, config) if not holds]
+    if reasons:
+        raise ValueError(" ".join(reasons))
+    return point
+
+
 def table(verdict: Verdict) -> list[str]:
     """Returns lines with the errors of each view, and whether it counts."""
     lines = ["view   error [mm]  [deg]   predicted by the others [mm]  [deg]"]
@@ -199,6 +206,20 @@ def table(verdict: Verdict) -> list[str]:
         rest = f"{predicted[0]:28.2f}{predicted[1]:9.2f}" if fits else f"{'left out':>37}"
         lines.append(f"{i:4d}{shift:13.2f}{turn:7.2f}{rest}")
     return lines
+
+
+def _known(point: float, turn: float, config: CalibrationConfig) -> tuple[tuple[bool, str], ...]:
+    """Returns whether a point [mm] and the camera's turn [deg] are known well enough, each with what is said if not."""
+    return (
+        (
+            point <= config.max_point_sd_mm,
+            f"A point is known to {point:.2f} mm only, {config.max_point_sd_mm:g} mm are needed.",
+        ),
+        (
+            turn <= config.max_turn_sd_deg,
+            f"The camera's turn is known to {turn:.2f} deg only, {config.max_turn_sd_deg:g} deg are needed.",
+        ),
+    )
 
 
 def _apart(T: np.ndarray, other: np.ndarray) -> tuple[float, float]:

@@ -31,9 +31,9 @@ class CalibrationRecord:
         camera_frame: the optical frame whose pose this is.
         T_base_camera: in kuka/base_frame, shape (4, 4) [m].
         T_flange_panel: shape (4, 4) [m].
-        rms_mm, rms_deg: root mean square error of the views.
-        point_sd_mm: standard deviation of a point at the panel; nan for LIVE.
-        errors: each view's error [mm, deg], shape (n, 2).
+        rms_mm, rms_deg: root mean square error of the views; None for LIVE, where nothing contradicts the one view.
+        point_sd_mm: standard deviation of a point at the panel.
+        errors: each view's error [mm, deg], shape (n, 2); shape (0, 2) for LIVE.
         views: what it was computed from.
     """
 
@@ -46,11 +46,18 @@ class CalibrationRecord:
     camera_frame: str
     T_base_camera: np.ndarray
     T_flange_panel: np.ndarray
-    rms_mm: float
-    rms_deg: float
+    rms_mm: float | None
+    rms_deg: float | None
     point_sd_mm: float
     errors: np.ndarray
     views: tuple[View, ...]
+
+    @property
+    def accuracy(self) -> str:
+        """How well the place is known, as a part of a sentence."""
+        if self.kind == LIVE:
+            return f"one view, which nothing confirms; a point at the panel known to {self.point_sd_mm:.2f} mm"
+        return f"{self.rms_mm:.2f} mm, {self.rms_deg:.2f} deg in {len(self.views)} views"
 
 
 @dataclass(frozen=True)
@@ -62,9 +69,15 @@ class _Head:
     panel: str = text()
     camera: str = text()
     camera_frame: str = text()
-    rms_mm: float = number("mm", low=0.0)
-    rms_deg: float = number("deg", low=0.0)
+    rms_mm: float | None = number("mm", low=0.0, absent=None)
+    rms_deg: float | None = number("deg", low=0.0, absent=None)
     point_sd_mm: float = number("mm", low=0.0)
+
+    def faults(self) -> list[str]:
+        """Returns what no single field can check."""
+        if self.kind == VIEWS and None in (self.rms_mm, self.rms_deg):
+            return ["rms_mm and rms_deg are missing, which several views have."]
+        return []
 
 
 @dataclass(frozen=True)
@@ -75,7 +88,7 @@ class _Pose:
 
 @dataclass(frozen=True)
 class _View:
-    error: np.ndarray = vector(2, "mm and deg", low=0.0)
+    error: np.ndarray | None = vector(2, "mm and deg", low=0.0, absent=None)
     covariance: np.ndarray = vector(36)
 
 
@@ -109,17 +122,18 @@ def by_views(verdict: Verdict, views: list[View], **head: str) -> CalibrationRec
 
 def mapping_from_record(record: CalibrationRecord) -> dict[str, Any]:
     """Returns what the yaml file of a record holds."""
-    values: dict[str, Any] = {key: getattr(record, key) for key in HEAD}
+    values: dict[str, Any] = {key: getattr(record, key) for key in HEAD if getattr(record, key) is not None}
     values.update({key: _mapping_from_pose(getattr(record, key)) for key in POSES})
     values["views"] = [
         {
             "T_base_flange": _mapping_from_pose(view.T_base_flange),
             "T_camera_panel": _mapping_from_pose(view.T_camera_panel),
             "covariance": np.ravel(view.covariance).tolist(),
-            "error": error.tolist(),
         }
-        for view, error in zip(record.views, record.errors)
+        for view in record.views
     ]
+    for entry, error in zip(values["views"], record.errors):
+        entry["error"] = error.tolist()
     return values
 
 
@@ -147,7 +161,10 @@ def record_from_mapping(values: Any) -> CalibrationRecord:
         T_base_flange, T_camera_panel = (_pose(entry.get(key), f"{where}{key}/", faults) for key in VIEW_POSES)
         if T_base_flange is not None and T_camera_panel is not None:
             views.append(View(T_base_flange, T_camera_panel, read_only(view.covariance.reshape(6, 6))))
-            errors.append(view.error)
+            if view.error is not None:
+                errors.append(view.error)
+    if head is not None and head.kind == VIEWS and len(errors) < len(views):
+        faults.append("The error of a view is missing.")
     if faults or T_base_camera is None or T_flange_panel is None:
         raise ConfigError(faults)
     return CalibrationRecord(

@@ -26,6 +26,9 @@ CORNER_SIGMA_PX = 0.2
 CLEAR_RATIO = 2.0
 """From this ratio of the two reprojection errors on there is no doubt about the pose (reference: vision, 6.3)."""
 
+MAX_LOG_ODDS = 500.0
+"""Beyond it the exponential overflows; it is certainty already."""
+
 PLANE_TOLERANCE_M = 1e-6
 NO_DISTORTION = np.zeros(5)
 MAX_STEPS = 40
@@ -41,7 +44,8 @@ class TagPose:
 
     Attributes:
         T_camera_tag: pose in the camera's optical frame, shape (4, 4) [m].
-        covariance: of x, y, z and of small turns about the camera's x, y, z axes, shape (6, 6) [m^2, m rad, rad^2].
+        covariance: of x, y, z and of small turns about the camera's x, y, z axes, shape (6, 6) [m^2, m rad, rad^2];
+            as wide as the other pose is far, as long as that may be the true one.
         rms: root mean square distance of the reprojected corners [px].
         ratio: rms of the other pose divided by this one's; infinite if there is no other.
         other: the other pose, or None.
@@ -89,14 +93,27 @@ def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: 
         chosen_by = HINT
     T, rms = candidates[0]
     other = candidates[1] if len(candidates) == 2 else None
+    spread = covariance(T, points, camera.K)
+    if other is not None:
+        spread = spread + _doubt(T, rms, *other, len(points))
     return TagPose(
         read_only(T),
-        read_only(covariance(T, points, camera.K)),
+        read_only(spread),
         rms,
         np.inf if other is None else float(other[1] / max(rms, 1e-9)),
         None if other is None else read_only(other[0]),
         chosen_by,
     )
+
+
+def _doubt(T: np.ndarray, rms: float, other: np.ndarray, other_rms: float, corners: int) -> np.ndarray:
+    """Returns what the possibility that the `other` pose is the true one adds to the covariance of T, shape (6, 6).
+
+    The chance of that follows from both reprojection errors [px] by the corners alone, also where a hint has chosen.
+    """
+    gap = 0.5 * corners * (other_rms**2 - rms**2) / CORNER_SIGMA_PX**2
+    change = np.concatenate((other[:3, 3] - T[:3, 3], pin.log3(other[:3, :3] @ T[:3, :3].T)))
+    return np.outer(change, change) / (1.0 + np.exp(np.clip(gap, -MAX_LOG_ODDS, MAX_LOG_ODDS)))
 
 
 def covariance(T: np.ndarray, points: np.ndarray, K: np.ndarray, sigma: float = CORNER_SIGMA_PX) -> np.ndarray:

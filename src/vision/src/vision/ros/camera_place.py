@@ -25,7 +25,7 @@ from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
 from common.ros.params import private_config
-from vision.calibration import Sight, view_from
+from vision.calibration import Sight, check_alone, view_from
 from vision.calibration_record import LIVE, CalibrationRecord
 from vision.hand_eye import camera_pose
 from vision.node_parameters import STORED, PlaceConfig
@@ -52,7 +52,8 @@ class CameraPlace:
         self._lock = threading.Lock()
         self._recent: deque = deque(maxlen=setup.limits.pictures)
         self._refused = 0
-        self._message = "waits for the panel"
+        self._last: tuple[float, str] | None = None
+        """When the panel was last seen [s], and why that gave no place; an empty string where it did."""
         self._record: CalibrationRecord | None = None
         self._stored: TransformStamped | None = None
         self._was_live = False
@@ -82,15 +83,14 @@ class CameraPlace:
                     f"{self._setup.store_config.camera} in {self._setup.store.folder}; calibrate first."
                 )
             rospy.logwarn("There is no calibration in %s: the place is live.", self._setup.store.folder)
+            self._record = self._stored = None
+            self._static.sendTransform([self._seen])
             return
         record, file = found
         transform = self._frames.camera_link(record.T_base_camera, record.camera_frame, rospy.Time.now())
         self._static.sendTransform([self._seen, transform])
         self._record, self._stored = record, transform
-        self._message = (
-            f"stored on {record.date}: {record.rms_mm:.2f} mm, {record.rms_deg:.2f} deg in {len(record.views)} views"
-        )
-        rospy.loginfo("The camera's place is that of %s, %s.", file, self._message)
+        rospy.loginfo("The camera's place is that of %s, %s.", file, _told(record))
 
     def _on_reload(self, _) -> TriggerResponse:
         with self._lock:
@@ -98,7 +98,10 @@ class CameraPlace:
                 self._load()
             except DeviceError as error:
                 return TriggerResponse(False, str(error))
-            return TriggerResponse(True, f"The place is {self._message}.")
+            if self._record is not None:
+                return TriggerResponse(True, f"The place is {_told(self._record)}.")
+            why = "the mode is live" if self._mode == LIVE else f"nothing is stored in {self._setup.store.folder}"
+            return TriggerResponse(True, f"The place is live, for {why}.")
 
     def _on_sight(self, stamp: rospy.Time, optical: str, sight: Sight) -> None:
         if self._record is not None:
@@ -110,12 +113,12 @@ class CameraPlace:
                 transform = self._frames.camera_link(T_base_camera, optical, stamp)
             except DeviceError as error:
                 self._refused += 1
-                self._message = str(error)
+                self._last = (time.monotonic(), str(error))
                 rospy.logwarn_throttle(THROTTLE_S, f"A sight of the panel is of no use: {error}")
                 return
             self._was_live = True
             self._broadcaster.sendTransform(transform)
-            self._message = "live"
+            self._last = (time.monotonic(), "")
             with self._lock:
                 self._recent.append((time.monotonic(), T_base_flange, sight, optical))
 
@@ -131,6 +134,8 @@ class CameraPlace:
     def _on_store(self, _) -> TriggerResponse:
         """Stores the mean of the newest sights, if arm and camera stood still."""
         with self._lock:
+            if self._record is not None:
+                return TriggerResponse(False, "Nothing was stored: the place is a stored one already; use mode:=live.")
             now = time.monotonic()
             recent = [entry for entry in self._recent if now - entry[0] < RECENT_S]
             try:
@@ -150,6 +155,7 @@ class CameraPlace:
         view = view_from([sight for _, _, sight, _ in recent], recent[-1][1], [], limits)
         if any(np.linalg.norm(T[:3, 3] - view.T_base_flange[:3, 3]) > 1e-3 for _, T, _, _ in recent):
             raise ValueError("the arm moved")
+        point_sd_mm = check_alone(view, limits)
         T_flange_panel = read_only(self._setup.panel.T_flange_tag)
         return CalibrationRecord(
             date=time.strftime("%Y-%m-%dT%H:%M:%S"),
@@ -161,17 +167,28 @@ class CameraPlace:
             camera_frame=recent[-1][3],
             T_base_camera=read_only(camera_pose(view, T_flange_panel)),
             T_flange_panel=T_flange_panel,
-            rms_mm=0.0,
-            rms_deg=0.0,
-            point_sd_mm=float(1e3 * np.sqrt(np.trace(view.covariance[:3, :3]))),
-            errors=read_only(np.zeros((1, 2))),
+            rms_mm=None,
+            rms_deg=None,
+            point_sd_mm=point_sd_mm,
+            errors=read_only(np.zeros((0, 2))),
             views=(view,),
         )
 
     def _diagnostics(self):
-        good = self._record is not None or self._message == "live"
         values = {"mode": self._mode, "refused": self._refused}
-        return (DiagnosticStatus.OK if good else DiagnosticStatus.WARN), self._message, values
+        record, last = self._record, self._last
+        if record is not None:
+            return DiagnosticStatus.OK, _told(record), values
+        if last is None:
+            return DiagnosticStatus.WARN, "waits for the panel", values
+        age, trouble = time.monotonic() - last[0], last[1]
+        if age > RECENT_S:
+            return DiagnosticStatus.WARN, f"the panel was not seen for {age:.0f} s", values
+        return (DiagnosticStatus.WARN, trouble, values) if trouble else (DiagnosticStatus.OK, "live", values)
+
+
+def _told(record: CalibrationRecord) -> str:
+    return f"stored on {record.date}: {record.accuracy}"
 
 
 def _run() -> None:
