@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Starts the Leap service: the real one, or with --sim the simulated one (further arguments go to it; --help lists them).
-set -euo pipefail
+set -eo pipefail
 source "$(dirname "$(readlink -f "$0")")/../../../devel/setup.bash"
+set -u  # not before: the set-up files of ROS read variables that a plain terminal lacks
 if [ "${1:-}" = --sim ]; then
   shift
   exec rosrun rig_simulation leapd.py "$@"
@@ -11,4 +12,7 @@ command -v leapd >/dev/null || {
   exit 1
 }
 # The service writes its settings below /root and opens its WebSocket only as root.
+if [ "$(id -u)" = 0 ]; then
+  exec leapd "$@"
+fi
 exec sudo leapd "$@"
