@@ -19,6 +19,7 @@ def good_run() -> Recorder:
     recorder = Recorder()
     recorder.status("kuka_control", {"goals_sent": "100", "pickups": "0"})
     recorder.status("leap_hand", {"commands_sent": "5"})
+    recorder.status("simulation", {"stops": "0", "peak_tcp_speed": "0.5213"})
     recorder.start(10.0)
     recorder.stream(True, "palm in the box", 11.0)
     for i in range(101):
@@ -31,7 +32,8 @@ def good_run() -> Recorder:
     recorder.stream(False, "hand lost", 15.0)
     recorder.status("kuka_control", {"goals_sent": "1100", "pickups": "1"})
     recorder.status("leap_hand", {"commands_sent": "305"})
-    recorder.status("simulation", {"stops": "0", "max_tcp_speed": "0.25"})
+    recorder.status("simulation", {"stops": "0", "peak_tcp_speed": "0.25"})
+    recorder.status("simulation", {"stops": "0", "peak_tcp_speed": "0.1"})
     recorder.hand(np.array([0.0, 0.0, 0.0, 0.0]))
     recorder.hand(np.array([1.0, 0.5, 0.2, 0.0]))
     return recorder
@@ -45,7 +47,7 @@ def test_a_good_run():
     assert summary["streams"] == [{"started_s": 1.0, "stopped_s": 5.0, "reason": "hand lost"}]
     assert summary["servo_goals_sent"] == 1000, "what was sent before the run began does not count"
     assert (summary["pickups"], summary["hand_commands"], summary["safety_stops"]) == (1, 300, 0)
-    assert summary["largest_tcp_speed_mm_s"] == 250.0
+    assert summary["largest_tcp_speed_mm_s"] == 250.0, "the motion home before the run does not count"
     assert summary["tool_path_m"] == pytest.approx(0.1)
     assert summary["hand_travel_rad"] == [1.0, 0.5, 0.2, 0.0]
     assert summary["tracking_error"]["desired"]["rms_mm"] == pytest.approx(5.0)

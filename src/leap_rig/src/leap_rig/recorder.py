@@ -49,6 +49,7 @@ class Recorder:
         self.desired = TrackingErrors()
         self.commanded = TrackingErrors()
         self.tool_path = 0.0
+        self.largest_tcp_speed: float | None = None
         self.hand_low: np.ndarray | None = None
         self.hand_high: np.ndarray | None = None
         self.received: dict[float, float] = {}
@@ -101,6 +102,8 @@ class Recorder:
     def status(self, name: str, values: dict[str, str]) -> None:
         """Counters of a node or device, as they stand now."""
         self.counters[name] = dict(values)
+        if "peak_tcp_speed" in values:
+            self.largest_tcp_speed = max(self.largest_tcp_speed or 0.0, float(values["peak_tcp_speed"]))
 
     def count(self, name: str, key: str) -> float | None:
         """Returns how much a counter grew since the run began; None if nobody counted."""

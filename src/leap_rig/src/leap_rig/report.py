@@ -43,7 +43,9 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = ()) -> dic
         "workspace_clips": _whole(recorder.count("kuka_control", "workspace_clips")),
         "ik_failures": _whole(recorder.count("kuka_control", "ik_failures")),
         "safety_stops": _whole(recorder.count("simulation", "stops")),
-        "largest_tcp_speed_mm_s": _largest_speed(recorder),
+        "largest_tcp_speed_mm_s": None
+        if recorder.largest_tcp_speed is None
+        else round(1e3 * recorder.largest_tcp_speed, 1),
         "tool_path_m": round(recorder.tool_path, 3),
         "tracking_error": {"desired": _errors(recorder.desired), "commanded": _errors(recorder.commanded)},
         "hand_commands": _whole(recorder.count("leap_hand", "commands_sent")),
@@ -148,11 +150,6 @@ def _object_line(name: str, seen: dict) -> str:
 
 def _whole(count: float | None) -> int | None:
     return None if count is None else round(count)
-
-
-def _largest_speed(recorder: Recorder) -> float | None:
-    text = recorder.counters.get("simulation", {}).get("max_tcp_speed")
-    return None if text is None else round(1e3 * float(text), 1)
 
 
 def _errors(errors: TrackingErrors) -> dict:

@@ -1,6 +1,7 @@
 """Publishes the truth about the simulated arm, which no real rig knows, and offers its keys.
 
-Topics: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status` (speed, stops, goals, mode).
+Topics: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status` (stops, goals, mode, speed of the
+tool: now, at most since the last status, at most since the controller started) [m/s].
 Services: `simulation/release`, the key "run" after a safety stop; `simulation/back_off`, the jog keys, which move an
 arm that presses on something back on the way it came.
 """
@@ -38,6 +39,7 @@ class Monitor:
         self._flange = rospy.Publisher("simulation/flange", PoseStamped, queue_size=10)
         self._status = rospy.Publisher("simulation/status", DiagnosticStatus, queue_size=10)
         self._next_status = 0.0
+        self._peak_speed = 0.0
         rospy.Service(
             "simulation/release", Trigger, self._key("release", "The safety stop is released; the arm goes on.")
         )
@@ -59,14 +61,16 @@ class Monitor:
         message.header.stamp = rospy.Time.now() - rospy.Duration.from_sec(state["age"])
         message.pose = Pose(Point(*flange[:3, 3]), Quaternion(*quaternion_from_rotation(flange[:3, :3])))
         self._flange.publish(message)
+        self._peak_speed = max(self._peak_speed, state["tcp_speed"])
         if time.monotonic() >= self._next_status:
             self._next_status = time.monotonic() + STATUS_PERIOD_S
             stop = state["safety_stop"]
             self._publish_status(
                 DiagnosticStatus.WARN if stop else DiagnosticStatus.OK,
                 stop or "The arm is ready.",
-                {name: state[name] for name in SHOWN},
+                {**{name: state[name] for name in SHOWN}, "peak_tcp_speed": self._peak_speed},
             )
+            self._peak_speed = 0.0
 
     def _publish_status(self, level: int, message: str, values: dict) -> None:
         texts = [KeyValue(name, "" if value is None else str(value)) for name, value in values.items()]
