@@ -110,6 +110,10 @@ class TestErrorMessages:
         _, left = errors.sort(messages_in_code.sentences(), errors.read_entries(errors.CURES.read_text()))
         assert not [f"{sources.inside(s.file)}: {s.text}" for s in left], "write them into docs/reference/errors.yaml"
 
+    def test_a_defect_says_that_it_is_one(self):
+        entry = errors.read_entries("kst:\n  - defects: [no such shape]\n")["kst"][0]
+        assert entry == errors.Entry(("no such shape",), *errors.DEFECT)
+
     def test_each_entry_fits_one(self):
         entries = errors.read_entries(errors.CURES.read_text())
         fitting, _ = errors.sort(messages_in_code.sentences(), entries)
@@ -133,6 +137,14 @@ class TestErrorMessages:
             ("def f():\n    return False, 'it is closed'", "it is closed"),
             ("return_ = Answer(False, 'not while it moves')", "not while it moves"),
             ("print('no such file', file=sys.stderr)", "no such file"),
+            ("raise ValueError(f'The arm is {state}.')", "The arm is …."),
+            ("why = 'it is closed'", "it is closed"),
+            ("text = 'it is blocked'\nself.said(Note('error', text))", "it is blocked"),
+            ("return {'ok': False, 'error': 'no such request'}", "no such request"),
+            ("return Arrival.DROPPED, None, 'sent by others'", "sent by others"),
+            ("def hindrance() -> str | None:\n    return 'control is off'", "control is off"),
+            ("self._lose('the link has broken')", "the link has broken"),
+            ("return (x < 1, 'x is too large')", "x is too large"),
         ],
     )
     def test_is_found_in(self, code, found, tmp_path):
@@ -141,9 +153,21 @@ class TestErrorMessages:
         assert [sentence.text for sentence in messages_in_code.sentences([file])] == [found]
 
     @pytest.mark.parametrize(
+        ("code", "found"),
+        [
+            ('echo "No service, or run $(basename "$0") --sim." >&2', "No service, or run … --sim."),
+            ('printf \'\\n%s The end of %s:\\n\' "$1" "$log" >&2', "… The end of …:"),
+            ('make || failed "The build failed."', "The build failed."),
+        ],
+    )
+    def test_is_found_in_a_script(self, code, found, tmp_path):
+        file = tmp_path / "script.sh"
+        file.write_text(code)
+        assert [sentence.text for sentence in messages_in_code.sentences([file])] == [found]
+
+    @pytest.mark.parametrize(
         "code",
         [
-            "raise ValueError('the shape is wrong')",
             "rospy.loginfo('The arm is at home.')",
             "raise rospy.ROSInterruptException('shut down while waiting')",
             "print('The arm is at home.')",

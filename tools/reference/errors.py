@@ -12,6 +12,11 @@ from tools.reference import markdown, messages_in_code, sources
 from tools.reference.messages_in_code import Sentence
 
 CURES = sources.REFERENCE / "errors.yaml"
+DEFECT = (
+    "A fault of the program, or of one that uses it as a library: no file, device or argument leads here.",
+    "Report it with all that the program said.",
+)
+"""Cause and cure of what the yaml lists as defects."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +37,15 @@ class Entry:
 def read_entries(text: str) -> dict[str, list[Entry]]:
     """Returns the entries of each package in their order."""
     packages: dict[str, list[dict[str, Any]]] = yaml.safe_load(text)
-    return {
-        package: [
-            Entry(tuple(e.get("messages", e.get("states", ()))), e.get("cause", ""), e.get("cure", "")) for e in entries
-        ]
-        for package, entries in packages.items()
-    }
+    return {package: [_entry(fields) for fields in entries] for package, entries in packages.items()}
+
+
+def _entry(fields: dict[str, Any]) -> Entry:
+    if "defects" in fields:
+        return Entry(tuple(fields["defects"]), *DEFECT)
+    return Entry(
+        tuple(fields.get("messages", fields.get("states", ()))), fields.get("cause", ""), fields.get("cure", "")
+    )
 
 
 def sort(

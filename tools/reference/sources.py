@@ -18,19 +18,16 @@ def on_path() -> None:
 
 
 def package(path: Path) -> str:
-    """Returns the name of the package that a file belongs to."""
-    for folder in path.parents:
-        if (folder / "package.xml").is_file():
-            return folder.name
-    raise ValueError(f"{path} belongs to no package")
+    """Returns the name of the package that a file belongs to, or of its folder at the root, as tools."""
+    return inside(path).split("/")[0]
 
 
 def inside(path: Path) -> str:
-    """Returns the place of a file, `package/path/in/it`."""
+    """Returns the place of a file, `package/path/in/it`, or below the root for a file of no package."""
     for folder in path.parents:
         if (folder / "package.xml").is_file():
             return str(path.relative_to(folder.parent))
-    raise ValueError(f"{path} belongs to no package")
+    return str(path.relative_to(ROOT))
 
 
 def link(path: Path) -> str:
