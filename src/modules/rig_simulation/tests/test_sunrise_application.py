@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rig_simulation.sunrise.application import Application, Panel
+from rig_simulation.sunrise.application import VERSIONS, Application, Panel
 from rig_simulation.sunrise.arm import Arm, ArmSettings
 from rig_simulation.sunrise.description import read_urdf
 from rig_simulation.sunrise.robot import Robot
@@ -24,10 +24,10 @@ TICK_S = 0.004
 class Wire:
     """A client of an application whose time it turns itself."""
 
-    def __init__(self, wiped_window=0.0, **arm_settings):
+    def __init__(self, wiped_window=0.0, version=VERSIONS[-1], **arm_settings):
         self.arm = Arm(ROBOT, ArmSettings(**arm_settings))
         self.panel = Panel()
-        self.application = Application(self.arm, self.panel, wiped_window)
+        self.application = Application(self.arm, self.panel, wiped_window, version=version)
         self.now = 0.0
         self.came = []
 
@@ -621,3 +621,28 @@ def test_a_held_up_program_catches_up_a_second_at_most():
     wire.now += 100.0
     wire.application.advance(wire.now)
     assert_allclose(wire.arm.q[6] - before, 0.1, atol=5e-3)
+
+
+@pytest.mark.parametrize("version", ["1.7", "2019-03"])
+def test_a_server_before_may_2019_answers_the_force_where_the_pose_was_asked(version):
+    wire = Wire(version=version)
+    wire.go_home()
+    wire.start_servo()
+    wire.arm.set_tool_force(np.array([0.0, 0.0, 10.0]))
+    assert wire.ask(HOME_LINE.replace("jp_", "jpEEfP_")) == ["0.0_0.0_10.0_\n"]
+    assert wire.ask(HOME_LINE.replace("jp_", "jpEEfFrelEEF_")) == []
+    assert wire.ask("velJDCEEfP_0_0_0_0_0_0_0_") == ["0.0_0.0_10.0_\n"]
+    assert len(wire.numbers(HOME_LINE.replace("jp_", "jpJP_"))) == 7
+    assert wire.application.mode == "servo"
+
+
+@pytest.mark.parametrize("version, goes_on", [("1.7", False), ("2019-03", True), ("2019-05", True)])
+def test_a_cartesian_goal_with_an_answer_ends_the_mode_of_1_7(version, goes_on):
+    wire = Wire(version=version)
+    wire.go_home()
+    pose = wire.ask("Eef_pos")[0].strip()
+    wire.ask("stDcEEf_")
+    wire.wait(0.3)
+    assert len(wire.numbers(f"DcSeCarJP_{pose}")) == 7
+    wire.wait(0.5)
+    assert (wire.application.mode == "cartesian_servo") is goes_on

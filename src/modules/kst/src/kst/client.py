@@ -141,7 +141,8 @@ class KstClient:
 
     def joints(self) -> np.ndarray:
         """Returns the measured joint angles, shape (7,) [rad]; in every mode."""
-        return self._numbers(self._ask(codec.JOINTS))
+        timing = self._session.timing
+        return self._numbers(self._ask(codec.JOINTS, timing.servo_reply if self._mode is Mode.SERVO else timing.reply))
 
     def external_torques(self) -> np.ndarray:
         """Returns the external joint torques, shape (7,) [Nm]; only when idle."""

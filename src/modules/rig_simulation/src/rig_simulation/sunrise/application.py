@@ -25,6 +25,8 @@ IMPEDANCE_MAX_TORQUE_NM = 10.0
 MAX_STIFFNESS = (5000.0, 300.0)
 INPUT_PINS = (3, 4, 10, 13, 16)
 OUTPUT_PINS = (1, 2, 11, 12)
+VERSIONS = ("1.7", "2019-03", "2019-05")
+"""Of the toolbox's server, the newest last: 1.7 of 2018, and the two states of its LTS that differ on the wire."""
 
 
 @dataclasses.dataclass
@@ -43,6 +45,7 @@ class Application:
         panel: outputs and counters.
         wiped_window: for so long after an answer of the main thread the next word for it is lost [s].
         encoders: joint angles as they are told, from the true ones, both shape (7,) [rad].
+        version: one of VERSIONS.
 
     Attributes:
         mode: idle, ptp, servo, cartesian_servo, velocity_servo or impedance_servo; a servo mode counts from the answer
@@ -56,6 +59,7 @@ class Application:
         panel: Panel,
         wiped_window: float = 0.0,
         encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,
+        version: str = VERSIONS[-1],
     ) -> None:
         self.mode = "idle"
         self.ended = False
@@ -63,6 +67,7 @@ class Application:
         self._panel = panel
         self._wiped_window = wiped_window
         self._encoders = encoders
+        self._version = version
         self._replies: list[str] = []
         self._reader_alive = self._main_alive = True
         self._main_answered = -np.inf
@@ -151,15 +156,15 @@ class Application:
             "ExT_": lambda: f"{java_numbers.vector(arm.external_torques)}\n",
             "MT_": lambda: f"{java_numbers.vector(arm.measured_torques)}\n",
             "JP_": self._joints_text,
-            "EEfP_": self._tool_text,
-            "EEfFrelEEF_": self._force_text,
+            **self._tool_feedback(),
         }
+        take_pose = self._refuse_goal if self._version == "1.7" else self._take_pose
         commands = [
             ("end", self._end),
             *((f"jp{suffix}", self._goal(self._take_joints, answer)) for suffix, answer in feedback.items()),
             ("jp_", self._goal(self._take_joints, lambda: DONE)),
             ("jf_", self._goal(self._take_joints, lambda: "")),
-            *((f"DcSeCar{suffix}", self._goal(self._take_pose, answer)) for suffix, answer in feedback.items()),
+            *((f"DcSeCar{suffix}", self._goal(take_pose, answer)) for suffix, answer in feedback.items()),
             ("DcSeCar_", self._goal(self._take_pose, lambda: "")),
             *((f"velJDC{s}", self._goal(self._take_speeds, feedback[s])) for s in ("ExT_", "MT_", "JP_", "EEfP_")),
             ("velJDC_", self._goal(self._take_speeds, lambda: DONE)),
@@ -175,6 +180,11 @@ class Application:
         for n in OUTPUT_PINS:
             commands += [(f"pin{n}on", self._output(f"pin{n}", True)), (f"pin{n}off", self._output(f"pin{n}", False))]
         return commands
+
+    def _tool_feedback(self) -> dict[str, Callable[[], str]]:
+        if self._version == VERSIONS[-1]:
+            return {"EEfP_": self._tool_text, "EEfFrelEEF_": self._force_text}
+        return {"EEfP_": self._force_text}
 
     def _main_commands(self) -> list[tuple[str, Callable[[list[str]], None]]]:
         def answer(text: Callable[[], str]) -> Callable[[list[str]], None]:
@@ -266,6 +276,11 @@ class Application:
                 self._stop_servo()
             else:
                 self._arm.goal = goal
+        return True
+
+    def _refuse_goal(self, _: list[str]) -> bool:
+        """Does what 1.7 does with Cartesian goals that ask for an answer: its parser of joints ends the mode."""
+        self._stop_servo()
         return True
 
     def _keep_pose(self, name: str) -> Callable[[list[str]], None]:

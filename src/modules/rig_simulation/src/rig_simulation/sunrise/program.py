@@ -14,6 +14,7 @@ from common.errors import DeviceError
 from rig_simulation.command_line import angle, not_negative, parse_options, port, positive
 from rig_simulation.faults import add_option, switch_all
 from rig_simulation.faults_arm import ARM_FAULTS
+from rig_simulation.sunrise.application import VERSIONS
 from rig_simulation.sunrise.arm import Arm, ArmSettings, Surroundings
 from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.sunrise.robot import Robot
@@ -62,7 +63,11 @@ def make_server(
     """
     arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
     settings = ServerSettings(
-        options.wiped_window, options.wait_for_client, options.deaf_after_lost_client, options.end_exits
+        options.wiped_window,
+        options.wait_for_client,
+        options.deaf_after_lost_client,
+        options.end_exits,
+        options.toolbox_version,
     )
     arm = Arm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, surroundings)
     return Server(arm, settings, options.host, options.port, options.control_port, _log, clock, at_once)
@@ -128,6 +133,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--deaf-after-lost-client", action="store_true", help="a client lost without `end` leaves the port deaf"
     )
     parser.add_argument("--end-exits", action="store_true", help="the command `end` ends the program")
+    parser.add_argument(
+        "--toolbox-version",
+        choices=VERSIONS,
+        default=VERSIONS[-1],
+        help="which server: before 2019-05 servo goals bring no pose, and the force as the answer to another word",
+    )
     parser.add_argument("--safety-torque", type=positive, default=25.0, help="external torque of the safety stop, Nm")
     parser.add_argument("--safety-speed", type=positive, default=0.8, help="tool speed of the safety stop, m/s")
     add_option(parser, ARM_FAULTS)

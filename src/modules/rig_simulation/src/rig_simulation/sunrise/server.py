@@ -19,7 +19,7 @@ from common.errors import DeviceError
 from rig_simulation.control_port import ControlPort, listen
 from rig_simulation.faults import Faults
 from rig_simulation.faults_arm import ARM_FAULTS, Answers, Encoders
-from rig_simulation.sunrise.application import Application, Panel
+from rig_simulation.sunrise.application import VERSIONS, Application, Panel
 from rig_simulation.sunrise.arm import Arm
 from rig_simulation.sunrise.lines import LineSplitter
 
@@ -45,12 +45,14 @@ class ServerSettings:
         deaf_after_lost_client: a client that vanishes without `end` leaves the port bound but deaf and the servo
             running; otherwise the arm stops and the next client is served.
         end_exits: `end` ends the program; otherwise the application is started again.
+        version: of the toolbox's server, one of VERSIONS.
     """
 
     wiped_window: float = 0.0
     wait_for_client: float = math.inf
     deaf_after_lost_client: bool = False
     end_exits: bool = False
+    version: str = VERSIONS[-1]
 
 
 class Server:
@@ -152,7 +154,9 @@ class Server:
 
     def _start_application(self) -> None:
         assert self._listener is not None  # where it is closed, nothing is started
-        self._application = Application(self._arm, self._panel, self._settings.wiped_window, self._encoders.read)
+        self._application = Application(
+            self._arm, self._panel, self._settings.wiped_window, self._encoders.read, self._settings.version
+        )
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._waiting_since = time.monotonic()
 
