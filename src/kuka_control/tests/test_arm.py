@@ -7,12 +7,12 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from kst.errors import ReplyTimeout
+from kst.errors import ProtocolError, ReplyTimeout
 from kuka_control.arm import KstArm
 
 
-def moment_of(q, torques):
-    return torques[:3] - q[:3]
+def wrench_of(q, torques):
+    return torques[:3], torques[:3] - q[:3]
 
 
 class FakeClient:
@@ -21,6 +21,7 @@ class FakeClient:
     def __init__(self):
         self.asked = Counter()
         self.silent = False
+        self.fails = {}
         self.arrived = False
         self.round_trip = 0.001
 
@@ -29,26 +30,85 @@ class FakeClient:
             self.asked[name] += 1
             if self.silent and name not in ("joints",):
                 raise ReplyTimeout("silent")
+            if self.fails.get(name):
+                raise self.fails[name].pop(0)
             return self.arrived if name == "ptp_arrived" else np.full(7, float(self.asked[name]))
 
         return ask
 
 
-def test_in_servo_mode_most_goals_bring_joints_and_each_tenth_every_other_kind():
-    client = FakeClient()
-    arm = KstArm(client, moment_of)
+def in_servo(client):
+    arm = KstArm(client, wrench_of)
     arm.start_servo()
+    client.asked.clear()
+    return arm
+
+
+def test_in_servo_mode_every_goal_brings_joints_and_each_tenth_every_other_kind():
+    client = FakeClient()
+    arm = in_servo(client)
+    joints = arm.state.joints
     for _ in range(100):
         arm.servo(np.zeros(7))
-    assert client.asked["servo_joints"] == 60
+        assert arm.state.joints is not joints
+        joints = arm.state.joints
+    assert client.asked["servo_joints"] == 60 and client.asked["joints"] == 40
     for kind in ("servo_external_torques", "servo_measured_torques", "servo_pose", "servo_force"):
         assert client.asked[kind] == 10
-    assert arm.state.moment is not None
+    assert arm.state.moment is not None and arm.take_remarks() == []
+    assert arm.estimated_in_servo == ("moment",)
+
+
+def test_on_a_slow_link_no_goal_waits_for_a_second_question():
+    client = FakeClient()
+    arm = in_servo(client)
+    client.round_trip = 0.0015
+    for _ in range(100):
+        arm.servo(np.zeros(7))
+    assert client.asked["servo_joints"] == 60 and client.asked["joints"] == 0
+
+
+def test_what_an_old_server_does_not_tell_is_said_once_and_calculated():
+    client = FakeClient()
+    client.fails = {
+        "servo_pose": [ProtocolError("the force instead")] * 2,
+        "servo_force": [ReplyTimeout("silent")] * 2,
+    }
+    arm = in_servo(client)
+    pose, force = arm.take_remarks()
+    assert "does not tell the pose" in pose and "does not tell the force" in force
+    assert arm.estimated_in_servo == ("moment", "pose", "force")
+    for _ in range(20):
+        arm.servo(np.zeros(7))
+    assert set(client.asked) == {"servo_joints", "joints", "servo_external_torques", "servo_measured_torques"}
+    assert arm.state.T_base_tool is None
+    np.testing.assert_array_equal(arm.state.force, arm.state.torques_external[:3])
+    arm.stop_servo()
+    arm.start_servo()
+    assert arm.take_remarks() == []
+
+
+def test_one_lost_answer_drops_no_kind_of_reading():
+    client = FakeClient()
+    client.fails = {"servo_pose": [ProtocolError("NaN")], "servo_force": [ReplyTimeout("silent")]}
+    arm = in_servo(client)
+    for _ in range(10):
+        arm.servo(np.zeros(7))
+    assert client.asked["servo_pose"] == client.asked["servo_force"] == 1
+    assert arm.take_remarks() == []
+
+
+def test_a_stop_whose_answer_is_lost_is_sent_again():
+    client = FakeClient()
+    arm = in_servo(client)
+    client.fails = {"stop_joint_servo": [ReplyTimeout("silent")]}
+    arm.stop_servo()
+    assert client.asked["stop_joint_servo"] == 2
 
 
 def test_at_rest_joints_come_each_time_and_the_rest_in_turn():
     client = FakeClient()
-    arm = KstArm(client, moment_of)
+    arm = KstArm(client, wrench_of)
     for _ in range(10):
         arm.read()
     assert client.asked["joints"] == 11
@@ -58,7 +118,7 @@ def test_at_rest_joints_come_each_time_and_the_rest_in_turn():
 
 def test_during_a_motion_only_joints_are_asked_for():
     client = FakeClient()
-    arm = KstArm(client, moment_of)
+    arm = KstArm(client, wrench_of)
     arm.start_ptp(np.zeros(7), 0.1)
     client.asked.clear()
     for _ in range(5):
@@ -73,7 +133,7 @@ def test_during_a_motion_only_joints_are_asked_for():
 
 def test_a_silent_main_thread_is_left_alone_until_the_next_motion():
     client = FakeClient()
-    arm = KstArm(client, moment_of)
+    arm = KstArm(client, wrench_of)
     client.silent = True
     with pytest.raises(ReplyTimeout):
         arm.read()
@@ -83,6 +143,6 @@ def test_a_silent_main_thread_is_left_alone_until_the_next_motion():
 
 
 def test_readings_cannot_be_written_to():
-    arm = KstArm(FakeClient(), moment_of)
+    arm = KstArm(FakeClient(), wrench_of)
     with pytest.raises(ValueError):
         arm.state.joints[0] = 1.0

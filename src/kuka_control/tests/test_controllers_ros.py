@@ -374,6 +374,39 @@ def test_whether_the_tool_can_be_brought_to_a_pose(robot, start, executable):
     np.testing.assert_allclose(robot.joints, before, atol=1e-9)
 
 
+@pytest.mark.parametrize("robot", [("--toolbox-version", version) for version in ("1.7", "2019-03")], indirect=True)
+def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, start, hand, wait_until):
+    import tf2_ros
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import Vector3Stamped
+
+    from common.ros.conversions import pose_from_transform
+
+    diagnostics = ros.record("/diagnostics", DiagnosticArray)
+    node = start(time_out=2.0)
+    node.wait_for_mode("home")
+    for what in ("pose", "force"):
+        assert node.log.count(f"does not tell the {what}, as those before May 2019") == 1
+    assert node.control(True).success
+    T = shifted(home_tool(), 0.0, 0.03, 0.03)
+    hand(T)
+    node.wait_for_mode("servo")
+    wait_until(lambda: at(robot, T), MOVE_S, "the tool where the hand is")
+    measured = frame("kuka/flange_frame/measured", tf2_ros, wait_until, pose_from_transform)
+    np.testing.assert_allclose(measured, np.array(robot.ask()["flange"]), atol=3e-3)
+    forces = ros.record("kuka/flange_force", Vector3Stamped)
+    robot.ask("set_tcp_force", value=[2.0, -3.0, 8.0])
+    expected = [2.0, -3.0, 8.0]
+    wait_until(
+        lambda: forces and np.allclose([getattr(forces[-1].vector, x) for x in "xyz"], expected, atol=0.5),
+        20.0,
+        "the force from the torques",
+    )
+    told = [{v.key: v.value for v in status.values} for m in diagnostics for status in m.status]
+    assert any(values.get("estimated_in_servo") == "moment, pose, force" for values in told)
+    assert told[-1].get("missed_answers", "0") == "0" and node.modes[-1].data == "servo"
+
+
 def test_a_jump_is_picked_up_anew(robot, start, hand, wait_until):
     node = start()
     node.wait_for_mode("home")

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
+from common.errors import DeviceError
 from kst.errors import MotionRefused, ReplyTimeout
-from kuka_control.arm import Arm
+from kuka_control.arm import NO_READING, Arm
 from kuka_control.commands import End, Event, Observation, Servo, StartPtp, StartServo, Step, StopServo
 from kuka_control.control_loop import ControlLoop
 from kuka_control.stream import Desired
 
 MAX_MISSED = 5
-"""So many answers in a row may fail to come before the controller gives up."""
+"""So many answers in a row may fail to come, or be none, before the link is given up."""
+
+WARN_EVERY_S = 1.0
+"""Missed answers are said no more often than this [s]."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,7 @@ class Controller:
     """Runs a control loop on an arm.
 
     Attributes:
-        missed: answers of the robot's controller that did not come in time.
+        missed: answers of the robot's controller that did not come in time, or were none.
         moving: whether a PTP motion runs.
         in_servo: whether the arm follows servo goals.
     """
@@ -43,6 +48,7 @@ class Controller:
         self.in_servo = False
         self._refused: str | None = None
         self._missed_in_a_row = 0
+        self._warned_at = -math.inf
 
     def cycle(self, inputs: Inputs, now: float) -> Step:
         """Returns the step that was taken.
@@ -52,7 +58,7 @@ class Controller:
             now: monotonic time [s].
 
         Raises:
-            DeviceError: the connection is lost, or the robot's controller stays silent.
+            DeviceError: the connection is lost, or the robot's controller stays silent or answers nonsense.
         """
         self._watch_motion()
         refused, self._refused = self._refused, None
@@ -74,25 +80,35 @@ class Controller:
         except MotionRefused as error:
             self.moving = self.in_servo = False
             self._refused = str(error)
-        except ReplyTimeout as error:
-            if isinstance(step.command, (StartPtp, StartServo)):
-                self.moving = False
-                self._refused = str(error)
-            elif isinstance(step.command, StopServo):
-                raise
-            else:
-                self._missed_in_a_row += 1
-                if self._missed_in_a_row >= MAX_MISSED:
-                    raise
-            self.missed += 1
-            return replace(step, events=(*step.events, Event("warn", f"No answer in time: {error}.")))
-        return step
+        except NO_READING as error:
+            self._miss(step, error)
+            step = replace(step, events=step.events + self._warning(error, now))
+        remarks = tuple(Event("warn", remark) for remark in self._arm.take_remarks())
+        return replace(step, events=step.events + remarks) if remarks else step
+
+    def _miss(self, step: Step, error: DeviceError) -> None:
+        """Counts an answer that did not come or was none; raises it again where that is the end of the link."""
+        self.missed += 1
+        if isinstance(step.command, (StartPtp, StartServo)):
+            self.moving = False
+            self._refused = str(error)
+            return
+        self._missed_in_a_row += 1
+        if isinstance(step.command, StopServo) or self._missed_in_a_row >= MAX_MISSED:
+            raise error
+
+    def _warning(self, error: DeviceError, now: float) -> tuple[Event, ...]:
+        if now - self._warned_at < WARN_EVERY_S:
+            return ()
+        self._warned_at = now
+        what = "No answer in time" if isinstance(error, ReplyTimeout) else "An answer is left out"
+        return (Event("warn", f"{what}: {error}."),)
 
     def _watch_motion(self) -> None:
         if self.moving:
             try:
                 self.moving = not self._arm.ptp_arrived()
-            except MotionRefused as error:
+            except (MotionRefused, *NO_READING) as error:
                 self.moving = False
                 self._refused = str(error)
 

@@ -1,4 +1,5 @@
-"""The moment at the tool point from the external joint torques, for servo mode, in which the toolbox cannot tell it."""
+"""Force and moment at the tool point from the external joint torques, for servo mode, in which the toolbox cannot tell
+the moment, and before May 2019 not the force either."""
 
 from __future__ import annotations
 
@@ -10,8 +11,10 @@ RCOND = 0.02
 """Directions in which the arm is so near to a singular pose that torques tell nothing about the wrench are left out."""
 
 
-def moment_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -> np.ndarray:
-    """Returns the moment, shape (3,) [Nm], about the tool's axes, that fits the torques best: least squares of J^T w.
+def wrench_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns force [N] and moment [Nm], shape (3,) each, along and about the tool's axes, that fit the torques best.
+
+    Least squares of J^T w = torques.
 
     Args:
         kinematics: of the arm with its tool.
@@ -19,4 +22,5 @@ def moment_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -
         torques: external joint torques, shape (7,) [Nm].
     """
     wrench = np.linalg.lstsq(kinematics.jacobian(q).T, torques, rcond=RCOND)[0]
-    return kinematics.forward(q)[:3, :3].T @ wrench[3:]
+    R_tool_base = kinematics.forward(q)[:3, :3].T
+    return R_tool_base @ wrench[:3], R_tool_base @ wrench[3:]

@@ -32,7 +32,7 @@ from kuka_control.ros.state_publisher import Snapshot, StatePublisher
 from kuka_control.ros.tool_check_service import ToolCheckService
 from kuka_control.ros.workspace_markers import publish_workspace
 from kuka_control.switches import Switches
-from kuka_control.wrench import moment_at_tool
+from kuka_control.wrench import wrench_at_tool
 
 PARAMETERS_S = 15.0
 """How long some of the parameters may be there before the others, such as those for leap_kuka alone [s]."""
@@ -79,7 +79,7 @@ def _connect(config: ArmConfig, rig: Rig) -> KstArm:
     while not rospy.is_shutdown():
         try:
             client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool)
-            return KstArm(client, partial(moment_at_tool, rig.kinematics))
+            return KstArm(client, partial(wrench_at_tool, rig.kinematics))
         except DeviceError as error:
             if not isinstance(error, NoServer) or time.monotonic() > deadline:
                 if _ends_soon():
@@ -179,7 +179,8 @@ class _Node:
 
     def _diagnosis(self):
         step = self._step
-        counts = {**self._loop.counts, "missed_answers": self._controller.missed}
+        estimated = ", ".join(self._arm.estimated_in_servo)
+        counts = {**self._loop.counts, "missed_answers": self._controller.missed, "estimated_in_servo": estimated}
         if step is None:
             return DiagnosticStatus.OK, "starting", {"mode": "starting", **counts}
         level = DiagnosticStatus.ERROR if self._loop.stopped_because else DiagnosticStatus.OK

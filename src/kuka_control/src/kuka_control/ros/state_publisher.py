@@ -43,13 +43,18 @@ class Snapshot:
 
 
 class StatePublisher:
-    """Publishes the newest snapshot at the configured rates; `show` hands a snapshot over and returns at once."""
+    """Publishes kuka/joint_positions at each reading, all else from the newest snapshot at the configured rates.
+
+    `show` hands a snapshot over and returns at once.
+    """
 
     def __init__(self, rig: Rig, rate_joints: float, rate_state: float) -> None:
         self._rig = rig
         self._period = 1.0 / rate_joints
         self._state_period = 1.0 / rate_state
         self._newest: Snapshot | None = None
+        self._read = threading.Event()
+        self._told: np.ndarray | None = None
         self._published = ArmState()
         self._aim = None
         self._mode = None
@@ -82,7 +87,9 @@ class StatePublisher:
 
     def show(self, snapshot: Snapshot) -> None:
         """Hands the newest snapshot over; a new mode is published at once."""
-        self._newest = snapshot
+        before, self._newest = self._newest, snapshot
+        if (before is None or snapshot.arm.joints is not before.arm.joints) and self._joints.get_num_connections():
+            self._read.set()
         if snapshot.step.mode != self._mode:
             self._mode = snapshot.step.mode
             self._modes.publish(self._mode)
@@ -90,6 +97,7 @@ class StatePublisher:
     def stop(self) -> None:
         """Publishes the last state and ends."""
         self._stop.set()
+        self._read.set()
         if self._thread.is_alive():
             self._thread.join(1.0)
 
@@ -101,23 +109,34 @@ class StatePublisher:
                 raise
 
     def _publish(self) -> None:
-        next_state = 0.0
-        while not self._stop.wait(self._period):
-            if self._newest is not None:
-                self._publish_joints(self._newest)
-                if time.monotonic() >= next_state:
-                    next_state = time.monotonic() + self._state_period - self._period / 2.0
-                    self._publish_state(self._newest)
+        due = next_state = 0.0
+        while not self._stop.is_set():
+            self._read.wait(max(due - time.monotonic(), 0.0))
+            self._read.clear()
+            snapshot, now = self._newest, time.monotonic()
+            if snapshot is not None:
+                self._publish_positions(snapshot.arm.joints)
+                if now >= due:
+                    self._publish_readings(snapshot)
+                    if now >= next_state:
+                        next_state = now + self._state_period - self._period / 2.0
+                        self._publish_state(snapshot)
+            if now >= due:
+                due = max(due + self._period, now)
         if self._newest is not None:
             self._publish_state(self._newest)
 
-    def _publish_joints(self, snapshot: Snapshot) -> None:
-        """Joints and frames, each only if it was read anew."""
+    def _publish_positions(self, joints: np.ndarray) -> None:
+        if joints is not self._told:
+            self._told = joints
+            self._joints.publish(_joints_message(jointPositions, joints, rospy.Time.now()))
+
+    def _publish_readings(self, snapshot: Snapshot) -> None:
+        """Joints, frames, torques and forces, each only if it was read anew."""
         arm, now, transforms = snapshot.arm, rospy.Time.now(), []
-        # No pose can be asked for while a PTP motion runs, and the robot's controller knows of no calibration.
-        reckoned = snapshot.moving_ptp or self._rig.kinematics.calibrated
+        # The robot's controller cannot always tell the pose, and it knows of no calibration.
+        reckoned = arm.T_base_tool is None or self._rig.kinematics.calibrated
         if arm.joints is not self._published.joints:
-            self._joints.publish(_joints_message(jointPositions, arm.joints, now))
             message = JointState(name=JOINT_NAMES, position=arm.joints.tolist())
             message.header.stamp = now
             self._joint_states.publish(message)
