@@ -37,9 +37,10 @@ HOME = RIG.home
 
 
 class FakeArm(Arm):
-    """Moves to its goals with 1 rad/s, writes down what it is told; `held` is a safety stop."""
+    """Moves to its goals with `speed` [rad/s], writes down what it is told; `held` is a safety stop."""
 
     def __init__(self):
+        self.speed = 1.0
         self.q = np.full(7, 0.1)
         self.goal = self.q
         self.mode = "idle"
@@ -52,7 +53,7 @@ class FakeArm(Arm):
 
     def tick(self, dt):
         if not self.held:
-            self.q = self.q + np.clip(self.goal - self.q, -dt, dt)
+            self.q = self.q + np.clip(self.goal - self.q, -self.speed * dt, self.speed * dt)
 
     def read(self):
         self._fail()
@@ -150,6 +151,14 @@ class World:
             self.now += DT
             if isinstance(step.command, End):
                 break
+        return self
+
+    def until(self, mode, seconds, tool=None):
+        """Runs until a mode is entered, for so many seconds at most."""
+        end = self.now + seconds
+        while self.now < end and not (self.steps and self.mode == mode):
+            self.run(3 * DT, tool)
+        assert self.mode == mode, self.steps[-1].reason
         return self
 
     def at_home(self):
@@ -568,20 +577,99 @@ def test_a_motion_that_does_not_end_is_said_and_exit_still_ends_the_controller()
     world.arm.held = True
     world.run(3.0)
     assert world.mode == "homing" and sum("does not go on" in e for e in world.events) == 1
+    assert "does not go on" in world.loop.stopped_because
     world.exit_requested = True
     world.run(1.0)
     assert "does not end" in world.steps[-1].command.fault
 
 
-def test_a_pick_up_that_a_safety_stop_held_does_not_go_on_into_servo_mode():
-    world = World().at_home()
+HELD_S = [0.5, 1.8, 5.0]
+
+
+@pytest.mark.parametrize("seconds", HELD_S)
+@both
+def test_after_a_motion_to_a_hand_that_a_safety_stop_held_nothing_is_followed(schema, seconds):
+    world = World(schema).at_home()
     world.control_on = True
-    world.run(0.05, shifted(0.1, 0.0, 0.0))
+    tool = shifted(0.1, 0.0, 0.0)
+    world.run(0.05, tool)
     world.arm.held = True
-    world.run(3.0, shifted(0.1, 0.0, 0.0))
+    world.run(seconds, tool)
+    assert sum("does not go on" in e for e in world.events) == 1
     world.arm.held = False
-    world.run(2.0, shifted(0.1, 0.0, 0.0))
+    world.run(2.0, tool)
     assert world.mode == "stopped" and [t[0] for t in world.arm.told] == ["ptp"]
+    assert "held the arm" in world.loop.stopped_because
+    world.run(2.0, shifted(0.0, 0.1, 0.0))
+    assert [t[0] for t in world.arm.told] == ["ptp"]
+    world.control_on = False
+    world.run(0.1)
+    world.control_on = True
+    world.run(4.0, tool)
+    assert world.loop.stopped_because is None and reached(world, tool)
+
+
+@pytest.mark.parametrize("seconds", HELD_S)
+@both
+def test_after_a_way_home_that_a_safety_stop_held_the_arm_stays_there(schema, seconds):
+    world = World(schema).at_home()
+    world.control_on = True
+    tool = shifted(0.1, 0.0, 0.0)
+    world.run(2.0, tool)
+    world.until("returning", 1.0).run(0.02)
+    world.arm.held = True
+    world.run(seconds, tool)
+    world.arm.held = False
+    world.arm.told.clear()
+    world.run(4.0, tool)
+    assert world.mode == "stopped" and world.arm.told == []
+    np.testing.assert_allclose(world.arm.q, HOME.q)
+    world.control_on = False
+    world.run(0.1)
+    world.control_on = True
+    world.run(4.0, tool)
+    assert world.arm.told[0] == ptp(HOME.q, SLOW) and reached(world, tool)
+
+
+def test_the_first_way_home_that_a_safety_stop_held_ends_in_a_new_one_when_control_goes_on():
+    world = World().run(0.1)
+    world.arm.held = True
+    world.run(1.0)
+    world.arm.held = False
+    world.run(4.0)
+    assert world.mode == "stopped" and world.arm.told == [ptp(HOME.q, SLOW)]
+    world.control_on = True
+    world.run(4.0)
+    assert world.mode == "home" and world.arm.told[1:] == [ptp(HOME.q, SLOW), ("start_servo",), ("stop_servo",)]
+
+
+@pytest.mark.parametrize("seconds, ends", [(1.0, True), (4.0, False)])
+def test_a_way_to_zero_that_a_safety_stop_held_ends_there_if_it_goes_on_soon(seconds, ends):
+    world = World().at_home()
+    world.exit_requested = True
+    world.run(0.1)
+    world.arm.held = True
+    world.run(seconds)
+    world.arm.held = False
+    world.run(5.0)
+    fault = world.steps[-1].command.fault
+    assert (fault is None) == ends and (ends or "does not end" in fault)
+
+
+@pytest.mark.parametrize("override", [0.1, 0.3])
+@both
+def test_an_arm_that_moves_slowly_is_not_held(schema, override):
+    """The speed override on the smartPad is reduced; nothing tells so, motions just take longer."""
+    world = World(schema)
+    world.arm.speed = 0.2 * override
+    world.until("home", 100.0)
+    world.control_on = True
+    world.until("pick_up", 1.0, shifted(0.1, 0.0, 0.0))
+    if schema is RealTimeConfig:
+        world.until("servo", 30.0, shifted(0.1, 0.0, 0.0))
+    else:
+        world.until("home", 60.0)
+    assert world.loop.counts["faults"] == 0 and not any("does not go on" in e for e in world.events)
 
 
 def test_a_lost_connection_ends_the_cycle():

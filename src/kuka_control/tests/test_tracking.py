@@ -1,4 +1,4 @@
-"""The arm that does not follow is found out, the arm that follows is left in peace."""
+"""The arm that does not follow or is held on its way is found out, the arm that moves is left in peace."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kuka_control.tracking import TrackingMonitor
+from kuka_control.tracking import MotionMonitor, TrackingMonitor
+from rig_simulation.sunrise.profiles import JointMove
 
 DT = 0.004
 
@@ -54,3 +55,50 @@ def test_a_stall_of_the_loop_is_not_blamed_on_the_arm():
     goal = np.full(7, 0.05)
     assert monitor.step(goal, np.zeros(7), 0.0) is None
     assert monitor.step(goal, np.zeros(7), 2.0) is None
+
+
+START, END = np.radians([10.0, 0.0, 0.0, -20.0, 0.0, 5.0, 0.0]), np.radians([-40.0, 30.0, 0.0, -80.0, 0.0, 75.0, 1.0])
+SPEED, ACCELERATION = np.full(7, 0.25), np.full(7, 3.0)
+
+
+def watch(end, joints, seconds):
+    """Returns when a motion counts as held for the first time, or None; `joints` is a function of time [s]."""
+    monitor = MotionMonitor(end)
+    for i in range(int(seconds / DT)):
+        if monitor.step(np.array(joints(i * DT)), i * DT):
+            return i * DT
+    return None
+
+
+@settings(max_examples=30)
+@given(st.floats(0.05, 1.0), st.floats(0.0, 0.3), st.floats(0.01, 1.0))
+def test_a_motion_at_any_override_is_left_in_peace(override, latency, share):
+    move = JointMove(START, START + share * (END - START), SPEED, ACCELERATION)
+    seconds = latency + move.duration / override + 0.3
+    assert watch(move.at(move.duration), lambda t: move.at(override * (t - latency)), seconds) is None
+
+
+@settings(max_examples=30)
+@given(st.floats(0.1, 1.0), st.floats(0.1, 0.95), st.floats(0.0, np.radians(0.05)))
+def test_an_arm_that_is_held_on_its_way_is_found_within_half_a_second(override, share, give):
+    """A little later if somebody leans on it, so that its joints give."""
+    move = JointMove(START, END, SPEED, ACCELERATION)
+    held_at = share * move.duration / override
+
+    def joints(t):
+        return move.at(override * min(t, held_at)) + give * np.sin(6.0 * max(t - held_at, 0.0))
+
+    found = watch(END, joints, held_at + 2.0) - held_at
+    assert 0.0 < found < (0.5 if give == 0.0 else 1.3)
+
+
+def test_an_arm_that_does_not_begin_to_move_is_found():
+    assert watch(END, lambda t: START, 2.0) < 1.1
+
+
+def test_joints_that_are_not_read_anew_say_nothing_of_a_motion():
+    monitor = MotionMonitor(END)
+    monitor.step(START, 0.0)
+    still = START + 0.1 * (END - START)
+    assert not any(monitor.step(still, 0.1 * i) for i in range(1, 40))
+    assert not monitor.step(START + 0.2 * (END - START), 4.0)

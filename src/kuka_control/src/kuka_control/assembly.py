@@ -91,7 +91,6 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     settings = RealTimeSettings(
         q_home=rig.home.q,
         time_out=config.time_out,
-        joint_speeds=rig.model.max_speed,
         velocity_home=config.velocity_ptp_slow,
         velocity_return=config.velocity_ptp_fast,
         servo_joint_speeds=config.joint_speed * rig.model.max_speed,
@@ -130,7 +129,6 @@ def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
     settings = PtpSettings(
         q_home=rig.home.q,
         time_out=config.time_out,
-        joint_speeds=rig.model.max_speed,
         velocity_home=config.velocity_ptp,
         velocity_return=config.velocity_ptp,
         joints_thresh=config.joints_thresh_rad,

@@ -5,9 +5,9 @@
 A step looks at everything that came since the one before and answers with one command; it waits for nothing. While a
 motion runs, desired tool frames are disregarded; afterwards only new ones count.
 
-After a fault (refused motion, arm that does not follow) the loop is latched: it leaves the arm where it is, says why,
-and goes on, with a motion home, only after control was switched off and on again. real_time_loop.py and ptp_loop.py
-hold the two algorithms.
+After a fault (refused motion, arm that was held on its way or does not follow) the loop is latched: it leaves the arm
+where it is, says why, and goes on, with a motion home, only after control was switched off and on again.
+real_time_loop.py and ptp_loop.py hold the two algorithms.
 """
 
 from __future__ import annotations
@@ -23,19 +23,14 @@ from common.poses import read_only
 from kuka_control.commands import Command, End, Event, Observation, StartPtp, Step, Wait
 from kuka_control.stream import Desired, DesiredStream
 from kuka_control.target import Target, TargetChain
+from kuka_control.tracking import MotionMonitor
 from kuka_control.workspace import Infeasible
 
 Q_ZERO = read_only(np.zeros(7))
 """The joints in which the arm is left behind [rad]."""
 
-PTP_MARGIN_S = 5.0
-"""What a motion may take beyond twice its time at constant speed [s]."""
-
-STANDING_S = 2.0
-"""An arm that stands still for so long during a motion is held by something [s]."""
-
-STANDING_RAD = float(np.radians(0.02))
-"""Joints that moved less than this stand still."""
+UNENDING_S = 2.0
+"""Who wants to exit waits so long for an arm that is held on its way [s]."""
 
 COUNTED = (
     *("goals_sent", "limited_goals", "workspace_clips", "ik_failures", "refused_frames"),
@@ -51,26 +46,24 @@ class LoopSettings:
     Attributes:
         q_home: home position, shape (7,) [rad].
         time_out: go home after so long without a new desired tool frame [s].
-        joint_speeds: of the arm's data sheet, shape (7,) [rad/s]; they tell how long a motion may take.
         velocity_home: share of the full joint speed to home at the start and when control goes off, and to zero.
         velocity_return: share of the full joint speed to home after a time-out.
     """
 
     q_home: np.ndarray
     time_out: float
-    joint_speeds: np.ndarray
     velocity_home: float
     velocity_return: float
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """A PTP motion that runs: where to, in words and joints, the state after it, and when it is overdue [s]."""
+    """A PTP motion that runs: where to, in words and joints, the state after it, and whether it goes on."""
 
     name: str
     q: np.ndarray
     then: Callable[..., Command]
-    deadline: float
+    monitor: MotionMonitor
 
 
 Settings = TypeVar("Settings", bound=LoopSettings)
@@ -92,8 +85,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._limited_by: tuple[str, ...] = ()
         self._events: list[Event] = []
         self._motion: _Motion | None = None
-        self._stands: tuple[np.ndarray, float] | None = None
-        self._overdue = False
+        self._held = self._was_held = False
         self._at_home = False
         self._home_at: float | None = None
         self._because = ""
@@ -159,20 +151,25 @@ class ControlLoop(ABC, Generic[Settings]):
         motion = self._motion
         assert motion is not None, "this state begins with a motion"
         if seen.arrived:
-            if self._overdue and motion.then not in (self._home, self._zero):
+            if self._was_held and motion.then != self._zero:
                 return self._latch(f"Something held the arm on its way to {motion.name}.")
             self._state = motion.then
             return motion.then(seen, None, now)
-        if self._overdue and self._leaving(seen):
+        held = motion.monitor.step(seen.joints, now)
+        if held and motion.monitor.still > UNENDING_S and self._leaving(seen):
             return self._end(f"The arm cannot go to zero because its motion to {motion.name} does not end.")
-        if not self._overdue and (now > motion.deadline or self._standing(seen.joints, now)):
-            self._overdue = True
+        if held and not self._held:
             left = np.degrees(np.max(np.abs(motion.q - seen.joints)))
-            self._reason = (
+            self._reason = self.stopped_because = (
                 f"The motion to {motion.name} does not go on, {left:.1f} deg are left; if a safety stop holds the arm, "
                 "free the arm and press run on the smartPad."
             )
             self._say("error", self._reason)
+        elif self._held and not held:
+            self._reason = f"The arm moves on to {motion.name} and stays there until control goes off and on again."
+            self._say("info", self._reason)
+        self._held = held
+        self._was_held |= held
         return Wait()
 
     def _latched(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
@@ -194,10 +191,8 @@ class ControlLoop(ABC, Generic[Settings]):
     def _ptp(
         self, seen: Observation, name: str, q: np.ndarray, velocity: float, mode: str, then: State, now: float
     ) -> Command:
-        way = np.max(np.abs(q - seen.joints) / self._settings.joint_speeds)
-        self._motion = _Motion(name, q, then, now + 2.0 * float(way) / velocity + PTP_MARGIN_S)
-        self._overdue = self._at_home = False
-        self._stands = None
+        self._motion = _Motion(name, q, then, MotionMonitor(q))
+        self._held = self._was_held = self._at_home = False
         why = f"{self._because} " if self._because else ""
         self._because = ""
         self._enter(mode, self._moving, f"{why}The arm moves to {name} at {velocity:g} of the full joint speed.")
@@ -209,12 +204,6 @@ class ControlLoop(ABC, Generic[Settings]):
     def _go_to_zero(self, seen: Observation, now: float) -> Command:
         velocity = self._settings.velocity_home
         return self._ptp(seen, "the zero position", Q_ZERO, velocity, "zero", self._zero, now)
-
-    def _standing(self, q: np.ndarray, now: float) -> bool:
-        """Returns whether the arm has been standing for `STANDING_S` now."""
-        if self._stands is None or np.max(np.abs(q - self._stands[0])) > STANDING_RAD:
-            self._stands = (q, now)
-        return now - self._stands[1] > STANDING_S
 
     def _give_up(self, refused: str) -> Command:
         """The robot's controller refused the last command, or ended servo mode by itself."""
