@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.reference.syntax import dotted
+
 ROOT = Path(__file__).parents[1]
 LAYER = {
     "kuka_msgs": 0, "reflex_msgs": 0, "rig_msgs": 0, "grasp_msgs": 0,
@@ -28,6 +30,18 @@ IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "a
 EDGES = {"transport", "session", "client", "ports"}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
 STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
+
+# What Python got after 3.8 and one easily writes without noticing; ruff refuses newer syntax.
+NEWER_MODULES = {"graphlib", "tomllib", "zoneinfo"}
+NEWER_CALLS = {
+    "ast.unparse", "asyncio.to_thread", "asyncio.timeout", "asyncio.TaskGroup", "contextlib.aclosing",
+    "contextlib.chdir", "functools.cache", "importlib.resources.files", "itertools.batched", "itertools.pairwise", "math.cbrt", "math.lcm",
+    "math.nextafter", "math.ulp", "random.randbytes", "statistics.correlation", "statistics.linear_regression",
+}  # fmt: skip
+NEWER_METHODS = {
+    "bit_count", "hardlink_to", "is_relative_to", "removeprefix", "removesuffix", "with_stem", "add_note",
+}  # fmt: skip
+PYTHON = sorted({file for folder in ("src", "tools", "tests", "bench") for file in ROOT.glob(f"{folder}/**/*.py")})
 
 FILES = sorted(ROOT.glob("src/**/src/*/**/*.py"))
 
@@ -88,11 +102,54 @@ class TestModule:
             if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
                 continue
             assert isinstance(node, STATEMENTS) or (
-                isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+                isinstance(node, ast.If) and dotted(node.test).endswith("TYPE_CHECKING")
             ), f"{path}:{node.lineno} acts when it is imported"
 
     def test_has_a_docstring(self, path):
         assert ast.get_docstring(ast.parse(path.read_text())) or not path.read_text().strip()
+
+
+def newer_than_38(code: str) -> set[str]:
+    """Returns what a file uses of the lists above."""
+    tree = ast.parse(code, feature_version=(3, 8))
+    found = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)} & NEWER_METHODS
+    found |= {dotted(n) for n in ast.walk(tree) if isinstance(n, ast.Attribute)} & NEWER_CALLS
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names} & NEWER_MODULES
+        elif isinstance(node, ast.ImportFrom):
+            found |= {str(node.module)} & NEWER_MODULES
+            found |= {f"{node.module}.{alias.name}" for alias in node.names} & NEWER_CALLS
+        elif isinstance(node, ast.Call) and dotted(node.func) == "zip":
+            found |= {"zip(strict=)" for keyword in node.keywords if keyword.arg == "strict"}
+    return found
+
+
+class TestPython38:
+    """ROS Noetic on Ubuntu 20.04 has Python 3.8."""
+
+    def test_has_what_is_used(self):
+        used = {str(path.relative_to(ROOT)): newer_than_38(path.read_text()) for path in PYTHON}
+        assert not {path: names for path, names in used.items() if names}
+
+    @pytest.mark.parametrize(
+        ("code", "found"),
+        [
+            ("import ast\nast.unparse(tree)", "ast.unparse"),
+            ("from functools import cache", "functools.cache"),
+            ("import zoneinfo", "zoneinfo"),
+            ("from graphlib import TopologicalSorter", "graphlib"),
+            ("name.removeprefix('a')", "removeprefix"),
+            ("path.is_relative_to(root)", "is_relative_to"),
+            ("zip(a, b, strict=True)", "zip(strict=)"),
+        ],
+    )
+    def test_finds(self, code, found):
+        assert newer_than_38(code) == {found}
+
+    def test_refuses_newer_syntax(self):
+        with pytest.raises(SyntaxError):
+            newer_than_38("match a:\n    case 1:\n        pass")
 
 
 def test_every_package_has_a_layer():

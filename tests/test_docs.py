@@ -11,6 +11,7 @@ import pytest
 from tools.handbook import commands, pages
 from tools.reference import errors, messages_in_code, nodes, parameters, sources
 from tools.reference.pages import PAGES
+from tools.reference.syntax import dotted
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -72,20 +73,17 @@ class TestPrivateParameters:
 
 def private_schemas(code: str) -> set[str]:
     """Returns the names of the schemas by which a module reads private parameters."""
-    tree = ast.parse(code)
     found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "private_config":
-            found.add(ast.unparse(node.args[0]))
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "wait_for_config":
-            found |= {ast.unparse(node.args[0])} if "get_name()" in ast.unparse(node.args[1]) else set()
-        if (
-            isinstance(node, ast.Assign)
-            and ast.unparse(node.targets[0]) == "SECTIONS"
-            and isinstance(node.value, ast.Dict)
-        ):
-            found |= {ast.unparse(schema) for schema in node.value.values}
-    return {name for name in found if name[0].isupper()}
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Call) and dotted(node.func) == "private_config":
+            found.add(dotted(node.args[0]))
+        if isinstance(node, ast.Call) and dotted(node.func) == "wait_for_config":
+            name = node.args[1]
+            if isinstance(name, ast.Call) and dotted(name.func).endswith("get_name"):
+                found.add(dotted(node.args[0]))
+        if isinstance(node, ast.Assign) and dotted(node.targets[0]) == "SECTIONS" and isinstance(node.value, ast.Dict):
+            found |= {dotted(schema) for schema in node.value.values}
+    return {name for name in found if name[:1].isupper()}
 
 
 def test_every_picture_says_where_it_comes_from():
