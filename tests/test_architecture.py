@@ -35,8 +35,8 @@ STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Ass
 NEWER_MODULES = {"graphlib", "tomllib", "zoneinfo"}
 NEWER_CALLS = {
     "ast.unparse", "asyncio.to_thread", "asyncio.timeout", "asyncio.TaskGroup", "contextlib.aclosing",
-    "contextlib.chdir", "functools.cache", "importlib.resources.files", "itertools.batched", "itertools.pairwise", "math.cbrt", "math.lcm",
-    "math.nextafter", "math.ulp", "random.randbytes", "statistics.correlation", "statistics.linear_regression",
+    "contextlib.chdir", "functools.cache", "importlib.resources.files", "itertools.batched", "itertools.pairwise",
+    "math.cbrt", "math.lcm", "math.nextafter", "math.ulp", "random.randbytes", "statistics.correlation", "statistics.linear_regression",
 }  # fmt: skip
 NEWER_METHODS = {
     "bit_count", "hardlink_to", "is_relative_to", "removeprefix", "removesuffix", "with_stem", "add_note",
