@@ -72,6 +72,21 @@ def test_what_is_not_picked_and_placed_is_a_fault_of_the_scenario(sights, senten
     assert "The scenario pick_cup picked nothing up and put it down." in summary["faults"]
 
 
+@pytest.mark.parametrize(
+    "scenario, height, fault",
+    [
+        ("pick_cup", 0.012, "The scenario pick_cup lifted by 12 mm only, and 195 mm are wanted."),
+        ("pick_cup", 0.194, "The scenario pick_cup lifted by 194 mm only, and 195 mm are wanted."),
+        ("pick_cup", 0.195, None),
+        ("assisted_grasp", 0.1, None),
+    ],
+)
+def test_a_scenario_lifts_as_high_as_it_says(scenario, height, fault):
+    sights = (PICKED[0], (lifted(height), height, IN_HAND), *PICKED[2:])
+    faults = summary_of(seen(*sights, scenario={**DONE, "scenario": scenario}))["faults"]
+    assert [sentence for sentence in faults if "scenario" in sentence] == ([] if fault is None else [fault])
+
+
 def test_a_scenario_that_was_given_up_says_why():
     given_up = {"scenario": "pick_cup", "step": "down", "failure": "the arm did not follow"}
     assert (

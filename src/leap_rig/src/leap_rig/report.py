@@ -15,6 +15,8 @@ HAND_MOVED_RAD = 0.1
 """Some finger must have moved at least so far."""
 FOLLOWING_ERROR_M = 0.05
 """With a larger typical distance to the commanded tool the arm does not follow."""
+LEAST_LIFT_MM = {"pick_cup": 195.0}
+"""A scenario that is to lift an object by 20 cm; the person is content with the tool 4 mm from where it should be."""
 
 
 def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = ()) -> dict:
@@ -73,8 +75,8 @@ def _faults(summary: dict) -> list[str]:
     if scenario is not None and scenario["step"] != "done":
         why = scenario["failure"] or f"it ended at step {scenario['step']!r}"
         faults.append(f"The scenario {scenario['scenario']} was not finished: {why}.")
-    elif scenario is not None and not any(seen["picked_and_placed"] for seen in summary["objects"].values()):
-        faults.append(f"The scenario {scenario['scenario']} picked nothing up and put it down.")
+    elif scenario is not None:
+        faults += _faults_of_lift(scenario["scenario"], summary["objects"])
     for grasp in summary["grasps"]:
         seen = summary["objects"].get(grasp["object"])
         if grasp["held"] and not (seen and seen["picked_and_placed"]):
@@ -82,6 +84,16 @@ def _faults(summary: dict) -> list[str]:
     if not summary["hand_commands"] or max(summary["hand_travel_rad"], default=0.0) < HAND_MOVED_RAD:
         faults.append("The robot hand never moved.")
     return faults
+
+
+def _faults_of_lift(scenario: str, objects: dict[str, dict]) -> list[str]:
+    lifts = [seen["lifted_mm"] for seen in objects.values() if seen["picked_and_placed"]]
+    least = LEAST_LIFT_MM.get(scenario, 0.0)
+    if not lifts:
+        return [f"The scenario {scenario} picked nothing up and put it down."]
+    if max(lifts) < least:
+        return [f"The scenario {scenario} lifted by {max(lifts):.0f} mm only, and {least:.0f} mm are wanted."]
+    return []
 
 
 def _grasp(values: dict[str, str]) -> dict:
