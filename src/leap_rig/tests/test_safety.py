@@ -104,10 +104,13 @@ def test_a_hand_starts_only_inside_the_box_level_and_well_seen(rig):
 
 def test_nothing_is_published_before_the_mean_is_full(rig):
     humans = rig.listen_to_hands()
-    for _ in range(3):
+
+    def hands_were_seen():
         rig.hand.flash(9)
         rig.wait(lambda: rig.hand.still, "the end of the hand")
-    rig.wait(lambda: len(humans) >= 15, "the frames with a hand on leap_motion/leap_device")
+        return len(humans) >= 15
+
+    rig.wait(hands_were_seen, "15 frames with a hand on leap_motion/leap_device, some may be left behind", 15.0)
     assert not rig.desired and not any("followed" in said for _, said in rig.stream)
     rig.hand.flash(60)
     rig.wait(lambda: rig.desired, "the desired tool frames of a hand that stays")
