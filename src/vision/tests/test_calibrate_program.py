@@ -113,6 +113,31 @@ def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scen
     ],
 )
 def test_views_of_another_rig_are_not_taken_for_this_ones(processes, scene, tmp_path, key, value):
+    file = file_of_views(tmp_path, **{key: value})
+    program = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file), "--yes")
+    assert program.wait(60.0) == 1
+    log = program.log_path.read_text()
+    assert f"The file is not of this rig: {key} {value}, not" in log
+    assert "Traceback" not in log
+    assert stored(tmp_path) == []
+
+
+def test_a_refused_calibration_is_shown_before_the_program_ends(ros, processes, scene, tmp_path):
+    import rospy
+    from visualization_msgs.msg import MarkerArray
+
+    rospy.set_param("camera_calibration/limits/max_point_sd_mm", 0.001)
+    markers = ros.record("camera_calibration/markers", MarkerArray)
+    file = file_of_views(tmp_path)
+    program = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file), "--yes")
+    assert program.wait(60.0) == 1
+    assert "Nothing was stored" in program.log_path.read_text()
+    (marker,) = markers.wait(1)[0].markers
+    assert marker.ns == "new"
+
+
+def file_of_views(tmp_path, **head):
+    """A file with good views of this rig, or of one that `head` changes."""
     from vision.ros.calibration_store import CalibrationStore, StoreConfig
 
     X, _, views = hand_eye_scene.scene(1, 12, hand_eye_scene.SD / 10.0)
@@ -120,16 +145,9 @@ def test_views_of_another_rig_are_not_taken_for_this_ones(processes, scene, tmp_
     limits = parse(CalibrationConfig, parameters(tmp_path)["limits"])
     verdict = judge(views, T_FLANGE_PANEL, limits)
     assert verdict.accepted, verdict.sentence
-    head = {"robot": "LBR7R800", "flange": "MF_elektrisch", "camera": "1234", "panel": "tag_frame", key: value}
+    head = {"robot": "LBR7R800", "flange": "MF_elektrisch", "camera": "1234", "panel": "tag_frame", **head}
     record = by_views(verdict, views, date="2026-01-01T00:00:00", camera_frame="camera_rgb_optical_frame", **head)
-    other = CalibrationStore(StoreConfig(str(tmp_path / "other"), "1234", "LBR7R800", "MF_elektrisch"))
-    file = other.save(record)
-    program = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file), "--yes")
-    assert program.wait(60.0) == 1
-    log = program.log_path.read_text()
-    assert f"The file is not of this rig: {key} {value}, not" in log
-    assert "Traceback" not in log
-    assert stored(tmp_path) == []
+    return CalibrationStore(StoreConfig(str(tmp_path / "other"), "1234", "LBR7R800", "MF_elektrisch")).save(record)
 
 
 def test_a_panel_that_is_not_as_drawn_is_refused_and_the_old_one_kept(calibrate, scene, arm, tmp_path):
@@ -183,7 +201,43 @@ def test_poses_cannot_be_refined_without_the_pictures(processes, scene):
 def test_by_hand_without_a_controller(processes, scene):
     program = processes.start("bash", "-c", "printf '\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
     assert program.wait(90.0) == 1
-    assert "calibrate_camera: tf has no way from kuka/base_frame" in program.log_path.read_text()
+    log = program.log_path.read_text()
+    assert "calibrate_camera: tf has no way from kuka/base_frame" in log and "give --ip" in log
+
+
+def test_by_hand_the_program_asks_the_arm_itself(processes, scene, arm):
+    options = f"--by-hand --ip 127.0.0.1 --port {arm.port}"
+    program = processes.start("bash", "-c", f"printf '\\nq\\n' | rosrun vision calibrate_camera.py {options}")
+    assert program.wait(90.0) == 1
+    log = program.log_path.read_text()
+    assert "taken, 4 pictures, by the corners" in log
+    assert "The connection is closed" in log
+    assert not moved(arm)
+
+
+@pytest.mark.parametrize(
+    ("mounting", "sentences"),
+    [
+        (
+            [180, 0, 0],
+            ["base turned by roll 180, pitch 0, yaw 0 deg", "At the start the arm, hand or panel would be too near"],
+        ),
+        ("ceiling", ["kuka/mounting is 'ceiling', but must be 3 finite numbers"]),
+    ],
+)
+def test_an_arm_on_a_ceiling_is_known_as_one(scene, arm, calibrate, mounting, sentences):
+    import rospy
+
+    rospy.set_param("kuka/mounting", mounting)
+    try:
+        program = calibrate("--yes")
+        assert program.wait(60.0) == 1
+    finally:
+        rospy.delete_param("kuka")
+    log = program.log_path.read_text()
+    assert all(sentence in log for sentence in sentences), log
+    assert "Traceback" not in log
+    assert not moved(arm)
 
 
 def test_no_robot(processes, scene, arm, free_port):

@@ -44,10 +44,18 @@ def test_parameters(panel, plate, bundles):
         capture_output=True, text=True, timeout=60.0, check=True,
     ).stdout  # fmt: skip
     values = yaml.safe_load(out)
+    assert "/kuka/mounting" not in values, "a controller may have told it"
     assert values["/camera_calibration/panel/plate"] == plate
     assert values["/camera_calibration/store/camera"] == "0712"
     assert len(values["/apriltag_ros_continuous_node/tag_bundles"]) == bundles
     assert values["/apriltag_ros_continuous_node/rectified"] is False
+
+
+@pytest.mark.ros
+def test_mounting():
+    command = ["roslaunch", "--dump-params", "vision", "camera_apriltag.launch", "mounting:=180 0 0"]
+    out = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=True).stdout
+    assert yaml.safe_load(out)["/kuka/mounting"] == [180, 0, 0]
 
 
 @pytest.mark.ros

@@ -126,6 +126,7 @@ class Source:
         self._pictures = [rospy.Publisher(f"watched/{n}/image_raw", Image, queue_size=1) for n in ("rgb", "depth")]
         self.sends = self.new_stamps = self.new_pictures = True
         self.depth = 1000
+        self.rows = 2
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, daemon=True)
         self._thread.start()
@@ -149,11 +150,13 @@ class Source:
             number += self.new_pictures
             stamp = rospy.Time.now() if self.new_stamps else stamp
             colour = np.full((2, 2, 3), number % 256, np.uint8)
-            depth = np.full((2, 2), self.depth and self.depth + number % 100, np.uint16)
-            info = CameraInfo()
+            depth = np.full((3, 2), self.depth and self.depth + number % 100, np.uint16)
+            info = CameraInfo(height=2, width=2)
             info.header.stamp = stamp
             self._pictures[0].publish(image_message(colour, "rgb8", "f", stamp))
-            self._pictures[1].publish(image_message(depth, "16UC1", "f", stamp))
+            torn = image_message(depth[: self.rows], "16UC1", "f", stamp)
+            torn.step += self.rows > 2  # a row longer than its bytes
+            self._pictures[1].publish(torn)
             for publisher in self._infos:
                 publisher.publish(info)
 
@@ -173,7 +176,7 @@ def start_watchdog(ros, **changes):
     return ros.run("vision", "camera_watchdog_node.py", "__ns:=watched", "__name:=watchdog")
 
 
-def test_the_watchdog_says_frozen_vanished_empty_and_well_again(ros, source, wait_until):
+def test_the_watchdog_says_frozen_vanished_garbled_empty_and_well_again(ros, source, wait_until):
     from sensor_msgs.msg import Image
 
     status = statuses(ros, "camera_watchdog")
@@ -198,6 +201,13 @@ def test_the_watchdog_says_frozen_vanished_empty_and_well_again(ros, source, wai
         ros.record(f"watched/{name}/image_raw", Image)
     wait_for("frozen", "frozen")
     source.new_pictures = True
+    wait_for("alive", "alive")
+    for rows, complaint in ((1, "a picture of 2 x 1 is not of the size"), (3, "12 bytes instead of 5 x 3")):
+        source.rows = rows
+        wait_for("alive", "garbled")
+        wait_until(lambda c=complaint: c in status()["message"], 15.0, complaint)
+    assert int(status()["depth_garbled"]) > 0 and status()["rgb_garbled"] == "0"
+    source.rows = 2
     wait_for("alive", "alive")
     source.depth = 0
     wait_for("alive", "empty")

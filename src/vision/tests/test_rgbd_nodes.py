@@ -254,9 +254,10 @@ def test_a_picture_of_another_size_is_dropped_with_a_sentence(ros, camera, pictu
     from sensor_msgs.msg import PointCloud2
 
     camera.depth = pictures[1][:240, :320].copy()
-    clouds = ros.record("camera/depth_registered/points", PointCloud2)
+    clouds, status = ros.record("camera/depth_registered/points", PointCloud2), diagnostics(ros, "register_rgbd")
     process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
     wait_until(lambda: "A pair of pictures was dropped" in process.log_path.read_text(), 30.0, "the sentence")
+    wait_until(lambda: "Waits for pictures that are of use" in status().get("message", ""), 15.0, "the reason")
     camera.depth = pictures[1]
     clouds.wait(1, 30.0)
 

@@ -82,3 +82,22 @@ def test_few_pictures_are_slow_but_usable():
     health = watch.health(now)
     assert (health.state, health.usable) == ("slow", True)
     assert watch_of(20, period=0.5, min_rate=0.0)[0].health(now).state == "alive"
+
+
+def test_garbled_pictures_are_named_until_the_last_is_long_past():
+    watch, now = watch_of(40)
+    watch.looked_in_vain("it is torn", now)
+    health = watch.health(now + 0.1)
+    assert (health.state, health.usable) == ("garbled", False)
+    assert health.sentence == "The depth camera sends garbled pictures: it is torn."
+    for i in range(20):
+        watch.arrived(200.0 + i, now + 0.1 * i)
+        watch.looked(200 + i, now + 0.1 * i)
+    assert watch.health(now + 2.0).state == "alive"
+
+
+def test_who_looks_away_forgets_garbled_pictures():
+    watch, now = watch_of(40)
+    watch.looked_in_vain("it is torn", now)
+    watch.look_away()
+    assert watch.health(now + 0.1).state == "alive"

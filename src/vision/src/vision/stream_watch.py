@@ -29,7 +29,7 @@ class Health:
     """The state of a stream.
 
     Attributes:
-        state: waiting (none came yet), alive, slow, empty, frozen or vanished.
+        state: waiting (none came yet), alive, slow, empty, garbled, frozen or vanished.
         sentence: what is wrong, or that nothing is.
     """
 
@@ -58,6 +58,7 @@ class StreamWatch:
         self._new_stamp: float | None = None
         self._new_digest: float | None = None
         self._filled = 1.0
+        self._garbled, self._garbage = float("-inf"), ""
         self._times: deque[float] = deque()
 
     def arrived(self, stamp: float, now: float) -> None:
@@ -84,9 +85,19 @@ class StreamWatch:
             self._digest, self._new_digest = digest, now
         self._filled = filled
 
+    def looked_in_vain(self, reason: str, now: float) -> None:
+        """Takes in that a picture is garbled.
+
+        Args:
+            reason: a clause.
+            now: time of arrival [s].
+        """
+        self._garbage, self._garbled = reason, now
+
     def look_away(self) -> None:
         """Forgets what pictures showed: nobody takes them any more."""
         self._digest = self._new_digest = None
+        self._garbled = float("-inf")
         self._filled = 1.0
 
     def rate(self, now: float) -> float:
@@ -106,6 +117,8 @@ class StreamWatch:
             return Health("vanished", f"The {self._name} vanished: nothing for {now - self._last:.1f} s.")
         if now - self._new_stamp > limit:
             return Health("frozen", f"The {self._name} is frozen: the same stamp for {now - self._new_stamp:.1f} s.")
+        if now - self._garbled <= limit:
+            return Health("garbled", f"The {self._name} sends garbled pictures: {self._garbage}.")
         if self._filled < self._config.min_depth:
             return Health(
                 "empty", f"The {self._name} sees nothing: {100.0 * self._filled:.0f} % of the pixels are valid."

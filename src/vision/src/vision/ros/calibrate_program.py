@@ -10,6 +10,7 @@ import contextlib
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ from vision.ros.comparison import Comparison
 from vision.ros.frames import Frames
 from vision.ros.panel_sights import PanelSights
 from vision.ros.panel_viewer import VIEW_TIMEOUT_S, PanelViewer
-from vision.ros.visiting_arm import VisitingArm, robot_address
+from vision.ros.visiting_arm import RobotAddress, VisitingArm, robot_address
 
 NODE = "calibrate_camera"
 DETECTOR = "apriltag_ros_continuous_node"
@@ -70,18 +71,18 @@ def main() -> None:
 
 def _run(options: argparse.Namespace) -> None:
     setup = read_setup(DETECTOR)
-    sights = PanelSights(setup.target)
+    sights, comparison = PanelSights(setup.target), Comparison()
     if options.again:
         record = read(options.again)
         _refuse_foreign(record, setup)
         views, frame = list(record.views), record.camera_frame
     elif options.by_hand:
-        views = _views_by_hand(setup, PanelViewer(setup, sights, DETECTOR))
+        views = _views_by_hand(options, setup, PanelViewer(setup, sights, DETECTOR))
         frame = sights.frame
     else:
         views = _views_by_arm(options, setup, sights)
         frame = sights.frame
-    _conclude(options, setup, views, frame)
+    _conclude(options, setup, views, frame, comparison)
 
 
 def _refuse_foreign(record: CalibrationRecord, setup: CalibrationSetup) -> None:
@@ -97,18 +98,37 @@ def _refuse_foreign(record: CalibrationRecord, setup: CalibrationSetup) -> None:
         )
 
 
-def _views_by_hand(setup: CalibrationSetup, viewer: PanelViewer) -> list[View]:
+def _views_by_hand(options: argparse.Namespace, setup: CalibrationSetup, viewer: PanelViewer) -> list[View]:
     """Returns the views at which the person pressed Enter; somebody else moves the arm."""
-    frames, views = Frames(), []
-    frames.flange(rospy.Time(0), FLANGE_WAIT_S)
+    if not options.ip:
+        frames = Frames()
+        try:
+            frames.flange(rospy.Time(0), FLANGE_WAIT_S)
+        except DeviceError as error:
+            raise DeviceError(
+                f"{error} Without a controller, give --ip: then the program asks the arm itself."
+            ) from None
+        return _taken_by_hand(setup, viewer, lambda: frames.flange(rospy.Time.now(), FLANGE_WAIT_S))
+    address = _address(options, setup)
+    arm = VisitingArm(address, ArmModel(urdf(address.robot, address.flange)), options.velocity)
+    try:
+        return _taken_by_hand(setup, viewer, arm.flange)
+    finally:
+        _end(arm)
+
+
+def _taken_by_hand(setup: CalibrationSetup, viewer: PanelViewer, flange: Callable[[], np.ndarray]) -> list[View]:
+    """Returns the views; `flange` returns T_base_flange, shape (4, 4) [m], at present."""
+    views: list[View] = []
+    flange()
     print(
         "Move the arm so that the panel is seen tilted, each time about another axis. Enter: take it, q: that is all."
     )
     while _answer(f"View {len(views) + 1}: ") not in ("q", None):
         try:
-            before = frames.flange(rospy.Time.now(), FLANGE_WAIT_S)
+            before = flange()
             seen, how = viewer.look()
-            T_base_flange = frames.flange(rospy.Time.now(), FLANGE_WAIT_S)
+            T_base_flange = flange()
             if np.linalg.norm(T_base_flange[:3, 3] - before[:3, 3]) > STILL_M:
                 raise ValueError("the arm moved")
             views.append(view_from(seen, T_base_flange, views, setup.limits))
@@ -119,11 +139,10 @@ def _views_by_hand(setup: CalibrationSetup, viewer: PanelViewer) -> list[View]:
 
 
 def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: PanelSights) -> list[View]:
-    given = {key: getattr(options, key) for key in ("ip", "port", "robot", "flange")}
-    address = robot_address(setup.store_config, given)
+    address = _address(options, setup)
     config = wait_for_config(ViewsConfig, f"{NAMESPACE}/views")
     model = ArmModel(urdf(address.robot, address.flange))
-    R_world_base = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))
+    R_world_base = rotation_of_mounting(address.mounting)
     points = np.concatenate([tag.corners for tag in setup.target.tags])
     viewer = PanelViewer(setup, sights, DETECTOR)
     planner = ViewPlanner(
@@ -132,7 +151,8 @@ def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: 
     rng = np.random.default_rng(options.seed)
     if not options.yes and not sys.stdin.isatty():
         raise Refused("There is no terminal to ask on whether the arm may move; use --yes.")
-    print(f"The arm goes to {_text(config.start)} deg, and then to the views, at {options.velocity:.0%} of full speed.")
+    print(f"The arm is {address.robot} with {address.flange}, its {address.attitude}.")
+    print(f"It goes to {_text(config.start)} deg, and then to the views, at {options.velocity:.0%} of full speed.")
     _agree(options, "Is the way free, and may it move?")
     arm = VisitingArm(address, model, options.velocity)
     try:
@@ -153,12 +173,25 @@ def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: 
             arm.go(q, print)
         return views
     finally:
-        arm.close()
-        print("The connection is closed and the server on the robot ends with it; start it again for the next program.")
+        _end(arm)
+
+
+def _address(options: argparse.Namespace, setup: CalibrationSetup) -> RobotAddress:
+    return robot_address(setup.store_config, {key: getattr(options, key) for key in ("ip", "port", "robot", "flange")})
+
+
+def _end(arm: VisitingArm) -> None:
+    arm.close()
+    print("The connection is closed and the server on the robot ends with it; start it again for the next program.")
 
 
 def _go_to_start(arm: VisitingArm, planner: ViewPlanner, guess: np.ndarray, start: np.ndarray) -> None:
-    """Raises DeviceError if the way there, all joints together, is not clear."""
+    """Raises DeviceError if the start, or the way there, all joints together, is not clear."""
+    if planner.clearance(start, guess) <= 0.0:
+        raise DeviceError(
+            "At the start the arm, hand or panel would be too near to the table, the camera or the arm: correct start, "
+            "min_height and the guess in calibration_views.yaml, and mounting:=... of camera_apriltag.launch."
+        )
     if not planner.way_clear(arm.joints(), start, guess):
         raise DeviceError(
             "On the straight way of the joints to the start the arm, hand or panel would come too near to the table, "
@@ -213,7 +246,9 @@ def _visit(arm: VisitingArm, legs: list[Leg], setup: CalibrationSetup, viewer: P
     return views
 
 
-def _conclude(options: argparse.Namespace, setup: CalibrationSetup, views: list[View], frame: str) -> None:
+def _conclude(
+    options: argparse.Namespace, setup: CalibrationSetup, views: list[View], frame: str, comparison: Comparison
+) -> None:
     """Solves, tells, shows, asks and stores.
 
     Raises:
@@ -230,7 +265,6 @@ def _conclude(options: argparse.Namespace, setup: CalibrationSetup, views: list[
     )
     found = setup.store.newest()
     new = verdict.result.T_base_camera
-    comparison = Comparison()
     comparison.show(None if found is None else found[0].T_base_camera, new)
     if found is not None:
         between = inverse(found[0].T_base_camera) @ new
@@ -295,7 +329,11 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Start roslaunch vision camera_apriltag.launch first. The robot is that of the parameters under kuka/ "
         "on the ROS master; the options stand above them.",
     )
-    parser.add_argument("--by-hand", action="store_true", help="somebody else moves the arm; Enter takes a view")
+    parser.add_argument(
+        "--by-hand",
+        action="store_true",
+        help="somebody else moves the arm: a controller, or with --ip whoever holds the smartPad; Enter takes a view",
+    )
     parser.add_argument(
         "--again", type=Path, metavar="FILE.yaml", help="compute anew from the views in a stored calibration"
     )

@@ -1,4 +1,4 @@
-"""Watches the camera: says within a second that it froze or vanished, and that it came back.
+"""Watches the camera: says within a second that it froze, vanished or sends garbage, and that it came back.
 
 Stamps are taken from `rgb/camera_info` and `depth/camera_info`, which cost nothing. What the pictures show is looked at
 only while somebody else takes them, so that the watch alone keeps no camera busy.
@@ -33,6 +33,9 @@ class WatchedStream:
     Args:
         name: rgb or depth.
         config: limits.
+
+    Attributes:
+        garbled: pictures that nobody can work with.
     """
 
     def __init__(self, name: str, config: WatchConfig) -> None:
@@ -41,6 +44,8 @@ class WatchedStream:
         self._lock = threading.Lock()
         self._pictures: rospy.Subscriber | None = None
         self._said = "waiting"
+        self._size: tuple[int, int] | None = None
+        self.garbled = 0
         self.topic = rospy.resolve_name(f"{name}/image_raw")
         rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._take_info, queue_size=1)
 
@@ -71,13 +76,18 @@ class WatchedStream:
 
     def _take_info(self, message: CameraInfo) -> None:
         with self._lock:
+            self._size = message.height, message.width
             self._watch.arrived(message.header.stamp.to_sec(), time.monotonic())
 
     def _take_picture(self, message: Image) -> None:
         try:
             picture = picture_from_image(message)
+            if self._size not in (None, picture.shape[:2]):
+                raise ValueError(f"a picture of {message.width} x {message.height} is not of the size in camera_info")
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, "%s: %s.", self.topic, error)
+            with self._lock:
+                self.garbled += 1
+                self._watch.looked_in_vain(str(error), time.monotonic())
             return
         filled = np.count_nonzero(picture) / picture.size if self._name == "depth" else 1.0
         digest = zlib.crc32(message.data)
@@ -111,6 +121,7 @@ class CameraWatchdog:
         for name, stream in self._streams.items():
             health, rate = stream.health()
             values[name], values[f"{name}_rate"] = health.state, f"{rate:.1f}"
+            values[f"{name}_garbled"] = stream.garbled
             sentences.append(health.sentence)
             level = max(level, LEVELS.get(health.state, DiagnosticStatus.ERROR))
         return level, " ".join(sentences), values

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import rospy
 import tf2_ros
@@ -16,17 +18,24 @@ TOPIC = "camera_calibration/markers"
 COLOURS = {"old": (0.55, 0.55, 0.55), "new": (0.1, 0.7, 0.2)}
 DEPTH_M, HALF_WIDTH_M, HALF_HEIGHT_M = 0.15, 0.09, 0.066
 LINE_M = 0.004
+VIEWER_WAIT_S, POLL_S = 1.0, 0.05
 
 
 class Comparison:
-    """Publishes the frames camera_calibration/old and camera_calibration/new, and a pyramid of sight for each."""
+    """Publishes the frames camera_calibration/old and camera_calibration/new, and a pyramid of sight for each.
+
+    To be made when the program starts: RViz needs a moment to listen, and the program may end as soon as it has shown.
+    """
 
     def __init__(self) -> None:
         self._static = tf2_ros.StaticTransformBroadcaster()
         self._markers = rospy.Publisher(TOPIC, MarkerArray, queue_size=1, latch=True)
 
     def show(self, old: np.ndarray | None, new: np.ndarray) -> None:
-        """Shows the poses T_base_camera, shape (4, 4) [m]; there may be no old one."""
+        """Shows the poses T_base_camera, shape (4, 4) [m]; there may be no old one. Waits a moment for RViz."""
+        deadline = time.monotonic() + VIEWER_WAIT_S
+        while not self._markers.get_num_connections() and time.monotonic() < deadline:
+            time.sleep(POLL_S)
         poses = {"new": new} if old is None else {"old": old, "new": new}
         now = rospy.Time.now()
         self._static.sendTransform(

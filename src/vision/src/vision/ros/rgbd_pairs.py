@@ -114,6 +114,7 @@ class RgbdPairs:
             with while_running():
                 self._take(rgb, depth)
         except ValueError as error:
+            self.waits_for = f"pictures that are of use: {error}"
             rospy.logwarn_throttle(THROTTLE_S, f"A pair of pictures was dropped: {error}.")
         finally:
             self._lock.release()

@@ -1,4 +1,5 @@
-"""The arm on its way from view to view, over the toolbox's server, which serves one program at a time.
+"""The arm on its way from view to view, or moved by somebody else, over the toolbox's server, which serves one program
+at a time.
 
 While it has the arm it also publishes joints and flange as the arm's controllers do otherwise.
 """
@@ -16,6 +17,7 @@ from sensor_msgs.msg import JointState
 
 from common.config import choice, integer, parse, text
 from common.errors import ConfigError, DeviceError
+from common.mounting import mounting_field
 from common.ros.conversions import stamped_transform
 from common.ros.nodes import listens
 from kst.client import KstClient
@@ -37,12 +39,21 @@ ARRIVED_RAD = np.radians(0.2)
 
 @dataclass(frozen=True)
 class RobotAddress:
-    """Which arm, and where its server listens; the names are those of the parameters under kuka/."""
+    """Which arm, how it is mounted, and where its server listens; the names are those of the parameters under kuka/."""
 
     robot: str = choice(*ARMS, doc="the arm")
     flange: str = choice(*MEDIA_FLANGES, doc="its media flange")
     ip: str = text(doc="address of the robot's controller")
     port: int = integer(low=1, high=65535, doc="TCP port of the toolbox server")
+    mounting: np.ndarray = mounting_field()
+
+    @property
+    def attitude(self) -> str:
+        """How the base stands, as a part of a sentence."""
+        if not self.mounting.any():
+            return "base upright"
+        roll, pitch, yaw = self.mounting
+        return f"base turned by roll {roll:g}, pitch {pitch:g}, yaw {yaw:g} deg against the upright world"
 
 
 def robot_address(store: StoreConfig, given: dict) -> RobotAddress:
@@ -53,7 +64,7 @@ def robot_address(store: StoreConfig, given: dict) -> RobotAddress:
     """
     values = {"robot": store.robot, "flange": store.flange, "port": DEFAULT_PORT, **rospy.get_param("kuka", {})}
     values.update({key: value for key, value in given.items() if value is not None})
-    known = {key: values[key] for key in ("robot", "flange", "ip", "port") if key in values}
+    known = {key: values[key] for key in ("robot", "flange", "ip", "port", "mounting") if key in values}
     address = parse(RobotAddress, known, prefix="kuka/")
     if (address.robot, address.flange) != (store.robot, store.flange):
         raise ConfigError(
@@ -66,7 +77,12 @@ def robot_address(store: StoreConfig, given: dict) -> RobotAddress:
 
 
 class VisitingArm:
-    """Moves the arm from point to point.
+    """Moves the arm from point to point, and tells where it is.
+
+    Args:
+        address: of its server.
+        model: of the arm.
+        velocity: share of full joint speed.
 
     Raises:
         DeviceError: a controller node has the robot, or it does not answer.
@@ -154,5 +170,5 @@ def _refuse_if_held() -> None:
         if code == 1 and listens(uri):
             raise DeviceError(
                 f"The node {name} has the robot's only connection; end it first (rosservice call kuka/exit_app), "
-                "or move the arm with it and use --by-hand."
+                "or move the arm with it and use --by-hand without --ip."
             )
