@@ -36,7 +36,7 @@ AT_HOME_OR_LATER = ("home", "pick_up", "servo")
 
 def parse_arguments(argv: list[str]) -> argparse.Namespace:
     """Returns the arguments of the command line; what follows `--` goes to the launch file."""
-    parser = argparse.ArgumentParser(prog="demo.py", description="The whole rig, simulated unless told otherwise.")
+    parser = argparse.ArgumentParser(prog="demo.py", description="The whole simulated rig.")
     parser.add_argument("--headless", action="store_true", help="start nothing that needs a screen")
     parser.add_argument("--duration", type=float, metavar="S", help="end by itself so long after the arm is at home")
     parser.add_argument("--recording", type=Path, metavar="FILE", help="play this recording of Leap frames")
@@ -50,11 +50,16 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         parser.error(f"the recording {arguments.recording} is not a file")
     if arguments.record is not None and arguments.record.suffix not in (".mp4", ".png"):
         parser.error(f"the film {arguments.record} must end with .mp4, or with .png for a sheet of pictures")
+    for file in (arguments.record, arguments.report):
+        if file is not None and not file.resolve().parent.is_dir():
+            parser.error(f"{file} cannot be written: there is no folder {file.resolve().parent}")
     if arguments.duration is not None and not 0.0 < arguments.duration < 1e6:
         parser.error(f"the duration {arguments.duration} must be a positive number of seconds")
     for item in arguments.launch:
         if ":=" not in item:
             parser.error(f"{item!r} is not of the form name:=value")
+    if "sim:=false" in [item.lower() for item in arguments.launch]:
+        parser.error("the demo is the simulated rig; the real one is started by `roslaunch leap_rig demo sim:=false`")
     return arguments
 
 
@@ -211,9 +216,12 @@ def run(arguments: argparse.Namespace) -> int:
             status.finish()
         parent.shutdown()
     summary = summarise(recorder, summary_time, deaths.sentences)
-    if arguments.report is not None:
-        arguments.report.write_text(json.dumps(summary, indent=2) + "\n")
     print(as_text(summary))
+    if arguments.report is not None:
+        try:
+            arguments.report.write_text(json.dumps(summary, indent=2) + "\n")
+        except OSError as error:
+            raise RigError(f"The report could not be written to {arguments.report}: {error.strerror}.") from error
     return 1 if summary["faults"] else 0
 
 
