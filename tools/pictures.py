@@ -185,8 +185,8 @@ def _shrink(file: Path) -> None:
 
 def _ports() -> list[str]:
     """Returns arguments that put the demo's devices on ports of its own."""
-    names = ("robot_port", "robot_control_port", "hand_control_port", "leap_port", "leap_control_port", "world_port")
-    return [*(f"{name}:={free_port()}" for name in names), f"hand_port:={free_port(socket.SOCK_DGRAM)}"]
+    tcp = ("robot", "robot_control", "hand_control", "leap", "leap_control", "world", "camera_control")
+    return [*(f"{name}_port:={free_port()}" for name in tcp), f"hand_port:={free_port(socket.SOCK_DGRAM)}"]
 
 
 def _run(*command: str, **environment: str) -> None:

@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rig_simulation.camera.rgbd_camera import Pictures
 from rig_simulation.faults import Faults
@@ -61,6 +63,29 @@ def test_empty_depth_leaves_the_colour(camera):
     pictures = camera.next(1.0).pictures
     assert not pictures.depth.any() and not pictures.registered.any()
     assert BLANK.depth.all()
+
+
+@given(height=st.integers(2, 9), width=st.integers(1, 9), pixel=st.sampled_from([2, 3, 4]))
+def test_garbled_pictures_fit_neither_themselves_nor_the_camera(height, width, pixel):
+    camera = Camera()
+    step = width * pixel
+    message = {"height": height, "width": width, "step": step, "data": bytes(height * step)}
+    assert camera.stream.garbled(**message) == {}
+    camera.faults.switch("garbled")
+    ways = set()
+    for _ in range(100):
+        changed = camera.stream.garbled(**message)
+        seen = {**message, **changed}
+        whole = len(seen["data"]) == seen["step"] * seen["height"] and seen["step"] >= seen["width"] * pixel
+        assert not whole or (seen["height"], seen["width"]) != (height, width)
+        ways.add(tuple(changed))
+    assert ways == {("data",), ("step",), ("width",), ("height",), ("height", "data")}
+
+
+def test_a_share_of_the_pictures_is_garbled(camera):
+    camera.faults.switch("garbled", value=0.25)
+    count = sum(bool(camera.stream.garbled(2, 2, 4, bytes(8))) for _ in range(1000))
+    assert 200 < count < 300
 
 
 def test_slow_leaves_so_many_pictures_a_second(camera):

@@ -168,9 +168,53 @@ def test_faults_are_switched_at_its_control_port(world, start, ros, wait_until):
         wait_until(lambda: np.frombuffer(depth[-1].data, "<u2").any(), 15.0, "depth again")
 
 
+def test_garbled_pictures_are_refused_by_who_reads_them(world, start, ros, wait_until):
+    from sensor_msgs.msg import Image
+
+    from common.ros.images import picture_from_image
+
+    def is_whole(message) -> bool:
+        try:
+            return picture_from_image(message).shape[:2] == (120, 160)
+        except ValueError:
+            return False
+
+    topics = ("rgb/image_raw", "depth/image_raw", "depth/image")
+    pictures = [ros.record(f"camera/{topic}", Image) for topic in topics]
+    with world.open() as port:
+        start(port.port, fault="garbled")
+        for recording in pictures:
+            recording.wait(8)
+            assert not any(map(is_whole, recording))
+        start.control.ask("fault", name="garbled", on=False)
+        for recording in pictures:
+            wait_until(lambda r=recording: is_whole(r[-1]), 15.0, "a whole picture")
+
+
+def test_a_driver_that_restarts_takes_its_topics_back(world, start, ros, wait_until):
+    import rospy
+    from sensor_msgs.msg import Image
+
+    def published() -> set:
+        return {topic for topic, _ in rospy.get_published_topics("/camera")}
+
+    pictures = ros.record("camera/rgb/image_raw", Image)
+    with world.open() as port:
+        start(port.port)
+        pictures.wait(2)
+        start.control.ask("fault", name="restarted")
+        wait_until(lambda: not published(), 15.0, "the end of the topics")
+        before = len(pictures)
+        start.control.ask("fault", name="restarted", on=False)
+        pictures.wait(before + 2)
+        assert "/camera/depth/camera_info" in published()
+
+
 @pytest.mark.parametrize(
     "changes, complaint",
     [
+        ({"fault": "slow::99"}, "~fault is 'slow::99': The value of the fault 'slow' is pictures a second [Hz]"),
+        ({"fault": "stuck dance:3"}, "~fault is 'stuck dance:3': The fault 'dance' is not known here"),
         ({"rate": -1.0}, "~rate is -1.0"),
         ({"depth": {"quantum": 1.0}}, "~depth/quantum is not a known key"),
         ({"rgb_calibration": {"distortion_model": "fisheye"}}, "distortion_model is 'fisheye'"),

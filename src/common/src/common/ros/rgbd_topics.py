@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Callable
 
 import numpy as np
 import rospy
@@ -15,6 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from common.camera_model import DEPTH_FRAME, RGB_FRAME, CameraModel
 from common.ros.images import camera_info_message, image_message, metres_from_millimetres
 
+Outgoing = Callable[[Image], Image]
 FRAMES = {"rgb": RGB_FRAME, "depth": DEPTH_FRAME, "depth_registered": RGB_FRAME}
 
 
@@ -23,9 +25,11 @@ class RgbdTopics:
 
     Args:
         rgb, depth: intrinsics of the two cameras.
+        outgoing: what each message of a picture becomes on its way out.
     """
 
-    def __init__(self, rgb: CameraModel, depth: CameraModel) -> None:
+    def __init__(self, rgb: CameraModel, depth: CameraModel, outgoing: Outgoing = lambda message: message) -> None:
+        self._outgoing = outgoing
         models = {"rgb": rgb, "depth": depth, "depth_registered": rgb}
         self._raw = {name: rospy.Publisher(f"{name}/image_raw", Image, queue_size=1) for name in FRAMES}
         self._metric = rospy.Publisher("depth/image", Image, queue_size=1)
@@ -43,9 +47,10 @@ class RgbdTopics:
         """Publishes a picture: uint8 with three channels, red first, for rgb, else uint16 [mm]."""
         encoding = "rgb8" if name == "rgb" else "16UC1"
         if self._raw[name].get_num_connections():
-            self._raw[name].publish(image_message(picture, encoding, FRAMES[name], stamp))
+            self._raw[name].publish(self._outgoing(image_message(picture, encoding, FRAMES[name], stamp)))
         if name == "depth" and self._metric.get_num_connections():
-            self._metric.publish(image_message(metres_from_millimetres(picture), "32FC1", DEPTH_FRAME, stamp))
+            metric = image_message(metres_from_millimetres(picture), "32FC1", DEPTH_FRAME, stamp)
+            self._metric.publish(self._outgoing(metric))
 
     def publish_info(self, name: str, stamp: rospy.Time) -> None:
         """Publishes the camera's description, with the stamp of the picture that it belongs to."""
@@ -53,3 +58,8 @@ class RgbdTopics:
         info.header = copy.copy(info.header)
         info.header.stamp = stamp
         self._infos[name].publish(info)
+
+    def close(self) -> None:
+        """Takes the topics back."""
+        for publisher in (*self._raw.values(), self._metric, *self._infos.values()):
+            publisher.unregister()

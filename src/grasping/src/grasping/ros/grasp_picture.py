@@ -7,6 +7,7 @@ map.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 import threading
 import time
@@ -51,7 +52,8 @@ class Collected:
             for found in reversed(self.lists):
                 stamp = found.header.stamp
                 if found.grasps and stamp in self._depth and stamp in self._heat:
-                    return found, depth_from_image(self._depth[stamp]), picture_from_image(self._heat[stamp])
+                    with contextlib.suppress(ValueError):  # a torn picture; others follow
+                        return found, depth_from_image(self._depth[stamp]), picture_from_image(self._heat[stamp])
         return None
 
     def _keep(self, message: Image, into: dict) -> None:

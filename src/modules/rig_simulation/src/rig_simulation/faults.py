@@ -2,19 +2,23 @@
 
 One convention for all devices. On the control port: `{"do": "fault", "name": "slow", "value": 0.3, "duration": 2}`
 switches a fault on, `"on": false` off again; `{"do": "faults"}` lists all of them. On the command line:
-`--fault NAME[:SECONDS[:VALUE]]`. A fault without a duration lasts until it is switched off. What a fault does is up to
-the device, which asks here; this file knows neither wires nor devices.
+`--fault NAME[:SECONDS[:VALUE]]`; the camera, a node, has the same texts in a parameter. A fault without a duration
+lasts until it is switched off. What a fault does is up to the device, which asks here; this file knows neither wires
+nor devices.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Optional, Tuple
 
+from common.errors import ConfigError
 from rig_simulation.command_line import finite, positive
 
 
@@ -34,6 +38,10 @@ class Value:
     low: float
     high: float
     whole: bool = False
+
+
+Option = Tuple[str, Optional[float], Optional[float]]
+"""A fault from the start: its name, after how long it ends [s] or None, its number or None."""
 
 
 def share_of(what: str) -> Value:
@@ -167,22 +175,10 @@ def find(known: Iterable[Fault], name: str) -> Fault:
 def add_option(parser: argparse.ArgumentParser, known: Sequence[Fault], flag: str = "--fault") -> None:
     """Adds the option to a command line; its value is a list of what `switch_all` takes."""
 
-    def read(text: str) -> tuple[str, float | None, float | None]:
-        name, *numbers = text.split(":")
-        if len(numbers) > 2:
-            raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME[:SECONDS[:VALUE]]")
-        seconds, number = [*numbers, "", ""][:2]
-        duration, value = positive(seconds) if seconds else None, finite(number) if number else None
-        try:
-            _check_value(find(known, name), value)
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
-        return name, duration, value
-
     names = ", ".join(fault.name for fault in known)
     parser.add_argument(
         flag,
-        type=read,
+        type=functools.partial(_read, known=known),
         action="append",
         default=[],
         metavar="NAME[:SECONDS[:VALUE]]",
@@ -190,10 +186,40 @@ def add_option(parser: argparse.ArgumentParser, known: Sequence[Fault], flag: st
     )
 
 
-def switch_all(faults: Faults, options: Iterable[tuple[str, float | None, float | None]]) -> None:
+def parameter(text: str, known: Sequence[Fault], name: str) -> list[Option]:
+    """Returns the faults that a parameter holds, written as on a command line and parted by blanks.
+
+    Args:
+        text: its value.
+        known: faults of the device.
+        name: of the parameter, for the sentence.
+
+    Raises:
+        ConfigError: the device has no such fault, or a number is none or out of range.
+    """
+    try:
+        return [_read(item, known) for item in text.split()]
+    except argparse.ArgumentTypeError as error:
+        raise ConfigError([f"{name} is {text!r}: {str(error).rstrip('.')}."]) from None
+
+
+def switch_all(faults: Faults, options: Iterable[Option]) -> None:
     """Switches on what the command line names; the durations count from now."""
     for name, duration, value in options:
         faults.switch(name, value=value, duration=duration)
+
+
+def _read(text: str, known: Sequence[Fault]) -> Option:
+    name, *numbers = text.split(":")
+    if len(numbers) > 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME[:SECONDS[:VALUE]]")
+    seconds, number = [*numbers, "", ""][:2]
+    duration, value = positive(seconds) if seconds else None, finite(number) if number else None
+    try:
+        _check_value(find(known, name), value)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return name, duration, value
 
 
 def _check_value(fault: Fault, value: float | None) -> float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import random
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from rig_simulation.camera.rgbd_camera import Pictures
-from rig_simulation.faults import Fault, Faults, Value
+from rig_simulation.faults import Fault, Faults, Value, share_of
 
 CAMERA_FAULTS = (
     Fault("vanished", "unplugged: nothing is published any more"),
@@ -17,6 +18,12 @@ CAMERA_FAULTS = (
     Fault("stuck", "the sensor hangs: the last pictures come again and again with new stamps"),
     Fault("depth_empty", "no pixel has a depth"),
     Fault("slow", "pictures come seldom", Value("pictures a second [Hz]", 2.0, 0.1, 30.0)),
+    Fault(
+        "garbled",
+        "pictures are torn, have rows too short or of another width, or are not of the size that camera_info says",
+        share_of("pictures"),
+    ),
+    Fault("restarted", "the driver ends and its topics are gone; switched off it starts again"),
 )
 
 
@@ -37,6 +44,7 @@ class Stream:
 
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
+        self._random = random.Random(0)
         self._last: Exposure | None = None
         self._last_time = float("-inf")
 
@@ -61,6 +69,27 @@ class Stream:
             exposure = dataclasses.replace(exposure, pictures=_without_depth(exposure.pictures))
         self._last = exposure
         return exposure
+
+    def garbled(self, height: int, width: int, step: int, data: bytes) -> dict[str, Any]:
+        """Returns the fields of a picture's message that are to be other ones; none without the fault.
+
+        Args:
+            height, width: of the picture [px].
+            step: length of a row in bytes.
+            data: all rows.
+        """
+        share = self._faults.value("garbled")
+        if share is None or self._random.random() >= share:
+            return {}
+        half = height // 2
+        ways: tuple[dict[str, Any], ...] = (
+            {"data": data[: self._random.randrange(len(data))]},
+            {"step": step // 2},
+            {"width": 2 * width},
+            {"height": height + 1},
+            {"height": half, "data": data[: half * step]},
+        )
+        return self._random.choice(ways)
 
 
 def _without_depth(pictures: Pictures) -> Pictures:

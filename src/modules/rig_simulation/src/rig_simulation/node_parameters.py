@@ -54,6 +54,9 @@ class CameraConfig:
     host: str = text(doc="address of the simulated world")
     port: int = integer(low=1, high=65535, doc="its control port")
     control_port: int = integer(low=0, high=65535, doc="the camera's own control port, for faults")
+    fault: str = text(
+        doc="from the start, as --fault of the other devices takes them, parted by blanks; empty: none", empty=True
+    )
 
 
 @dataclass(frozen=True)

@@ -5,21 +5,24 @@ Pictures are taken only while somebody listens; all pictures of one moment have 
 
 from __future__ import annotations
 
+import functools
 import time
+from collections.abc import Callable
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import Image
 
 from common.camera_model import from_calibration
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.params import private_config, private_values
-from common.ros.rgbd_topics import FRAMES, RgbdTopics
+from common.ros.rgbd_topics import FRAMES, Outgoing, RgbdTopics
 from rig_simulation.camera.config import ColourConfig, DepthConfig
 from rig_simulation.camera.rgbd_camera import Pictures, RgbdCamera
 from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient, ControlPort
-from rig_simulation.faults import Faults
+from rig_simulation.faults import Faults, parameter, switch_all
 from rig_simulation.faults_camera import CAMERA_FAULTS, Exposure, Stream
 from rig_simulation.node_parameters import LOOPBACK, CameraConfig
 
@@ -36,17 +39,20 @@ class Camera:
     Args:
         config: private parameters.
         camera: what takes the pictures.
-        topics: where they go.
+        open_topics: says where they go; it is given what each message of a picture becomes on its way out.
         faults: those of CAMERA_FAULTS.
     """
 
-    def __init__(self, config: CameraConfig, camera: RgbdCamera, topics: RgbdTopics, faults: Faults) -> None:
+    def __init__(
+        self, config: CameraConfig, camera: RgbdCamera, open_topics: Callable[[Outgoing], RgbdTopics], faults: Faults
+    ) -> None:
         self._period = 1.0 / config.rate
         self._world = WorldCopy(ControlClient(config.host, config.port, TIMEOUT_S))
         self._camera = camera
-        self._topics = topics
-        self._faults = faults
+        self._open_topics = open_topics
+        self._topics: RgbdTopics | None = None
         self._stream = Stream(faults)
+        self._faults = faults
         self._trouble = f"The simulated world at {config.host}:{config.port} has not answered yet."
         self._published = self._overruns = 0
         self._milliseconds: dict[str, float] = {}
@@ -81,21 +87,39 @@ class Camera:
             time.sleep(max(0.0, due - time.monotonic()))
 
     def _publish_next(self) -> None:
+        topics = self._present_topics()
+        if topics is None:
+            return
         stamp = rospy.Time.now()
-        exposure = self._stream.next(lambda: Exposure(self._take(), stamp), stamp, time.monotonic())
+        exposure = self._stream.next(lambda: Exposure(self._take(topics), stamp), stamp, time.monotonic())
         if exposure is None:
             return
         started = time.perf_counter()
         pictures = exposure.pictures
         for name, picture in zip(FRAMES, (pictures.colour, pictures.depth, pictures.registered)):
             if picture is not None:
-                self._topics.publish(name, picture, exposure.stamp)
-            self._topics.publish_info(name, exposure.stamp)
+                topics.publish(name, picture, exposure.stamp)
+            topics.publish_info(name, exposure.stamp)
         self._published += 1
         self._count({**pictures.seconds, "publish": time.perf_counter() - started})
 
-    def _take(self) -> Pictures:
-        colour, depth, registered = (self._topics.wanted(name) for name in FRAMES)
+    def _present_topics(self) -> RgbdTopics | None:
+        """Opens the topics, or closes them while the driver restarts; returns None then."""
+        if self._faults.is_on("restarted"):
+            if self._topics is not None:
+                self._topics.close()
+            self._topics = None
+        elif self._topics is None:
+            self._topics, self._stream = self._open_topics(self._garble), Stream(self._faults)
+        return self._topics
+
+    def _garble(self, message: Image) -> Image:
+        for field, value in self._stream.garbled(message.height, message.width, message.step, message.data).items():
+            setattr(message, field, value)
+        return message
+
+    def _take(self, topics: RgbdTopics) -> Pictures:
+        colour, depth, registered = (topics.wanted(name) for name in FRAMES)
         return self._camera.take(self._world.data, colour, depth, registered)
 
     def _count(self, seconds: dict[str, float]) -> None:
@@ -127,8 +151,9 @@ def main() -> None:
         config.seed,
     )
     faults = Faults(CAMERA_FAULTS)
+    switch_all(faults, parameter(config.fault, CAMERA_FAULTS, "~fault"))
     with ControlPort(faults.requests, LOOPBACK, config.control_port):
         try:
-            Camera(config, camera, RgbdTopics(rgb, depth), faults).run()
+            Camera(config, camera, functools.partial(RgbdTopics, rgb, depth), faults).run()
         finally:
             camera.close()
