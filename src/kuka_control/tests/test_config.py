@@ -11,8 +11,10 @@ import yaml
 
 from common.config import keys, parse
 from common.errors import ConfigError, RigError
+from common.poses import translation
 from kuka_control import assembly
 from kuka_control.config import PtpConfig, RealTimeConfig, neighbours
+from kuka_control.kinematics import DhDeviations
 
 CONFIG = Path(__file__).parents[1] / "config"
 FILES = {RealTimeConfig: CONFIG / "kuka_params_rt.yaml", PtpConfig: CONFIG / "kuka_params_ptp.yaml"}
@@ -113,6 +115,32 @@ def test_a_home_of_ones_own():
     turned = values(RealTimeConfig, use_home_pos=True, home_pos=[0, 30, 0, -80, 0, 70, 0])
     with pytest.raises(RigError, match="outside the workspace"):
         assembly.Rig.of(parse(RealTimeConfig, turned))
+
+
+@pytest.mark.parametrize(
+    ("schema", "preference", "calibrated"),
+    [(RealTimeConfig, -35.0, False), (RealTimeConfig, 20.0, True), (PtpConfig, 20.0, False)],
+)
+def test_the_elbow_goes_where_the_parameter_prefers_it_and_home_keeps_it_up(schema, preference, calibrated):
+    config = parse(schema, values(schema, elbow_preference=preference, center_line=[1, 0, 0]))
+    deviations = DhDeviations(config.robot, "", "", *np.full((4, 7), 1e-3)) if calibrated else None
+    rig = assembly.Rig.of(config, deviations)
+    q, T = rig.home.q, rig.home.T_base_tool
+    np.testing.assert_allclose(q[2], 0.0, atol=1e-3)
+    for way in 0.03 * np.sin(np.arange(1500) / 10.0):
+        q = rig.kinematics.inverse(translation(0.0, 0.0, way) @ T, q).q
+    end = rig.kinematics.inverse(rig.kinematics.forward(q), q)
+    assert np.degrees(end.arm_angle) == pytest.approx(preference, abs=1.5)
+    elbow_y = np.sin(q[1]) * np.sin(q[0])
+    assert np.sign(round(elbow_y, 2)) == -np.sign(preference), "the arm reaches along x: its right is -y"
+
+
+def test_a_file_without_an_elbow_preference_means_up():
+    short = values(RealTimeConfig)
+    del short["elbow_preference"]
+    assert parse(RealTimeConfig, short).elbow_preference == 0.0
+    with pytest.raises(ConfigError, match="elbow_preference is 91"):
+        parse(RealTimeConfig, values(RealTimeConfig, elbow_preference=91.0))
 
 
 @schemas

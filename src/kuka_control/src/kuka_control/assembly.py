@@ -63,7 +63,7 @@ class Rig:
         model = robot_model(config.robot, config.flange)
         T_flange_tool = config.T_flange_tool
         bearings = directions(config.center_line, config.mounting)
-        kinematics = kinematics_of(model, T_flange_tool, dh)
+        kinematics = kinematics_of(model, T_flange_tool, dh, float(np.radians(config.elbow_preference)))
         workspace = Workspace(
             center_line=config.center_line,
             opening_angle=config.opening_angle_rad,

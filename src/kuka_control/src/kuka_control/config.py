@@ -39,6 +39,13 @@ class ArmConfig(ToolConfig):
     time_out: float = number("s", above=0.0, doc="go home after so long without a new desired tool frame")
     home_pos: np.ndarray = vector(7, "deg", low=-180.0, high=180.0, doc="joints of a home position of one's own")
     use_home_pos: bool = flag("whether home_pos is used instead of the calculated home position")
+    elbow_preference: float = number(
+        "deg",
+        low=-90.0,
+        high=90.0,
+        absent=0.0,
+        doc="arm angle that the elbow slowly goes to while the tool moves; 0: up, positive: right",
+    )
     rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joints are published")
     rate_state: float = number("Hz", low=1.0, high=100.0, doc="how often torques, force, pose and flags are published")
 

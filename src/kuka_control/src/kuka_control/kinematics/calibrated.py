@@ -31,17 +31,20 @@ DAMPING = 1e-3
 """Part of the error whose square damps a step, so that it stays short where the arm is outstretched."""
 
 
-def kinematics_of(model: RobotModel, T_flange_tool: np.ndarray, dh: DhDeviations | None) -> Kinematics:
+def kinematics_of(
+    model: RobotModel, T_flange_tool: np.ndarray, dh: DhDeviations | None, elbow_preference: float = 0.0
+) -> Kinematics:
     """Returns the kinematics of an arm with its tool, shape (4, 4) [m].
 
     Args:
         model: the arm as in its data sheet.
         T_flange_tool: pose of the tool in the flange, shape (4, 4) [m].
         dh: how a calibrated arm is off that; None or all zero: it is not, and the closed form alone counts.
+        elbow_preference: arm angle that the elbow slowly goes to [rad]; 0 is up.
     """
     if dh is None or not dh.any:
-        return Kinematics(model, T_flange_tool)
-    return CalibratedKinematics(model, nominal_table(model).plus(dh), T_flange_tool)
+        return Kinematics(model, T_flange_tool, elbow_preference)
+    return CalibratedKinematics(model, nominal_table(model).plus(dh), T_flange_tool, elbow_preference)
 
 
 class CalibratedKinematics(Kinematics):

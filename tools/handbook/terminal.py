@@ -1,0 +1,161 @@
+"""A terminal in which a reader of the handbook types: commands that end by themselves, or run until Ctrl-C."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import shlex
+import signal
+import subprocess
+import termios
+import threading
+import time
+import uuid
+import xmlrpc.client
+from collections.abc import Callable
+from pathlib import Path
+
+LONG_S, SOON_S = 180.0, 45.0
+"""Longest waits for a command, its start or its end, and for what it started to end after it [s], on a busy machine."""
+
+CTRL_C = b"\x03"
+READY = re.compile(r"listening on|UDP port|^world: | s \| arm ", re.MULTILINE)
+"""What programs print when they are ready that are no nodes: simulated devices, and the demo with the arm at home."""
+
+DEVICES = re.compile(r"rig_simulation/(world|sunrise_controller|reflex_hand|leapd|viewer|record)\.py")
+FAULT = re.compile(r"Traceback|has died|^success: False", re.MULTILINE | re.IGNORECASE)
+"""What no command prints that does what the page says."""
+
+
+class Terminal:
+    """Runs a command with bash, which stops at the first failure, in a terminal of its own.
+
+    Attributes:
+        command: what was typed.
+        log: file with what is shown.
+    """
+
+    def __init__(self, command: str, folder: Path, log: Path, environment: dict[str, str]) -> None:
+        self.command = command
+        self.log = log
+        self._mark = f"HANDBOOK_TERMINAL={uuid.uuid4()}"
+        name, _, value = self._mark.partition("=")
+        self._environment = {**os.environ, **environment, name: value}
+        self._before = self._nodes() | self._windows()
+        self._keyboard, inside = os.openpty()
+        self._process = subprocess.Popen(
+            ["bash", "-euo", "pipefail", "-c", command],
+            cwd=folder, env=self._environment, stdin=inside, stdout=inside, stderr=inside,
+            start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )  # fmt: skip
+        os.close(inside)
+        log.touch()
+        self._shown = threading.Thread(target=self._show, daemon=True)
+        self._shown.start()
+        os.write(self._keyboard, b"yes\n" * 5)  # the answer to what programs ask
+
+    @property
+    def output(self) -> str:
+        """What it printed so far."""
+        return self.log.read_text(errors="replace").replace("\r\n", "\n")
+
+    def end(self) -> str:
+        """Waits until the command has ended by itself, ends what it left in the background, returns what was wrong."""
+        ended = _wait(lambda: self._process.poll() is not None, LONG_S)
+        fault = self._fault() if ended else f"did not end within {LONG_S:.0f} s"
+        self._signal(signal.SIGTERM)
+        self._clear()
+        return fault
+
+    def start(self) -> str:
+        """Waits until the command is ready; returns what was wrong, after it has ended it."""
+        came = _wait(lambda: self._process.poll() is not None or bool(self._went_wrong()) or self._ready(), LONG_S)
+        fault = self._went_wrong() if came else f"was not ready within {LONG_S:.0f} s"
+        if self._process.poll() is not None:
+            fault = f"ended with {self._process.returncode}"
+        if not fault:
+            return ""
+        self._signal(signal.SIGTERM)
+        self._clear()
+        return fault
+
+    def interrupt(self, codes: tuple[int, ...] = (0,)) -> str:
+        """Types Ctrl-C; returns what was wrong with the end."""
+        if self._process.poll() is not None:
+            return f"ended with {self._process.returncode} before Ctrl-C"
+        os.write(self._keyboard, CTRL_C)
+        ended = _wait(lambda: self._process.poll() is not None, LONG_S)
+        fault = self._fault(codes) if ended else f"went on for {LONG_S:.0f} s after Ctrl-C"
+        left = self._clear()
+        return fault or (f"left behind: {', '.join(left)}" if left else "")
+
+    def _fault(self, codes: tuple[int, ...] = (0,)) -> str:
+        if self._process.returncode not in codes:
+            return f"exit code {self._process.returncode}"
+        return self._went_wrong()
+
+    def _went_wrong(self) -> str:
+        found = FAULT.search(self.output)
+        return f"printed {found[0]!r}" if found else ""
+
+    def _ready(self) -> bool:
+        if not self.command.startswith("roslaunch"):
+            return bool(READY.search(self.output) or (self._nodes() | self._windows()) - self._before)
+        nodes = [line for line in re.findall(r"^    (\S+ \(\S+/\S+\))$", self.output, re.MULTILINE)]
+        names = {line.split()[0] for line in nodes if not DEVICES.search(line)}
+        return bool(nodes) and names <= {node.rsplit("/", 1)[-1] for node in self._nodes()}
+
+    def _nodes(self) -> set[str]:
+        master = xmlrpc.client.ServerProxy(self._environment["ROS_MASTER_URI"])
+        try:
+            *_, state = master.getSystemState("/handbook")  # type: ignore[misc]
+        except OSError:
+            return set()
+        return {node for kind in state for _, nodes in kind for node in nodes} - {"/rosout"}  # type: ignore
+
+    def _windows(self) -> set[str]:
+        command = ["xdotool", "search", "--onlyvisible", "--name", "."]
+        found = subprocess.run(command, env=self._environment, capture_output=True, text=True, timeout=LONG_S)
+        return set(found.stdout.split())
+
+    def _show(self) -> None:
+        with open(self.log, "wb") as log, contextlib.suppress(OSError):  # an error when the last process has ended
+            while text := os.read(self._keyboard, 4096):
+                log.write(text)
+                log.flush()
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, number)
+
+    def _clear(self) -> list[str]:
+        """Waits until all processes of the terminal have ended, kills the others and returns their commands."""
+        _wait(lambda: not self._processes(), SOON_S)
+        left = self._processes()
+        for pid in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self._process.wait(SOON_S)
+        self._shown.join(SOON_S)
+        os.close(self._keyboard)
+        return list(left.values())
+
+    def _processes(self) -> dict[int, str]:
+        found = {}
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                if self._mark.encode() in (folder / "environ").read_bytes():
+                    found[int(folder.name)] = shlex.join((folder / "cmdline").read_text().split("\0")[:-1])
+        return found
+
+
+def _wait(condition: Callable[[], bool], seconds: float) -> bool:
+    """Returns whether the condition came true in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.2)
+    return True
