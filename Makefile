@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 # What a new set-up or a new build depends on; Python sources, launch files and yaml are used in place.
-MANIFESTS := apt-packages.txt requirements.txt requirements-dev.txt tools/setup.sh \
+MANIFESTS := apt-packages.txt apt-packages-noetic.txt requirements.txt requirements-dev.txt tools/setup.sh \
   $(shell find src \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.sh.develspace.in' \) -not -path src/CMakeLists.txt)
 READY := build/.ready
 IN_WORKSPACE := source devel/setup.bash &&
@@ -50,6 +50,7 @@ lint: $(READY) ## style, types, packages, shell scripts, architecture, handbook
 	@.venv/bin/mypy
 	@catkin_lint --offline --strict --quiet --ignore plugin_depend src
 	@shellcheck --exclude SC1091 .ci/run $$(find src tools bench -name '*.sh')
+	@shellcheck --shell sh $$(find src -name '*.sh.develspace.in')
 	@.venv/bin/python -m pytest -q tests/test_architecture.py
 	@.venv/bin/mkdocs build --strict --quiet --site-dir build/site
 

@@ -34,9 +34,9 @@ STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Ass
 # What Python got after 3.8 and one easily writes without noticing; ruff refuses newer syntax.
 NEWER_MODULES = {"graphlib", "tomllib", "zoneinfo"}
 NEWER_CALLS = {
-    "ast.unparse", "asyncio.to_thread", "asyncio.timeout", "asyncio.TaskGroup", "contextlib.aclosing",
+    "ast.unparse", "asyncio.TaskGroup", "asyncio.timeout", "asyncio.to_thread", "contextlib.aclosing",
     "contextlib.chdir", "functools.cache", "importlib.resources.files", "itertools.batched", "itertools.pairwise",
-    "math.cbrt", "math.lcm", "math.nextafter", "math.ulp", "random.randbytes", "statistics.correlation", "statistics.linear_regression",
+    "math.cbrt", "math.lcm", "math.nextafter", "math.ulp", "random.randbytes", "statistics.correlation",
 }  # fmt: skip
 NEWER_METHODS = {
     "bit_count", "hardlink_to", "is_relative_to", "removeprefix", "removesuffix", "with_stem", "add_note",

@@ -1,11 +1,15 @@
 #!/usr/bin/env bash
 # Sets the workspace up: Debian packages, a Python environment, the catkin build. Does only what is missing; safe to run again.
-# LEAP_RIG_LOG names the file that takes the full output (default build/setup.log).
+# Where ROS Noetic is installed or belongs, on Ubuntu 20.04, ROS comes from there, and from Debian's own packages elsewhere.
+# LEAP_RIG_LOG names the file that takes the full output (default build/setup.log), LEAP_RIG_NOETIC another place of Noetic.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 mkdir -p build
 log=${LEAP_RIG_LOG:-build/setup.log}
 : >"$log"
+noetic=${LEAP_RIG_NOETIC:-/opt/ros/noetic}
+packages=apt-packages.txt
+if [ -e "$noetic" ] || grep -qs '^VERSION_CODENAME=focal$' /etc/os-release; then packages=apt-packages-noetic.txt; fi
 
 if [ -t 1 ]; then clear_line=$'\r\033[K' line_end=''; else clear_line='' line_end=$'\n'; fi
 last_shown=-10 shown_at=0
@@ -40,11 +44,11 @@ as_root() {
 
 install_packages() {
   local wanted missing=() package
-  wanted=$(sed 's/#.*//' apt-packages.txt)
+  wanted=$(sed 's/#.*//' "$packages")
   for package in $wanted; do
     [ "$(dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
   done
-  headline "1/3 Debian packages"
+  headline "1/3 Debian packages, of $packages"
   if [ ${#missing[@]} = 0 ]; then finished "all there"; return; fi
   echo "  to install: ${missing[*]}"
   as_root apt-get update -q >>"$log" 2>&1 || failed "apt-get update failed."
@@ -66,6 +70,10 @@ make_environment() {
   headline "2/3 Python environment"
   # Only Debian's own Python sees Debian's rospy.
   [ -x .venv/bin/python ] || /usr/bin/python3 -m venv --system-site-packages .venv >>"$log" 2>&1 || failed "Making .venv failed."
+  # The pip of Ubuntu 20.04 does not know today's wheels; this is the last one for Python 3.8.
+  if [ "$packages" = apt-packages-noetic.txt ]; then
+    .venv/bin/python -m pip install -q "pip==25.0.1; python_version < '3.9'" >>"$log" 2>&1 || failed "Updating pip in .venv failed."
+  fi
   local total count=0
   total=$(grep -cE '^[a-zA-Z]' requirements.txt requirements-dev.txt | awk -F: '{s += $2} END {print s}')
   { .venv/bin/python -m pip install --disable-pip-version-check -r requirements.txt -r requirements-dev.txt 2>&1 || echo "pip-failed"; } |
@@ -83,6 +91,12 @@ make_environment() {
 
 build_workspace() {
   headline "3/3 Workspace build"
+  if [ "$packages" = apt-packages-noetic.txt ]; then
+    set +u  # the set-up files of ROS read variables that a plain terminal lacks
+    # shellcheck source=/dev/null
+    source "$noetic/setup.bash"
+    set -u
+  fi
   { catkin_make -DPYTHON_EXECUTABLE="$PWD/.venv/bin/python" -DCATKIN_ENABLE_TESTING=OFF 2>&1 || echo "build-failed"; } |
     while IFS= read -r line; do
       echo "$line" >>"$log"

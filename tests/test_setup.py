@@ -1,0 +1,69 @@
+"""tools/setup.sh takes ROS from where it is. What it calls is replaced, so that nothing is installed or built."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TOLD = 'echo "$(basename "$0") $* ROS_DISTRO=${ROS_DISTRO:-}" >>"$CALLS"\n'
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A folder with the script, the lists, and programs that write down how they were called."""
+    (tmp_path / "tools").mkdir()
+    for name in ("tools/setup.sh", "apt-packages.txt", "apt-packages-noetic.txt", "requirements.txt"):
+        shutil.copy(ROOT / name, tmp_path / name)
+    (tmp_path / "requirements-dev.txt").write_text("pytest\n")
+    program(tmp_path / "bin" / "dpkg-query", "echo installed")
+    program(tmp_path / "bin" / "catkin_make")
+    program(tmp_path / ".venv" / "bin" / "python")
+    return tmp_path
+
+
+def program(file: Path, says: str = "") -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(f"#!/usr/bin/env bash\n{TOLD}{says}\n")
+    file.chmod(0o755)
+
+
+def set_up(project: Path, noetic: Path) -> list[str]:
+    """Runs the script; returns how programs were called."""
+    calls = project / "calls"
+    environment = {"PATH": f"{project}/bin:{os.defpath}", "CALLS": str(calls), "LEAP_RIG_NOETIC": str(noetic)}
+    done = subprocess.run(
+        [project / "tools" / "setup.sh"], env=environment, capture_output=True, text=True, timeout=60.0
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return calls.read_text().splitlines()
+
+
+def asked_for(calls: list[str]) -> set[str]:
+    return {call.split()[3] for call in calls if call.startswith("dpkg-query")}
+
+
+def names(file: str) -> set[str]:
+    lines = (line.split("#")[0].strip() for line in (ROOT / file).read_text().splitlines())
+    return {line for line in lines if line}
+
+
+def test_without_noetic_debians_packages_are_taken(project):
+    calls = set_up(project, project / "nowhere")
+    assert asked_for(calls) == names("apt-packages.txt")
+    assert calls[-1].startswith("catkin_make") and calls[-1].endswith("ROS_DISTRO=")
+
+
+def test_with_noetic_its_packages_are_taken_and_the_build_is_on_top_of_it(project):
+    noetic = project / "noetic"
+    noetic.mkdir()
+    # As the real one, it reads variables that a plain terminal lacks.
+    (noetic / "setup.bash").write_text('[ -z "$CATKIN_SHELL" ] && export ROS_DISTRO=noetic\n')
+    calls = set_up(project, noetic)
+    assert asked_for(calls) == names("apt-packages-noetic.txt")
+    assert any(call.startswith("python -m pip install -q pip==") for call in calls)
+    assert calls[-1].startswith("catkin_make") and calls[-1].endswith("ROS_DISTRO=noetic")
