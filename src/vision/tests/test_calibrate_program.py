@@ -264,7 +264,8 @@ def test_a_controller_that_has_the_robot_is_named(processes, scene, calibrate, a
     [
         (("--velocity", "0.9"), {}, "'0.9' is not a number in (0, 0.5]"),
         (("--again", "/nowhere.yaml"), {}, "Cannot read /nowhere.yaml"),
-        (("--yes",), {"tilt": [45, 20]}, "but the first must be the smaller one"),
+        (("--yes",), {"store/camera": "unknown"}, "The camera's serial number is unknown"),
+        (("--yes",), {"views/tilt": [45, 20]}, "but the first must be the smaller one"),
         (("--yes", "--robot", "UR5"), {}, "kuka/robot is 'UR5'"),
         (("--yes", "--robot", "LBR14R820"), {}, "camera_apriltag.launch was started for LBR7R800"),
     ],
@@ -273,7 +274,7 @@ def test_it_ends_with_a_sentence(processes, scene, arm, options, change, sentenc
     import rospy
 
     for key, value in change.items():
-        rospy.set_param(f"camera_calibration/views/{key}", value)
+        rospy.set_param(f"camera_calibration/{key}", value)
     program = processes.start(*PROGRAM, "--port", str(arm.port), *options)
     assert program.wait(60.0) in (1, 2)
     log = program.log_path.read_text()

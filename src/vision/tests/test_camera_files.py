@@ -52,6 +52,14 @@ def test_optical_frames_look_ahead_with_y_down():
     assert frames["camera_rgb_frame"][0] == frames["camera_depth_frame"][0] == "camera_link"
 
 
+def test_beside_a_driver_with_frames_of_its_own_only_our_names_are_added():
+    config = parse(CameraFramesConfig, {**load("camera_frames.yaml"), "driver_frames": False})
+    assert [(parent, child) for parent, child, _ in camera_frames(config)] == [
+        ("camera_rgb_optical_frame", "camera/rgb_frame"),
+        ("camera_depth_optical_frame", "camera/depth_frame"),
+    ]
+
+
 def test_the_frames_are_those_of_the_simulated_world():
     model = pytest.importorskip("rig_simulation.world.model")
     config = parse(CameraFramesConfig, load("camera_frames.yaml"))

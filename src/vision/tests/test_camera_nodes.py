@@ -65,6 +65,9 @@ def test_the_xtions_pictures_have_the_drivers_names(xtion, ros):
     assert np.frombuffer(pictures["depth/image"][-1].data, "<f4")[0] == pytest.approx(1.0, abs=0.1)
     info.wait(2)
     assert {m.header.stamp for m in info} & {m.header.stamp for m in pictures["depth/image_raw"]}
+    import rospy
+
+    assert rospy.get_param("camera/driver/serial") == "1207290099"
 
 
 @pytest.mark.parametrize("by_the_device", [False, True])

@@ -137,6 +137,24 @@ def test_what_is_known_badly_is_not_stored(ros, scene, wait_until, tmp_path, sd,
     assert not (tmp_path / "store").exists()
 
 
+@pytest.mark.parametrize(("told", "stores"), [("1207290099", True), ("", False)])
+def test_the_serial_number_is_the_drivers_and_nothing_is_stored_without(ros, scene, wait_until, tmp_path, told, stores):
+    import rospy
+
+    rospy.set_param("camera_calibration/store/camera", "")
+    rospy.set_param("camera/driver/serial", told)
+    try:
+        ros.run("vision", "camera_place_node.py", "_mode:=live")
+        if stores:
+            wait_until(lambda: call("camera_place/store").success, 20.0, "the storing")
+            (file,) = (tmp_path / "store").iterdir()
+            assert yaml.safe_load(file.read_text())["camera"] == told
+        else:
+            assert "The camera's serial number is unknown" in call("camera_place/store").message
+    finally:
+        rospy.delete_param("camera")
+
+
 def test_diagnostics_say_when_the_panel_is_gone(ros, scene, wait_until):
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 

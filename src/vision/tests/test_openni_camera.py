@@ -37,11 +37,19 @@ def fake(monkeypatch, tmp_path):
 def test_both_streams_come_as_they_are(fake):
     camera = OpenniCamera(CONFIG, MODEL, MODEL)
     assert camera.connect() == "Fake Camera"
+    assert camera.serial() == "1207290099"
     frames = {frame.name: frame.picture for frame in (camera.read(1.0) for _ in range(4))}
     assert frames["rgb"].shape == (24, 32, 3) and frames["rgb"].dtype == np.uint8
     np.testing.assert_array_equal(frames["rgb"], np.broadcast_to([2, 2, 9], (24, 32, 3)))
     assert frames["depth"].shape == (24, 32) and frames["depth"].dtype == np.uint16
     np.testing.assert_array_equal(frames["depth"], 1002)
+
+
+def test_a_device_without_a_serial_number(fake):
+    camera = OpenniCamera(CONFIG, MODEL, MODEL)
+    fake[0].write_text("nameless")
+    camera.connect()
+    assert camera.serial() == ""
 
 
 def test_the_device_is_set_up_and_closed_in_the_librarys_order(fake):

@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from common.config import vector
+from common.config import flag, vector
 from common.poses import inverse, pose
 
 R_CAMERA_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -22,14 +22,19 @@ class CameraFramesConfig:
 
     rgb: np.ndarray = vector(3, "m", low=-1.0, high=1.0, doc="colour camera in camera_link")
     depth: np.ndarray = vector(3, "m", low=-1.0, high=1.0, doc="infrared camera in camera_link")
+    driver_frames: bool = flag(
+        "true: all frames below camera_link; false: the driver publishes its own, and only our names are added",
+        absent=True,
+    )
 
 
 def camera_frames(config: CameraFramesConfig) -> list[tuple[str, str, np.ndarray]]:
-    """Returns parent, child and the child's pose in the parent, shape (4, 4), of each frame below camera_link."""
+    """Returns parent, child and the child's pose in the parent, shape (4, 4), of each frame to publish."""
     frames = []
     for name, position in (("rgb", config.rgb), ("depth", config.depth)):
-        frames.append(("camera_link", f"camera_{name}_frame", pose(p=position)))
-        frames.append((f"camera_{name}_frame", f"camera_{name}_optical_frame", pose(R_CAMERA_OPTICAL)))
+        if config.driver_frames:
+            frames.append(("camera_link", f"camera_{name}_frame", pose(p=position)))
+            frames.append((f"camera_{name}_frame", f"camera_{name}_optical_frame", pose(R_CAMERA_OPTICAL)))
         frames.append((f"camera_{name}_optical_frame", f"camera/{name}_frame", pose()))
     return frames
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import dataclasses
 import sysconfig
 from types import ModuleType
@@ -20,6 +21,7 @@ from common.errors import DeviceError
 
 FOLDERS = (f"/usr/lib/{sysconfig.get_config_var('MULTIARCH')}", "/usr/lib64", "/usr/lib", "/usr/local/lib")
 ANY = "any"
+SerialNumber = ctypes.c_char * 64
 NOT_FOUND = "check the USB cable and port, and that the udev rules of libopenni2 are installed"
 
 
@@ -88,6 +90,14 @@ class OpenniCamera:
             raise
         info = self._device.get_device_info()
         return f"{info.vendor.decode()} {info.name.decode()}".strip()
+
+    def serial(self) -> str:
+        """Returns the serial number of the open device, empty if it does not tell one."""
+        number = self._openni.c_api.ONI_DEVICE_PROPERTY_SERIAL_NUMBER
+        with contextlib.suppress(Exception):
+            raw = self._device.get_property(number, SerialNumber)
+            return raw.value.decode("ascii").strip()
+        return ""
 
     def read(self, timeout: float) -> Frame | None:
         """Returns the next picture of either stream, None if none came in time.

@@ -71,6 +71,7 @@ def main() -> None:
 
 def _run(options: argparse.Namespace) -> None:
     setup = read_setup(DETECTOR)
+    setup.check_serial()
     sights, comparison = PanelSights(setup.target), Comparison()
     if options.again:
         record = read(options.again)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
+
+import rospy
 
 from apriltag_ros.target import Target
+from common.errors import DeviceError
 from common.ros.params import wait_for_config
 from vision.calibration import CalibrationConfig
 from vision.panel import PanelConfig
@@ -12,6 +16,10 @@ from vision.ros.calibration_store import CalibrationStore, StoreConfig
 from vision.ros.panel_sights import panel_target
 
 NAMESPACE = "camera_calibration"
+SERIAL, SERIAL_WAIT_S, POLL_S = "camera/driver/serial", 10.0, 0.1
+"""Where our driver writes the camera's serial number, and how long it may take until it has opened the camera."""
+
+UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
@@ -23,6 +31,14 @@ class CalibrationSetup:
     store_config: StoreConfig
     store: CalibrationStore
     target: Target
+
+    def check_serial(self) -> None:
+        """Raises DeviceError if nothing tells the camera from others, so that nothing may be stored for it."""
+        if self.store_config.camera == UNKNOWN:
+            raise DeviceError(
+                "The camera's serial number is unknown, and its calibration would be taken for any other camera's: "
+                "give it a name, the same each time, as camera_apriltag.launch serial:=NAME."
+            )
 
 
 def read_setup(detector: str) -> CalibrationSetup:
@@ -37,4 +53,15 @@ def read_setup(detector: str) -> CalibrationSetup:
     panel = wait_for_config(PanelConfig, f"{NAMESPACE}/panel")
     limits = wait_for_config(CalibrationConfig, f"{NAMESPACE}/limits")
     store = wait_for_config(StoreConfig, f"{NAMESPACE}/store")
+    if not store.camera:
+        store = replace(store, camera=_serial_of_driver() or UNKNOWN)
+        rospy.loginfo("The camera's serial number is %s.", store.camera)
     return CalibrationSetup(panel, limits, store, CalibrationStore(store), panel_target(detector, panel.frame))
+
+
+def _serial_of_driver() -> str:
+    """Returns what the driver read from the camera; empty if it says nothing in time."""
+    deadline = time.monotonic() + SERIAL_WAIT_S
+    while not rospy.has_param(SERIAL) and time.monotonic() < deadline and not rospy.is_shutdown():
+        time.sleep(POLL_S)
+    return str(rospy.get_param(SERIAL, ""))

@@ -22,7 +22,7 @@ class StoreConfig:
     """Where calibrations are kept, and what they belong to."""
 
     folder: str = path(doc="folder of the calibrations; empty: leap_rig/ in ROS's home, ~/.ros")
-    camera: str = text(doc="serial number of the camera")
+    camera: str = text(doc="serial number of the camera; empty: what its driver reads from it", empty=True)
     robot: str = text(doc="the arm: LBR7R800 or LBR14R820")
     flange: str = text(doc="its media flange")
 

@@ -148,7 +148,8 @@ class CameraPlace:
             return TriggerResponse(True, f"The place is stored in {file}.")
 
     def _live_record(self, recent: list) -> CalibrationRecord:
-        """Raises ValueError with what is wrong with the sights."""
+        """Raises ValueError or DeviceError with what is wrong with the sights."""
+        self._setup.check_serial()
         if not recent:
             raise ValueError("the panel was not seen just now")
         limits, store = self._setup.limits, self._setup.store_config

@@ -21,6 +21,9 @@ from vision.registration import Registration, millimetres_from_metres
 
 CALIBRATIONS = ("rgb_calibration", "depth_calibration")
 FRAMES = "frames"
+SERIAL = "serial"
+"""Private parameter that the node writes: the device's serial number, for whoever keeps something about this camera."""
+
 TIMEOUT_S = 0.5
 SILENCE_S = 2.0
 """After so long without a picture the camera is opened anew."""
@@ -68,7 +71,9 @@ class Xtion:
     def _connect(self) -> None:
         name = self._camera.connect()
         self._trouble = ""
-        rospy.loginfo("The camera %s sends pictures.", name)
+        serial = self._camera.serial()
+        rospy.set_param(f"~{SERIAL}", serial)
+        rospy.loginfo("The camera %s, serial number %s, sends pictures.", name, serial or "unknown")
 
     def _publish_until_lost(self) -> None:
         last = time.monotonic()
@@ -123,7 +128,7 @@ class Xtion:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    config = private_config(XtionConfig, others=(*CALIBRATIONS, FRAMES))
+    config = private_config(XtionConfig, others=(*CALIBRATIONS, FRAMES, SERIAL))
     rgb, depth = (from_calibration(private_values().get(name, {})) for name in CALIBRATIONS)
     frames = private_config(CameraFramesConfig, FRAMES)
     Xtion(config, rgb, depth, depth_in_rgb(frames)).run()

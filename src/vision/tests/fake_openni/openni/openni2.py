@@ -1,7 +1,8 @@
 """A camera of 32 x 24 pixels, as the package's module openni2 shows it.
 
 The file that the environment variable FAKE_CAMERA names says what it does: `present`, `absent` (not plugged in, or
-pulled out), `silent` (no pictures), `unable` (other modes only, no registration), `unloadable` (no library).
+pulled out), `silent` (no pictures), `unable` (other modes only, no registration), `nameless` (no serial number),
+`unloadable` (no library).
 """
 
 import ctypes
@@ -15,7 +16,7 @@ import numpy as np
 SENSOR_COLOR, SENSOR_DEPTH = "colour", "depth"
 PIXEL_FORMAT_RGB888, PIXEL_FORMAT_DEPTH_1_MM = 200, 100
 IMAGE_REGISTRATION_DEPTH_TO_COLOR, IMAGE_REGISTRATION_OFF = 1, 0
-c_api = SimpleNamespace(ONI_STREAM_PROPERTY_MIRRORING=7)
+c_api = SimpleNamespace(ONI_STREAM_PROPERTY_MIRRORING=7, ONI_DEVICE_PROPERTY_SERIAL_NUMBER=3)
 WIDTH, HEIGHT, PADDING = 32, 24, 4
 calls = []
 
@@ -55,6 +56,12 @@ class Device:
 
     def get_device_info(self):
         return SimpleNamespace(vendor=b"Fake", name=b"Camera")
+
+    def get_property(self, number, kind):
+        if state() == "nameless":
+            raise OpenNIError("ONI_STATUS_NOT_SUPPORTED", b"Device: no such property", None)
+        assert number == 3
+        return kind(*b"1207290099")
 
     def create_stream(self, sensor):
         return Stream(sensor)
