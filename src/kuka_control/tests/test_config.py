@@ -135,6 +135,19 @@ def test_the_elbow_goes_where_the_parameter_prefers_it_and_home_keeps_it_up(sche
     assert np.sign(round(elbow_y, 2)) == -np.sign(preference), "the arm reaches along x: its right is -y"
 
 
+@schemas
+def test_the_workspace_is_judged_even_where_single_values_are_out_of_range(schema):
+    wrong = values(schema, outer_sphere_limit=0.9, center_line=[0, 0, 1], z_lower_limit=0.7, opening_angle=float("nan"))
+    with pytest.raises(ConfigError) as caught:
+        parse(schema, wrong, "kuka/")
+    assert sorted(fault.split()[0] for fault in caught.value.faults) == [
+        "kuka/center_line",
+        "kuka/opening_angle",
+        "kuka/outer_sphere_limit",
+        "kuka/z_lower_limit",
+    ]
+
+
 def test_a_file_without_an_elbow_preference_means_up():
     short = values(RealTimeConfig)
     del short["elbow_preference"]

@@ -240,7 +240,7 @@ def test_positions_of_results_cannot_be_changed():
         ({"opening_angle": math.pi}, "opening_angle is 180 deg"),
         ({"opening_angle": math.nan}, "opening_angle is nan deg"),
         ({"z_lower": 0.6}, r"z_lower_limit \(0.6 m\)"),
-        ({"z_upper": math.nan}, "finite"),
+        ({"z_upper": math.nan}, r"z_upper_limit \(nan m\)"),
         ({"inner_sphere": 0.7}, r"inner_sphere_limit \(0.7 m\)"),
         ({"z_upper": 1.1}, r"z_upper_limit \(1.1 m\) is above the top of the outer sphere, which is 1.04 m"),
         ({"z_lower": 0.9, "z_upper": 1.03, "inner_sphere": 0.41}, "no centre"),

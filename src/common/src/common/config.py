@@ -10,6 +10,10 @@ the value and what is allowed. A missing key is a fault, and so is an unknown on
         def faults(self):                       # optional: what no single field can check
             return []
 
+        @staticmethod
+        def faults_among(read):                 # optional: the same, of the fields that are right while others are not
+            return []
+
 A field made with `absent` may be missing, which means that value: it came later than the files that people have, or
 it is a node's private parameter, for which there is no file.
 """
@@ -124,6 +128,9 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
         faults = [f"{prefix}{fault}" for fault in getattr(config, "faults", list)()]
         if not faults:
             return config
+    else:
+        among: list[str] = getattr(schema, "faults_among", lambda read: [])(read)
+        faults += [f"{prefix}{fault}" for fault in among]
     raise ConfigError(faults)
 
 

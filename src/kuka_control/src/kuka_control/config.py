@@ -6,7 +6,9 @@ home position can be reached is checked where it is calculated: home_pose.py.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -51,14 +53,21 @@ class ArmConfig(ToolConfig):
 
     def faults(self) -> list[str]:
         """Returns what no single parameter can be blamed for, one sentence each."""
-        return self.tool_faults() + workspace_faults(
-            self.center_line,
-            self.opening_angle_rad,
-            self.z_lower_limit,
-            self.z_upper_limit,
-            self.inner_sphere_limit,
-            self.outer_sphere_limit,
-            robot_model(self.robot, self.flange).base_shoulder,
+        return self.tool_faults() + self.faults_among(vars(self))
+
+    @staticmethod
+    def faults_among(read: Mapping[str, Any]) -> list[str]:
+        """Returns what parameters show together, one sentence each; `read` lacks those with a fault of their own."""
+        angle = read.get("opening_angle")
+        mounted = "robot" in read and "flange" in read
+        return workspace_faults(
+            read.get("center_line"),
+            None if angle is None else float(np.radians(angle)),
+            read.get("z_lower_limit"),
+            read.get("z_upper_limit"),
+            read.get("inner_sphere_limit"),
+            read.get("outer_sphere_limit"),
+            robot_model(read["robot"], read["flange"]).base_shoulder if mounted else None,
         )
 
     @property

@@ -67,33 +67,33 @@ class Infeasible:
 
 
 def workspace_faults(
-    center_line: np.ndarray,
-    opening_angle: float,
-    z_lower: float,
-    z_upper: float,
-    inner_sphere: float,
-    outer_sphere: float,
-    joint_2_height: float,
+    center_line: np.ndarray | None,
+    opening_angle: float | None,
+    z_lower: float | None,
+    z_upper: float | None,
+    inner_sphere: float | None,
+    outer_sphere: float | None,
+    joint_2_height: float | None,
 ) -> list[str]:
-    """Returns why no workspace can be made of these settings, one sentence each; arguments as in `Workspace`."""
-    line = np.asarray(center_line, dtype=float)
-    if line.shape != (3,) or not np.all(np.isfinite([*line, z_lower, z_upper, inner_sphere, outer_sphere])):
-        return ["The workspace needs three finite numbers for center_line, and finite limits."]
+    """Returns why no workspace can be made of these settings, one sentence each; arguments as in `Workspace`.
+
+    What is None is not known; the others are judged all the same.
+    """
     faults = []
-    if line[2] != 0.0:
-        faults.append(f"center_line is {line.tolist()}, but its z must be zero: it is horizontal.")
-    elif not np.any(line):
-        faults.append("center_line is the zero vector, which has no direction.")
-    if not 0.0 < opening_angle < math.pi:
+    if center_line is not None:
+        faults += _direction_faults(np.asarray(center_line, dtype=float))
+    if opening_angle is not None and not 0.0 < opening_angle < math.pi:
         faults.append(f"opening_angle is {math.degrees(opening_angle):g} deg, but must lie between 0 and 180 deg.")
-    if not 0.0 <= z_lower < z_upper:
+    if z_lower is not None and z_upper is not None and not 0.0 <= z_lower < z_upper < math.inf:
         faults.append(f"z_lower_limit ({z_lower:g} m) must lie between 0 and z_upper_limit ({z_upper:g} m).")
-    if not 0.0 <= inner_sphere < outer_sphere:
+    if inner_sphere is not None and outer_sphere is not None and not 0.0 <= inner_sphere < outer_sphere < math.inf:
         faults.append(
             f"inner_sphere_limit ({inner_sphere:g} m) must lie between 0 and outer_sphere_limit ({outer_sphere:g} m)."
         )
-    if faults:
+    if faults or z_lower is None or z_upper is None or inner_sphere is None or outer_sphere is None:
         return faults
+    if joint_2_height is None:
+        return []
     top, foot = joint_2_height + outer_sphere, joint_2_height - outer_sphere
     if z_upper > top:
         faults.append(
@@ -109,6 +109,16 @@ def workspace_faults(
             f"{mean_radius:g} m, half way between the spheres, from joint 2 at {joint_2_height:g} m."
         )
     return faults
+
+
+def _direction_faults(center_line: np.ndarray) -> list[str]:
+    if center_line.shape != (3,) or not np.all(np.isfinite(center_line)):
+        return [f"center_line is {center_line.tolist()}, but must be three finite numbers."]
+    if center_line[2] != 0.0:
+        return [f"center_line is {center_line.tolist()}, but its z must be zero: it is horizontal."]
+    if not np.any(center_line):
+        return ["center_line is the zero vector, which has no direction."]
+    return []
 
 
 @dataclass(frozen=True, eq=False)
