@@ -49,8 +49,11 @@ class Robot:
 @pytest.fixture
 def robot(ros, wait_until, request):
     """The simulated robot; a test may add arguments by indirect parameters."""
-    more = getattr(request, "param", ())
-    process = ros.run("rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "0", *more)
+    return run_robot(ros, wait_until, "--port", "0", "--control-port", "0", *getattr(request, "param", ()))
+
+
+def run_robot(ros, wait_until, *arguments):
+    process = ros.run("rig_simulation", "sunrise_controller.py", *arguments)
     ready = r"listening on 127\.0\.0\.1:(\d+), control port 127\.0\.0\.1:(\d+)"
     found = wait_until(lambda: re.search(ready, process.log_path.read_text()), 20.0, "the simulated robot")
     return Robot(process, int(found[1]), int(found[2]))
@@ -505,15 +508,73 @@ def test_interrupted_it_leaves_servo_mode_and_says_goodbye(robot, start, hand, w
     assert "Traceback" not in node.log
 
 
-def test_a_lost_robot_ends_the_controller_with_one_sentence(robot, start, hand):
-    node = start()
+@pytest.fixture
+def lost_in_servo(ros, robot, start, hand, wait_until):
+    """A controller whose robot died while the arm followed a hand, and what it says on kuka/status."""
+    from rig_msgs.msg import KukaStatus
+
+    node = start(time_out=5.0)
     node.wait_for_mode("home")
     node.control(True)
-    hand(home_tool())
+    node.hand = hand(home_tool())
     node.wait_for_mode("servo")
+    node.states = ros.record("kuka/status", KukaStatus)
+    robot.process.kill()
+    node.wait_for_mode("stopped")
+    wait_until(lambda: node.states and "out of reach" in node.states[-1].reason, 20.0, "the status")
+    return node
+
+
+def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on(ros, robot, lost_in_servo, wait_until):
+    node = lost_in_servo
+    assert not node.states[-1].control_on and "smartPad" in node.states[-1].reason
+    refused = node.control(True)
+    assert not refused.success and refused.message == "Control stays off: the robot is out of reach."
+    wait_until(
+        lambda: re.search(r"Try [3-9]\d* failed: no toolbox server", node.states[-1].reason), 60.0, "three tries"
+    )
+    assert len(re.findall("Try .* failed", node.log)) == 1
+
+    back = run_robot(ros, wait_until, "--port", str(robot.port), "--control-port", "0")
+    wait_until(lambda: "connected again" in node.states[-1].reason, 30.0, "the connection")
+    node.modes.clear()
+    node.states.clear()
+    node.states.wait(50)
+    assert {(state.mode, state.control_on) for state in node.states} == {("stopped", False)} and not node.modes
+    assert not back.joints.any() and back.ask()["connected"]
+
+    answer = node.control(True)
+    assert answer.success and "goes home first" in answer.message
+    node.wait_for_mode("servo")
+    wait_until(lambda: at(back, home_tool()), MOVE_S, "the tool where the hand is")
+    assert node.modes[0].data == "homing"
+    assert node.call("exit_app", "exitApp").success
+    assert node.wait_for_end() == 0 and "Traceback" not in node.log
+    np.testing.assert_allclose(back.joints, np.zeros(7), atol=1e-3)
+
+
+def test_a_controller_that_waits_for_its_robot_ends_when_asked(lost_in_servo):
+    answer = lost_in_servo.call("exit_app", "exitApp")
+    assert answer.success and "leaves the arm as it is: the robot is out of reach" in answer.message
+    assert lost_in_servo.wait_for_end(15.0) == 0
+    assert "Traceback" not in lost_in_servo.log
+
+
+def test_a_controller_that_waits_for_its_robot_can_be_interrupted(lost_in_servo):
+    lost_in_servo.process.send_signal(signal.SIGINT)
+    assert lost_in_servo.wait_for_end(15.0) == 0
+    assert "Traceback" not in lost_in_servo.log
+
+
+def test_a_robot_that_is_lost_on_the_way_to_the_end_ends_the_controller(robot, start):
+    node = start()
+    node.wait_for_mode("home")
+    assert node.call("exit_app", "exitApp").success
+    node.wait_for_mode("zero")
     robot.process.kill()
     assert node.wait_for_end() == 1
-    assert "The robot is out of reach" in node.log and "Traceback" not in node.log
+    assert "The robot is out of reach" in node.log and "not at its zero position" in node.log
+    assert "Traceback" not in node.log
 
 
 def test_the_ptp_controller(ros, robot, start, hand, wait_until):

@@ -82,3 +82,21 @@ def test_exit_switches_everything_off_for_good():
     assert (now.control_on, now.gripper_on, now.exit_requested) == (False, False, True)
     assert not s.set_control(True).success and not s.set_gripper(True).success
     assert s.request_exit().success
+
+
+def test_while_control_is_held_it_cannot_be_switched_on():
+    switches = Switches()
+    switches.set_control(True)
+    switches.hold("the robot is out of reach")
+    assert not switches.read().control_on
+    answer = switches.set_control(True)
+    assert not answer.success and answer.message == "Control stays off: the robot is out of reach."
+    assert switches.set_control(False).success
+    switches.release()
+    assert switches.set_control(True).success and switches.read().engagements == 2
+
+
+def test_a_controller_whose_control_is_held_says_that_it_leaves_the_arm():
+    switches = Switches()
+    switches.hold("the robot is out of reach")
+    assert "leaves the arm as it is: the robot is out of reach" in switches.request_exit().message

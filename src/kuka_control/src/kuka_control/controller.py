@@ -10,6 +10,7 @@ from kst.errors import MotionRefused, ReplyTimeout
 from kuka_control.arm import NO_READING, Arm
 from kuka_control.commands import End, Event, Observation, Servo, StartPtp, StartServo, Step, StopServo
 from kuka_control.control_loop import ControlLoop
+from kuka_control.standby import Standby
 from kuka_control.stream import Desired
 
 MAX_MISSED = 5
@@ -40,15 +41,19 @@ class Controller:
         in_servo: whether the arm follows servo goals.
     """
 
-    def __init__(self, arm: Arm, loop: ControlLoop) -> None:
+    def __init__(self, arm: Arm, loop: ControlLoop | Standby) -> None:
         self.missed = 0
+        self._warned_at = -math.inf
+        self.restart(arm, loop)
+
+    def restart(self, arm: Arm, loop: ControlLoop | Standby) -> None:
+        """Begins anew with another arm and loop; what was counted stays."""
         self._arm = arm
         self._loop = loop
         self.moving = False
         self.in_servo = False
         self._refused: str | None = None
         self._missed_in_a_row = 0
-        self._warned_at = -math.inf
 
     def cycle(self, inputs: Inputs, now: float) -> Step:
         """Returns the step that was taken.

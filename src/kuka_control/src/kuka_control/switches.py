@@ -33,6 +33,7 @@ class Switches:
         self._now = Switched()
         self._mode = "starting"
         self._stopped_because: str | None = None
+        self._held_by: str | None = None
 
     def read(self) -> Switched:
         """Returns the position of all switches."""
@@ -42,10 +43,21 @@ class Switches:
         """Tells what the controller does, so that the answers can say it."""
         self._mode, self._stopped_because = mode, stopped_because
 
+    def hold(self, why: str) -> None:
+        """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
+        self._now = replace(self._now, control_on=False)
+        self._held_by = why
+
+    def release(self) -> None:
+        """Lets control be switched on again."""
+        self._held_by = None
+
     def set_control(self, on: bool) -> Answer:
         """Switches control of the arm on or off."""
         if on and self._now.exit_requested:
             return Answer(False, "Control stays off: the controller is shutting down.")
+        if on and self._held_by is not None:
+            return Answer(False, f"Control stays off: {self._held_by}.")
         stopped, before = self._stopped_because, self._now.control_on
         engagements = self._now.engagements + (on and not before)
         self._now = replace(self._now, control_on=on, engagements=engagements)
@@ -86,4 +98,6 @@ class Switches:
         if self._now.exit_requested:
             return Answer(True, "The controller is shutting down already.")
         self._now = replace(self._now, control_on=False, gripper_on=False, exit_requested=True)
+        if self._held_by is not None:
+            return Answer(True, f"The controller ends and leaves the arm as it is: {self._held_by}.")
         return Answer(True, "The arm goes to the zero position, then the controller ends.")

@@ -16,35 +16,30 @@ from common.ros import node
 from common.ros.diagnostics import Diagnostics
 from common.ros.params import wait_for_config
 from common.ros.stage_times import StageTimes
-from kst.client import KstClient
-from kst.errors import NoServer
 from kuka_control import assembly
-from kuka_control.arm import KstArm
 from kuka_control.assembly import Rig
-from kuka_control.commands import End, Event, Servo
+from kuka_control.commands import End, Event, Servo, Step
 from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
 from kuka_control.control_loop import ControlLoop
 from kuka_control.controller import Controller, Inputs
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.dh_file import dh_deviations
+from kuka_control.ros.robot_link import RobotLink, ends_soon
 from kuka_control.ros.services import Services
 from kuka_control.ros.state_publisher import Snapshot, StatePublisher
 from kuka_control.ros.tool_check_service import ToolCheckService
 from kuka_control.ros.workspace_markers import publish_workspace
+from kuka_control.standby import Standby
 from kuka_control.switches import Switches
-from kuka_control.wrench import wrench_at_tool
 
 PARAMETERS_S = 15.0
 """How long some of the parameters may be there before the others, such as those for leap_kuka alone [s]."""
 
-CONNECT_PATIENCE_S = 20.0
-CONNECT_RETRY_S = 0.5
+STANDBY_S = 0.05
+"""How often the switches are looked at while the robot is out of reach [s]."""
 
 SWITCH_INTERVAL_S = 5e-4
 """How long the control loop waits at most for another thread of this process [s]."""
-
-SHUTDOWN_S = 0.5
-"""A lost connection is no fault if ROS is to shut down within this time [s]."""
 
 
 def real_time_main() -> None:
@@ -61,45 +56,24 @@ def _run(schema: type[ArmConfig], make_loop: Callable[[ArmConfig, Rig], ControlL
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     config = wait_for_config(schema, "kuka", others=neighbours(schema), patience=PARAMETERS_S)
     rig = Rig.of(config, dh_deviations(config))
-    arm = _connect(config, rig)
+    link = RobotLink(config, rig)
     try:
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
-        _Node(config, rig, arm, make_loop(config, rig)).spin()
+        _Node(config, rig, link, partial(make_loop, config, rig)).spin()
     finally:
-        arm.close()
+        link.close()
         rospy.loginfo("The connection to the robot is closed.")
 
 
-def _connect(config: ArmConfig, rig: Rig) -> KstArm:
-    """Connects; a server that is not there yet, because it is started at the same time, is tried again for a while."""
-    rospy.loginfo("Connecting to the robot at %s:%d.", config.ip, config.port)
-    deadline = time.monotonic() + CONNECT_PATIENCE_S
-    waiting = False
-    while not rospy.is_shutdown():
-        try:
-            client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool)
-            return KstArm(client, partial(wrench_at_tool, rig.kinematics))
-        except DeviceError as error:
-            if not isinstance(error, NoServer) or time.monotonic() > deadline:
-                if _ends_soon():
-                    break
-                sentence = f"There is no connection to the robot at {config.ip}:{config.port}: {error}."
-                raise DeviceError(sentence) from error
-            if not waiting:
-                rospy.logwarn("%s. Trying for %g s.", error, CONNECT_PATIENCE_S)
-            waiting = True
-            time.sleep(CONNECT_RETRY_S)
-    raise rospy.ROSInterruptException("shut down while connecting")
-
-
 class _Node:
-    """Everything that lives while the arm is connected."""
+    """Everything that lives once the arm was connected."""
 
-    def __init__(self, config: ArmConfig, rig: Rig, arm: KstArm, loop: ControlLoop) -> None:
-        self._arm = arm
-        self._loop = loop
-        self._controller = Controller(arm, loop)
+    def __init__(self, config: ArmConfig, rig: Rig, link: RobotLink, make_loop: Callable[[], ControlLoop]) -> None:
+        self._link = link
+        self._make_loop = make_loop
+        self._loop: ControlLoop | Standby = make_loop()
+        self._controller = Controller(link.arm, self._loop)
         self._switches = Switches()
         self._rest_period = 1.0 / config.rate_joints
         self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
@@ -112,39 +86,74 @@ class _Node:
         self._tool_check = ToolCheckService(rig, self._for_tool_check)
 
     def spin(self) -> None:
-        """Runs the control loop until it ends, or ROS does.
+        """Runs the control loop until it ends, or ROS does; a lost robot is waited for.
 
         Raises:
             RigError: the controller ended because of a fault.
         """
         self._state.start()
         Diagnostics("kuka_control", self._diagnosis)
-        deadline = 0.0
         try:
             while not rospy.is_shutdown():
-                desired = self._desired.wait(deadline)
-                started = time.monotonic()
-                self._cycle(desired)
-                deadline = started + (self._servo_period if self._controller.in_servo else self._rest_period)
-                if isinstance(self._step.command, End):
-                    return self._end(self._step.command)
+                try:
+                    return self._run_loop()
+                except DeviceError as error:
+                    if not self._stand_by(error):
+                        return
         except rospy.ROSException:
             if not rospy.core.is_shutdown_requested():  # then the topics close during a cycle
                 raise
-        except DeviceError as error:
-            if _ends_soon():
-                rospy.loginfo("The robot's controller ended while this controller shut down: %s.", error)
-                return
-            raise DeviceError(
-                f"The robot is out of reach: {error}. Start MatlabToolboxServer on the smartPad again, "
-                "then this controller."
-            ) from error
         finally:
             self._state.stop()
 
+    def _run_loop(self) -> None:
+        deadline = 0.0
+        while not rospy.is_shutdown():
+            desired = self._desired.wait(deadline)
+            started = time.monotonic()
+            self._cycle(desired)
+            deadline = started + (self._servo_period if self._controller.in_servo else self._rest_period)
+            if isinstance(self._step.command, End):
+                return self._end(self._step.command)
+
+    def _stand_by(self, error: DeviceError) -> bool:
+        """Waits until the robot is connected again; False: this controller is to end before.
+
+        Raises:
+            DeviceError: the robot was lost on the way to the end.
+        """
+        self._services.hold("the robot is out of reach")
+        if ends_soon():
+            rospy.loginfo("The robot's controller ended while this controller shut down: %s.", error)
+            return False
+        if self._switches.read().exit_requested:
+            raise DeviceError(f"The robot is out of reach: {error}. The arm is not at its zero position.") from error
+        standby = self._loop = Standby(error, self._loop.counts, self._make_loop, time.monotonic())
+        self._controller.restart(self._link.arm, standby)
+        rospy.logerr(standby.reason)
+        self._show(standby.waiting())
+        self._link.close()
+        while not self._switches.read().exit_requested:
+            if rospy.is_shutdown():
+                return False
+            if time.monotonic() < standby.next_try:
+                time.sleep(STANDBY_S)
+                continue
+            try:
+                self._link.again()
+            except DeviceError as failure:
+                self._say(standby.failed(failure, time.monotonic()))
+                self._show(standby.waiting())
+                continue
+            self._controller.restart(self._link.arm, standby)
+            self._say(standby.connected())
+            self._services.release()
+            return True
+        return False
+
     def _for_tool_check(self) -> tuple[str, np.ndarray | None, float]:
         step = self._step
-        return "starting" if step is None else step.mode, self._arm.state.joints, self._switches.read().scale
+        return "starting" if step is None else step.mode, self._link.arm.state.joints, self._switches.read().scale
 
     def _end(self, command: End) -> None:
         if command.fault is not None:
@@ -160,42 +169,36 @@ class _Node:
             scale=switched.scale,
             exit_requested=switched.exit_requested,
         )
-        step = self._step = self._controller.cycle(inputs, time.monotonic())
+        step = self._controller.cycle(inputs, time.monotonic())
         if isinstance(step.command, Servo) and step.command.stamp is not None:
             self._stages.done(self._desired.stamp)
+        self._show(step)
+        self._say(step.events)
+
+    def _show(self, step: Step) -> None:
+        self._step = step
         self._switches.report(step.mode, self._loop.stopped_because)
         self._state.show(
             Snapshot(
-                self._arm.state,
+                self._link.arm.state,
                 step,
-                switched,
+                self._switches.read(),
                 self._controller.moving,
                 self._controller.in_servo,
-                self._arm.round_trip,
+                self._link.arm.round_trip,
             )
         )
-        for event in step.events:
-            _log(event)
+
+    @staticmethod
+    def _say(events: tuple[Event, ...]) -> None:
+        for event in events:
+            {"info": rospy.loginfo, "warn": rospy.logwarn, "error": rospy.logerr}[event.level](event.sentence)
 
     def _diagnosis(self):
         step = self._step
-        estimated = ", ".join(self._arm.estimated_in_servo)
+        estimated = ", ".join(self._link.arm.estimated_in_servo)
         counts = {**self._loop.counts, "missed_answers": self._controller.missed, "estimated_in_servo": estimated}
         if step is None:
             return DiagnosticStatus.OK, "starting", {"mode": "starting", **counts}
         level = DiagnosticStatus.ERROR if self._loop.stopped_because else DiagnosticStatus.OK
         return level, step.reason, {"mode": step.mode, **counts}
-
-
-def _ends_soon() -> bool:
-    """Returns whether ROS shuts down: when all is ended at once, the robot's controller may be gone a moment before."""
-    deadline = time.monotonic() + SHUTDOWN_S
-    while not rospy.core.is_shutdown_requested() and not rospy.is_shutdown():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
-
-
-def _log(event: Event) -> None:
-    {"info": rospy.loginfo, "warn": rospy.logwarn, "error": rospy.logerr}[event.level](event.sentence)

@@ -26,11 +26,22 @@ class Services:
 
     def __init__(self, switches: Switches) -> None:
         self._lock = threading.Lock()
+        self._switches = switches
         rospy.Service("kuka/exit_app_emergency", exitAppEmergency, self._end_at_once)
         rospy.Service("kuka/exit_app", exitApp, lambda _: self._ask(switches.request_exit))
         rospy.Service("kuka/kuka_control", setKukaControl, lambda r: self._ask(switches.set_control, r.data))
         rospy.Service("kuka/gripper_control", setGripperControl, lambda r: self._ask(switches.set_gripper, r.data))
         rospy.Service("kuka/scaling_factor", setScalingFactor, lambda r: self._ask(switches.set_scale, r.data))
+
+    def hold(self, why: str) -> None:
+        """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
+        with self._lock:
+            self._switches.hold(why)
+
+    def release(self) -> None:
+        """Lets control be switched on again."""
+        with self._lock:
+            self._switches.release()
 
     def _ask(self, change, *values):
         with self._lock:

@@ -156,14 +156,14 @@ class StatePublisher:
             (self._torques_external, jointTorquesExternal, arm.torques_external, self._published.torques_external),
             (self._torques_measured, jointTorquesMeasured, arm.torques_measured, self._published.torques_measured),
         ):
-            if new is not old:
+            if new is not None and new is not old:
                 publisher.publish(_joints_message(kind, new, now))
         R_flange_tool = self._rig.T_flange_tool[:3, :3]  # the toolbox tells both in the tool's axes
         for publisher, new, old in (
             (self._force, arm.force, self._published.force),
             (self._torque, arm.moment, self._published.moment),
         ):
-            if new is not old:
+            if new is not None and new is not old:
                 message = Vector3Stamped(vector=Vector3(*(R_flange_tool @ new)))
                 message.header.stamp = now
                 message.header.frame_id = FLANGE_MEASURED
