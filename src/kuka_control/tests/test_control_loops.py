@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from common.config import parse
 from common.poses import pose, read_only
+from common.rotations import rotation_about, rotation_from_zyx
 from kst.errors import ConnectionLost, MotionRefused, ReplyTimeout
 from kuka_control import assembly
 from kuka_control.arm import Arm, ArmState
@@ -427,6 +428,95 @@ def test_a_hand_that_goes_on_moving_is_caught_up_with_little_faster_than_it_move
     shares = np.max(np.abs(np.diff(world.arm.goals[first:], axis=0)) / DT / world.rig.model.max_speed, axis=1)
     assert np.max(shares[1000:]) < 0.39 and np.max(shares) < 0.5
     assert world.steps[-1].limited_by == (), "caught up with"
+
+
+def out_of_reach_and_back(turn=0.0, jump=0.0):
+    """Up where the tool cannot be brought, 17 cm aside there, and slowly down again, in 9 s.
+
+    Up there the tool also turns by `turn` [rad] about the vertical, and jumps aside by `jump` [m].
+    """
+
+    def tool(t):
+        up, aside = (np.interp(t, times, (0.0, 1.0)) for times in ((0.0, 2.0), (2.5, 4.5)))
+        up -= np.interp(t, (5.0, 9.0), (0.0, 1.0))
+        T = shifted(0.12 * aside + jump * (t > 3.0), 0.12 * aside, 0.25 * up)
+        T[:3, :3] = rotation_about(2, turn * aside) @ T[:3, :3]
+        return T
+
+    return tool
+
+
+def test_a_hand_that_comes_back_into_reach_elsewhere_is_caught_up_with_slowly():
+    world = World().following()
+    tool = out_of_reach_and_back()
+    world.run(5.0, tool)
+    assert world.loop.counts["ik_failures"] > 100
+    first = len(world.arm.goals)
+    world.run(5.0, lambda t: tool(5.0 + t))
+    assert world.arm.told == [] and world.modes == ["servo"]
+    assert world.loop.counts["jumps"] == world.loop.counts["flips"] == 0
+    assert np.max(tool_speeds(world, first)) < 1.02 * 0.65 * (1.0 / 3.0 + 1.0 / 6.0)
+    assert np.max(np.abs(np.diff(world.arm.goals[first:], axis=0)) / DT / world.rig.model.max_speed) < 0.45
+    assert reached(world, tool(10.0)) and world.steps[-1].limited_by == ()
+
+
+def tool_speeds(world, first):
+    """Speeds of the tool of the goals from number `first` on [m/s]."""
+    places = np.array([world.rig.kinematics.forward(q)[:3, 3] for q in world.arm.goals[first:]])
+    return np.linalg.norm(np.diff(places, axis=0), axis=1) / DT
+
+
+@pytest.mark.parametrize(
+    "way, count, because",
+    [
+        ({"jump": -0.1}, "jumps", "The desired tool frame jumped."),
+        ({"turn": -1.2}, "flips", "asks for joints far from those before"),
+    ],
+)
+def test_a_hand_that_comes_back_into_reach_after_a_jump_or_turned_far_is_picked_up_anew(way, count, because):
+    world = World().following()
+    world.run(10.0, out_of_reach_and_back(**way))
+    assert [t[0] for t in world.arm.told] == ["stop_servo", "ptp", "start_servo"]
+    assert (world.loop.counts["jumps"], world.loop.counts["flips"]) == ((1, 0) if count == "jumps" else (0, 1))
+    assert any(because in event for event in world.events)
+
+
+def test_without_shaping_a_hand_that_comes_back_into_reach_elsewhere_is_picked_up_anew():
+    world = World(shaping="none").following()
+    world.run(10.0, out_of_reach_and_back())
+    assert [t[0] for t in world.arm.told][:3] == ["stop_servo", "ptp", "start_servo"]
+    assert world.loop.counts["jumps"] == 0 and world.loop.counts["flips"] > 0
+
+
+def wandering(seed, seconds):
+    """A random smooth way of the tool about its home: half a metre, within 25 deg; some of it is out of reach."""
+    rng = np.random.default_rng(seed)
+    waves = [(rng.normal(size=6), rng.uniform(0.0, 6.0, 6), f) for f in (1, 2, 3)]
+
+    def at(t):
+        angle = 2.0 * np.pi * t / seconds
+        return sum(size * (np.sin(f * angle + phase) - np.sin(phase)) / f for size, phase, f in waves)
+
+    def tool(t):
+        x = at(min(t, seconds))
+        T = shifted(*(0.1 * x[:3]))
+        T[:3, :3] = T[:3, :3] @ rotation_from_zyx(*(0.44 * np.tanh(0.45 * x[3:])))
+        return T
+
+    return tool
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**32 - 1))
+def test_a_smooth_hand_never_counts_as_one_that_jumped(seed):
+    """Whatever it does no PTP motion comes of it, and the goals keep the limits of speed, when it is caught up with."""
+    world = World().following()
+    first = len(world.arm.goals)
+    world.run(8.0, wandering(seed, 8.0))
+    counts = world.loop.counts
+    assert counts["jumps"] == counts["flips"] == 0 and world.arm.told == [] and world.modes == ["servo"]
+    assert np.max(tool_speeds(world, first)) < 1.01 * 0.65
+    assert np.max(np.abs(np.diff(world.arm.goals[first:], axis=0)) / DT / world.rig.model.max_speed) < 0.9 + 1e-6
 
 
 def test_without_shaping_a_hand_that_moved_on_during_the_pick_up_is_picked_up_again():

@@ -94,6 +94,7 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
         velocity_home=config.velocity_ptp_slow,
         velocity_return=config.velocity_ptp_fast,
         servo_joint_speeds=config.joint_speed * rig.model.max_speed,
+        servo_tool_speed=config.tcp_speed,
         servo_law=config.servo_law,
         shaped=config.shaping != "none",
         lower=rig.model.lower + RANGE_MARGIN_RAD,

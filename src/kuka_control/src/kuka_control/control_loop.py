@@ -34,7 +34,7 @@ UNENDING_S = 2.0
 
 COUNTED = (
     *("goals_sent", "limited_goals", "workspace_clips", "ik_failures", "refused_frames"),
-    *("pickups", "homes", "ptp_motions", "jumps", "faults"),
+    *("pickups", "homes", "ptp_motions", "jumps", "flips", "faults"),
 )
 """What is counted; all are there from the start."""
 

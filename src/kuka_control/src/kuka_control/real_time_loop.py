@@ -12,7 +12,7 @@ import numpy as np
 
 from kuka_control.commands import Command, Observation, Servo, StartServo, StopServo
 from kuka_control.control_loop import ControlLoop, LoopSettings
-from kuka_control.jump import TOLERANCE_RAD, is_jump
+from kuka_control.jump import TOLERANCE_RAD, FrameSteps, is_jump
 from kuka_control.law_check import Checked, LawCheck
 from kuka_control.motion_limits import Limited, MotionLimits, Unlimited
 from kuka_control.servo_law import LtsGoals
@@ -22,7 +22,11 @@ from kuka_control.target_motion import Moving, TargetMotion
 from kuka_control.tracking import TrackingMonitor
 
 CATCH_UP_SHARE = 1.0 / 3.0
-"""Share of the speed limits until the arm has caught up with a hand that moved on while the pick-up motion ran."""
+"""Share of the speed limits until the arm has caught up with a hand that moved on while the arm could not follow: while
+the pick-up motion ran, or out of reach."""
+
+CATCH_UP_RAD = float(np.radians(60.0))
+"""Joints that differ by more than this are not caught up with in servo mode but by a pick-up motion."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class RealTimeSettings(LoopSettings):
 
     Attributes:
         servo_joint_speeds: limits of the stream of goals, shape (7,) [rad/s].
+        servo_tool_speed: limit of the stream of goals [m/s].
         servo_law: law of the robot's servo loop that the goals are made for, "lts" or "none".
         shaped: whether the stream of goals is shaped; if not, every target is a goal as it is.
         lower: least joint angles of a goal, shape (7,) [rad].
@@ -38,6 +43,7 @@ class RealTimeSettings(LoopSettings):
     """
 
     servo_joint_speeds: np.ndarray
+    servo_tool_speed: float
     servo_law: str
     shaped: bool
     lower: np.ndarray
@@ -51,6 +57,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         super().__init__(settings, chain)
         self._limits = limits
         self._motion_of_target = TargetMotion(settings.lower, settings.upper)
+        self._frames = FrameSteps(settings.servo_tool_speed, float(np.max(settings.servo_joint_speeds)))
         self._for_lts = LtsGoals(settings.lower, settings.upper)
         self._lts = False
         self._check: LawCheck | None = None
@@ -135,6 +142,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         self._limits.reset(seen.joints)
         self._monitor.reset()
         self._motion_of_target.reset(seen.joints)
+        self._frames.reset()
         self._for_lts.reset()
         self._target_stamp = None
         self._catching_up = True
@@ -152,17 +160,17 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             return Servo(seen.joints)
         stamp = None
         if fresh is not None:
+            self._frames.take(fresh)
             target = self._resolve(seen, fresh, self._motion_of_target.q)
             if self._leaving(seen):
                 return self._leave_servo()
             if target is None or target.q is None:
                 self._motion_of_target.hold()
-            elif self._jumped(target.q, fresh.stamp, seen.joints):
-                self.counts["jumps"] += 1
-                self._because = "The desired tool frame jumped."
+            elif self._too_far(target.q, fresh.stamp, seen.joints):
                 return self._leave_servo()
             else:
                 self._motion_of_target.take(target.q, fresh.stamp, now)
+                self._frames.followed()
                 stamp = self._target_stamp = fresh.stamp
         dt, self._servo_time = now - self._servo_time, now
         return self._goal(self._limited(seen, now, dt), seen, dt, stamp)
@@ -189,12 +197,31 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         self._latch(self._fault)
         return StopServo()
 
-    def _jumped(self, q: np.ndarray, stamp: float, joints: np.ndarray) -> bool:
-        speeds = self._settings.servo_joint_speeds
+    def _too_far(self, q: np.ndarray, stamp: float, joints: np.ndarray) -> bool:
+        """Returns whether a target is not to be servoed to, and remembers why.
+
+        The arm catches up with one that is far from the one before although the frame did not jump.
+        """
+        speeds, shaped = self._settings.servo_joint_speeds, self._settings.shaped
         if self._target_stamp is None:
-            # Only a shaped stream catches up with a hand that moved on while the pick-up motion ran.
-            return not self._settings.shaped and is_jump(joints, q, 0.0, speeds)
-        return is_jump(self._motion_of_target.q, q, stamp - self._target_stamp, speeds)
+            if shaped or not is_jump(joints, q, 0.0, speeds):
+                return False
+            self._because = "The desired tool frame moved on while the arm was on its way."
+            return True
+        before = self._motion_of_target.q
+        if not is_jump(before, q, stamp - self._target_stamp, speeds):
+            return False
+        if self._frames.jumped:
+            self.counts["jumps"] += 1
+            self._because = "The desired tool frame jumped."
+            return True
+        if shaped and np.max(np.abs(q - before)) <= CATCH_UP_RAD:
+            self._motion_of_target.hold()
+            self._catching_up = True
+            return False
+        self.counts["flips"] += 1
+        self._because = "The desired tool frame did not jump, but asks for joints far from those before."
+        return True
 
     def _goal(self, limited: Limited, seen: Observation, dt: float, stamp: float | None) -> Command:
         self.counts["goals_sent"] += 1
