@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import shutil
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import mujoco
@@ -14,9 +18,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.errors import DeviceError
 from common.poses import inverse
 from rig_simulation.control_port import ControlClient
+from rig_simulation.view import record
 from rig_simulation.view.films import ContactSheet, FilmError, Mp4, film_for, with_lines
+from rig_simulation.view.following import TIMEOUT_S
 from rig_simulation.view.forces import LONGEST_M, METRES_PER_NEWTON, arrows, pair_forces
 from rig_simulation.view.scene_forces import add_arrows
 from rig_simulation.view.shapes import base_pose, beyond, shapes
@@ -36,16 +43,33 @@ def contact(first, second, force=2.0, position=(0.1, 0.2, 0.3), normal=(0.0, 0.0
     [("object/cup", "table", (0.0, 0.0, -1.0)), ("table", "object/cup", (0.0, 0.0, 1.0))],
 )
 def test_the_table_pushes_the_cup_up_in_whatever_order_they_are_named(first, second, normal):
-    (arrow,) = arrows([contact(first, second, normal=normal)])
-    np.testing.assert_allclose(arrow.tip, [0.1, 0.2, 0.3])
-    np.testing.assert_allclose(arrow.tail, [0.1, 0.2, 0.3 - 2.0 * METRES_PER_NEWTON])
     (pair,) = pair_forces([contact(first, second, normal=normal)])
     assert pair.bodies == ("object/cup", "table")
+    np.testing.assert_allclose(pair.force, [0.0, 0.0, 2.0])
+    (arrow,) = arrows([pair])
+    np.testing.assert_allclose(arrow.tail, [0.1, 0.2, 0.3], err_msg="it rises out of the cup")
+    np.testing.assert_allclose(arrow.tip, [0.1, 0.2, 0.3 + 2.0 * METRES_PER_NEWTON])
     assert not arrow.by_robot and not pair.by_robot
 
 
-def test_arrows_have_a_longest_length_and_tiny_forces_none():
-    (arrow,) = arrows([contact("object/cup", "reflex/distal_1", force=500.0), contact("object/cup", "table", 0.001)])
+@given(st.lists(st.tuples(st.floats(0.1, 1.0), st.floats(-0.5, 0.5)), min_size=1, max_size=8))
+def test_contacts_of_a_finger_are_one_arrow_that_ends_where_they_press(listed):
+    pressing = [
+        contact("reflex/distal_1", "object/cup", newtons, (newtons, 0.0, 0.0), (np.cos(angle), np.sin(angle), 0.0))
+        for newtons, angle in listed
+    ]
+    (arrow,) = arrows(pair_forces(pressing))
+    together = np.sum([one["force"] * np.array(one["normal"]) for one in pressing], axis=0)
+    length = min(METRES_PER_NEWTON * np.linalg.norm(together), LONGEST_M)
+    np.testing.assert_allclose(arrow.tip - arrow.tail, length * together / np.linalg.norm(together), atol=1e-9)
+    np.testing.assert_allclose(arrow.tip, pair_forces(pressing)[0].place, atol=1e-9)
+    assert arrow.by_robot
+
+
+def test_arrows_have_a_longest_length_and_forces_that_are_tiny_or_cancel_have_none():
+    contacts = [contact("object/cup", "reflex/distal_1", force=500.0), contact("object/cup", "table", 0.001)]
+    opposite = [contact("object/cup", "object/box", normal=(x, 0.0, 0.0)) for x in (1.0, -1.0)]
+    (arrow,) = arrows(pair_forces(contacts + opposite))
     assert np.linalg.norm(arrow.tip - arrow.tail) == pytest.approx(LONGEST_M)
     assert arrow.by_robot
 
@@ -104,8 +128,9 @@ def test_labels_stand_beyond_the_farthest_point(world):
 def test_arrows_fill_a_scene_but_never_more(world):
     model, _ = world
     scene = mujoco.MjvScene(model, maxgeom=3)
-    add_arrows(scene, arrows([contact("object/cup", "table")] * 5))
-    assert scene.ngeom == 3
+    shown = arrows(pair_forces([contact("object/cup", f"reflex/distal_{i}") for i in range(5)]))
+    add_arrows(scene, shown)
+    assert (scene.ngeom, len(shown)) == (3, 5)
     tip = scene.geoms[0].pos + scene.geoms[0].mat[:, 2] * scene.geoms[0].size[2]
     np.testing.assert_allclose(tip, [0.1, 0.2, 0.3], atol=1e-6)
 
@@ -128,6 +153,36 @@ def test_a_film_runs_in_the_time_of_its_pictures(tmp_path):
         film.add(picture(grey), time)
     film.close()
     np.testing.assert_allclose(frames_of(tmp_path / "a.mp4"), [0, 100, 100, 100, 100, 200], atol=12)
+
+
+def test_a_film_that_a_full_disk_cut_off_is_named(tmp_path):
+    film = tmp_path / "a.mp4"
+    program = f"""
+import resource, numpy as np
+from pathlib import Path
+from rig_simulation.view.films import Mp4
+resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
+film = Mp4(Path({str(film)!r}), 10.0)
+for i in range(20):
+    film.add(np.random.default_rng(i).integers(0, 255, (120, 160, 3)).astype(np.uint8), 0.1 * i)
+film.close()
+"""
+    environment = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
+    assert done.returncode == 1
+    assert f"FilmError: The film {film} is of no use: 0 of its 20 pictures can be read" in done.stderr
+
+
+def test_a_film_ends_while_there_is_room_for_its_index(tmp_path, monkeypatch):
+    film = Mp4(tmp_path / "a.mp4", 10.0)
+    for i in range(5):
+        film.add(picture(50 * i), 0.1 * i)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10**6))
+    with pytest.raises(FilmError, match="a.mp4 ends after 0.5 s: less than 17 MB are free"):
+        film.add(picture(0), 0.5)
+    film.close()
+    assert len(frames_of(tmp_path / "a.mp4")) == 5
 
 
 @pytest.mark.parametrize("count", [1, 5, 12, 24, 1000])
@@ -190,6 +245,33 @@ def test_the_recorder_films_a_running_world_and_its_end(processes, world_port, t
     assert cv2.imread(str(sheet)).mean() > 10.0
 
 
+def test_the_recorder_waits_for_a_world_that_hangs(processes, world_port, tmp_path, wait_until):
+    port, world = world_port
+    film = tmp_path / "a.mp4"
+    recorder = processes.start(sys.executable, str(SCRIPTS / "record.py"), str(film), "--port", str(port))
+    wait_until(lambda: film.exists() and film.stat().st_size > 0, 60.0, "the film to begin")
+    world.send_signal(signal.SIGSTOP)
+    with pytest.raises(subprocess.TimeoutExpired):
+        recorder.wait(2.0 * TIMEOUT_S)
+    world.send_signal(signal.SIGCONT)
+    before = film.stat().st_size
+    wait_until(lambda: film.stat().st_size > before, 60.0, "more of the film")
+    assert processes.end(recorder, 30.0) == 0
+
+
+def test_a_world_that_hangs_for_too_long_ends_the_film_with_a_sentence(monkeypatch):
+    monkeypatch.setattr(record, "PATIENCE_S", 0.1)
+
+    class View:
+        time = 12.34
+
+        def follow(self):
+            raise DeviceError("It does not answer: timed out.")
+
+    with pytest.raises(DeviceError, match="The film ends at 12.3 s of the world: It does not answer: timed out."):
+        record._follow(View(), threading.Event())
+
+
 def test_the_recorder_ends_when_it_is_interrupted(processes, world_port, tmp_path, wait_until):
     port, _ = world_port
     film = tmp_path / "a.mp4"
@@ -199,24 +281,14 @@ def test_the_recorder_ends_when_it_is_interrupted(processes, world_port, tmp_pat
     assert len(frames_of(film)) >= 1
 
 
-@pytest.mark.parametrize("program", ["record.py", "viewer.py"])
-def test_without_a_world_they_say_so(program, tmp_path, free_port):
-    arguments = [str(tmp_path / "a.mp4")] if program == "record.py" else []
+def test_without_a_world_the_recorder_says_so(tmp_path, free_port):
     done = subprocess.run(
-        [sys.executable, str(SCRIPTS / program), *arguments, "--port", str(free_port()), "--wait", "0.1"],
+        [sys.executable, str(SCRIPTS / "record.py"), str(tmp_path / "a.mp4"), "--port", str(free_port()), "--wait=0.1"],
         capture_output=True,
         text=True,
         timeout=60,
-        env={**os.environ, "DISPLAY": ":99", "PYTHONPATH": ":".join(sys.path)},
+        env={**os.environ, "PYTHONPATH": ":".join(sys.path)},
     )
     assert done.returncode == 1
     assert "does not answer" in done.stderr
     assert done.stderr.count("\n") == 1
-
-
-def test_without_a_screen_the_viewer_says_so(monkeypatch, capsys):
-    from rig_simulation.view.viewer import main
-
-    monkeypatch.delenv("DISPLAY", raising=False)
-    assert main([]) == 1
-    assert "no screen" in capsys.readouterr().err

@@ -27,6 +27,10 @@ CLOSE_TIMEOUT_S = 10.0
 """Longest wait for a request that is being answered; to build another world takes seconds on a busy machine."""
 
 
+class NobodyListens(DeviceError):
+    """The simulated device is not there: its control port is closed."""
+
+
 class ControlPort:
     """Serves the handlers from threads of its own until `close`.
 
@@ -158,6 +162,7 @@ class ControlClient:
         """Returns the fields of the answer to the request `do`, without "ok".
 
         Raises:
+            NobodyListens: the port is closed.
             DeviceError: nobody answers there in time, or the request is refused; with the reason.
         """
         with self._lock:
@@ -191,7 +196,8 @@ class ControlClient:
             return json.loads(line.decode("utf-8"))
         except (OSError, EOFError, DeviceError, ValueError) as error:
             self._disconnect()
-            raise DeviceError(f"The control port {self._name()} does not answer: {error}.") from None
+            kind = NobodyListens if isinstance(error, ConnectionRefusedError) else DeviceError
+            raise kind(f"The control port {self._name()} does not answer: {error}.") from None
 
     def _disconnect(self) -> None:
         if self._lines is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 from typing import Protocol
 
@@ -13,6 +14,8 @@ from common.errors import RigError
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 MARGIN_PX, LINE_PX, LETTERS = 10, 24, 0.6
+LEAST_FREE_BYTES = 2**24
+"""With less left on the disk a film ends: its index, without which nothing of it is readable, comes last."""
 
 
 class FilmError(RigError):
@@ -63,8 +66,13 @@ class Mp4:
         """Takes a picture; see Film.
 
         Raises:
-            FilmError: the film cannot be written.
+            FilmError: the film cannot be written, or the disk is nearly full; what was taken before stays.
         """
+        if shutil.disk_usage(self._path.resolve().parent).free < LEAST_FREE_BYTES:
+            raise FilmError(
+                f"The film {self._path} ends after {self.frames / self._rate:.1f} s: "
+                f"less than {LEAST_FREE_BYTES / 1e6:.0f} MB are free on its disk."
+            )
         if self._writer is None:
             self._start = time
             height, width = picture.shape[:2]
@@ -80,9 +88,23 @@ class Mp4:
             self._write(self._writer, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
 
     def close(self) -> None:
-        """Ends the file."""
-        if self._writer is not None:
-            self._writer.release()
+        """Ends the file.
+
+        Raises:
+            FilmError: it does not hold all pictures; the writer itself never complains.
+        """
+        if self._writer is None:
+            return
+        self._writer.release()
+        self._writer = None
+        written = cv2.VideoCapture(str(self._path))
+        count = round(written.get(cv2.CAP_PROP_FRAME_COUNT)) if written.isOpened() else 0
+        written.release()
+        if count != self.frames:
+            raise FilmError(
+                f"The film {self._path} is of no use: {count} of its {self.frames} pictures can be read; "
+                "is the disk full?"
+            )
 
     def _write(self, writer: cv2.VideoWriter, picture: np.ndarray) -> None:
         writer.write(picture)

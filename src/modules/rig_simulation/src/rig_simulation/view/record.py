@@ -18,11 +18,12 @@ import numpy as np
 from common.errors import DeviceError, RigError
 from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.command_line import parse_options, positive
-from rig_simulation.control_port import ControlClient
+from rig_simulation.control_port import ControlClient, NobodyListens
 from rig_simulation.view.films import Film, film_for, with_lines
 from rig_simulation.view.following import (
     HOST,
     NICENESS,
+    RETRY_S,
     TIMEOUT_S,
     add_options,
     aim,
@@ -35,6 +36,8 @@ from rig_simulation.view.scene_forces import add_arrows
 NAME = "record"
 MAX_GEOMS = 5000
 SHOWN_FORCES = 6
+PATIENCE_S = 20.0
+"""Longest time without an answer of a world that has not ended."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -58,17 +61,15 @@ def record(client: ControlClient, films: list[Film], options: argparse.Namespace
     """Puts pictures of the world into the films and closes these; returns how many pictures there were.
 
     Raises:
-        RigError: a film cannot be written, or this machine cannot render.
+        RigError: a film cannot be written, this machine cannot render, or the world hangs.
     """
     count, start, due = 0, None, time.monotonic()
     view = View(client, tuple(options.size), tuple(options.view))
     try:
         while not stop.wait(max(0.0, due - time.monotonic())):
             due = max(due + 1.0 / options.rate, time.monotonic())
-            try:
-                view.follow()
-            except DeviceError:
-                break  # the world has ended, and with it the film
+            if not _follow(view, stop):
+                break
             picture = view.picture()
             start = view.time if start is None else start
             if options.duration is not None and view.time - start > options.duration:
@@ -81,6 +82,26 @@ def record(client: ControlClient, films: list[Film], options: argparse.Namespace
         for film in films:
             film.close()
     return count
+
+
+def _follow(view: View, stop: threading.Event) -> bool:
+    """Lets the view follow the world, with patience; returns False if the world has ended, or `stop` is set.
+
+    Raises:
+        DeviceError: the world is there and does not answer.
+    """
+    deadline = time.monotonic() + PATIENCE_S
+    while not stop.is_set():
+        try:
+            view.follow()
+            return True
+        except NobodyListens:
+            return False
+        except DeviceError as error:
+            if time.monotonic() > deadline:
+                raise DeviceError(f"The film ends at {view.time:.1f} s of the world: {error}") from None
+        stop.wait(RETRY_S)
+    return False
 
 
 class View:
@@ -126,8 +147,9 @@ class View:
             self._is_new = False
         assert self._renderer is not None  # the first state is of a new model
         self._renderer.update_scene(self._world.data, self._camera)
-        add_arrows(self._renderer.scene, arrows(self._contacts))
-        grasp = [pair for pair in pair_forces(self._contacts) if pair.by_robot][:SHOWN_FORCES]
+        pairs = pair_forces(self._contacts)
+        add_arrows(self._renderer.scene, arrows(pairs))
+        grasp = [pair for pair in pairs if pair.by_robot][:SHOWN_FORCES]
         lines = [f"{self.time:.1f} s"]
         lines += [f"{short(pair.bodies[1])} on {short(pair.bodies[0])}: {pair.newtons:.1f} N" for pair in grasp]
         return with_lines(self._renderer.render(), lines)
