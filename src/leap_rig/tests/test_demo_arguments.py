@@ -16,6 +16,11 @@ pytestmark = pytest.mark.ros
         (["--report", "/no_folder/x.json"], "/no_folder/x.json cannot be written: there is no folder /no_folder"),
         (["--duration", "-1"], "the duration -1.0 must be a positive number of seconds"),
         (["--duration", "nan"], "the duration nan must be a positive number of seconds"),
+        (["--scenario", "pick_cups"], "there is no scenario 'pick_cups'; known are pick_cup and assisted_grasp"),
+        (["--", "scenario:=juggle"], "there is no scenario 'juggle'"),
+        (["--scenario", "pick_cup", "--recording", __file__], "pick_cup and a recording exclude each other"),
+        (["--scenario", "pick_cup", "--", "recording:=a.jsonl"], "pick_cup and a recording exclude each other"),
+        (["--", "scene:=no_such/scene.yaml"], "no_such/scene.yaml is not a file"),
         (["--", "robot_port"], "'robot_port' is not of the form name:=value"),
         (["--", "sim:=false"], "the demo is the simulated rig; the real one is started by `roslaunch leap_rig demo"),
     ],
@@ -27,3 +32,36 @@ def test_bad_arguments_get_one_sentence(arguments, sentence, capsys):
         parse_arguments(arguments)
     assert end.value.code == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_a_scene_of_ones_own_is_found_from_where_the_demo_is_started(tmp_path, monkeypatch):
+    from leap_rig.ros.demo import launch_arguments, parse_arguments
+
+    (tmp_path / "my scenes").mkdir()
+    (tmp_path / "my scenes" / "mine.yaml").write_text("scatter: 0.0\n")
+    monkeypatch.chdir(tmp_path)
+    arguments = launch_arguments(parse_arguments(["--", "scene:=my scenes/mine.yaml", "leap_args:=--seed 1"]), False)
+    assert arguments[-2:] == [f"scene:={tmp_path}/my scenes/mine.yaml", "leap_args:=--seed 1"]
+    assert launch_arguments(parse_arguments(["--", "scene:=objects"]), False)[-1] == "scene:=objects"
+
+
+def test_the_scenarios_are_those_of_the_simulated_person():
+    from common.config import parse
+    from common.errors import ConfigError
+    from leap_rig.ros.demo import SCENARIOS
+    from rig_simulation.node_parameters import OperatorConfig
+
+    assert all(parse(OperatorConfig, {"scenario": name}).scenario == name for name in SCENARIOS)
+    with pytest.raises(ConfigError) as refusal:
+        parse(OperatorConfig, {"scenario": "juggle"})
+    assert all(name in str(refusal.value) for name in SCENARIOS)
+
+
+def test_a_film_that_ends_is_a_remark_and_any_other_node_a_death():
+    from leap_rig.ros.demo import Deaths
+
+    deaths = Deaths()
+    for name in ("viewer-3", "recorder-4", "leap_driver-5"):
+        deaths.process_died(name, 1)
+    assert deaths.remarks == ["The film was not taken to the end: recorder ended with exit code 1."]
+    assert deaths.sentences == ["leap_driver ended with exit code 1"]

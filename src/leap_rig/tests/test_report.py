@@ -132,3 +132,39 @@ def test_streams_never_overlap(events):
         recorder.stream(running, "", float(i))
     for earlier, later in zip(recorder.streams, recorder.streams[1:]):
         assert earlier.stopped is not None and earlier.stopped <= later.started
+
+
+def world_run(world_s: float, speed: str = "1.0") -> dict:
+    """Returns the summary of a run of 60 s in which so much of the world's time passed."""
+    recorder = good_run()
+    recorder.status("simulated_world", {"world_s": "5.0", "wall_s": "1000.0", "speed": speed})
+    recorder.start(10.0)
+    recorder.status("simulated_world", {"world_s": str(5.0 + world_s), "wall_s": "1060.0", "speed": speed})
+    return summarise(recorder, 70.0)
+
+
+def test_a_world_that_keeps_its_time_is_nothing_to_speak_of():
+    summary = world_run(59.4)
+    assert (summary["real_time_factor"], summary["warnings"]) == (0.99, [])
+    assert "real-time factor       0.99" in as_text(summary)
+    assert world_run(118.0, "2.0")["warnings"] == []
+
+
+def test_a_world_in_slow_motion_is_a_warning_that_says_why():
+    summary = world_run(48.0)
+    (warning,) = summary["warnings"]
+    assert warning.startswith("The machine is too slow for the simulated world: 0.80 s of it passed in a second")
+    assert f"  WARNING: {warning}" in as_text(summary).splitlines()
+    assert len(world_run(60.0, "2.0")["warnings"]) == 1
+
+
+def test_without_a_world_there_is_no_factor():
+    summary = summarise(good_run(), 20.0)
+    assert summary["real_time_factor"] is None and summary["warnings"] == []
+    assert "real-time" not in as_text(summary)
+
+
+def test_a_film_that_ended_is_a_warning_and_no_fault():
+    summary = summarise(good_run(), 20.0, remarks=["The film was not taken to the end."])
+    assert summary["faults"] == [] and summary["warnings"] == ["The film was not taken to the end."]
+    assert "  WARNING: The film was not taken to the end." in as_text(summary)

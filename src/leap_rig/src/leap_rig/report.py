@@ -15,17 +15,22 @@ HAND_MOVED_RAD = 0.1
 """Some finger must have moved at least so far."""
 FOLLOWING_ERROR_M = 0.05
 """With a larger typical distance to the commanded tool the arm does not follow."""
+SLOW_WORLD = 0.95
+"""A simulated world with a smaller share of its wanted speed says that the machine is too slow."""
 LEAST_LIFT_MM = {"pick_cup": 195.0}
 """A scenario that is to lift an object by 20 cm; the person is content with the tool 4 mm from where it should be."""
 
 
-def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = ()) -> dict:
-    """Returns the summary as a mapping that JSON can hold; `faults` lists why the run failed, empty if it did not.
+def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remarks: Iterable[str] = ()) -> dict:
+    """Returns the summary as a mapping that JSON can hold.
+
+    `faults` lists why the run failed, empty if it did not; `warnings` what did not make it fail.
 
     Args:
         recorder: what was seen.
         now: time at which the run ended [s].
-        deaths: a sentence for each node that died.
+        deaths: a clause for each node that died.
+        remarks: sentences on what else went wrong.
     """
     began = recorder.started if recorder.started is not None else now
     summary = {
@@ -58,9 +63,11 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = ()) -> dic
         "objects": {name: _object(track, began) for name, track in recorder.objects.items()},
         "scenario": recorder.scenario and {key: recorder.scenario[key] for key in ("scenario", "step", "failure")},
         "grasps": [_grasp(values) for values in recorder.grasps.values()],
+        "real_time_factor": _real_time_factor(recorder),
         "nodes_died": list(deaths),
     }
     summary["faults"] = _faults(summary)
+    summary["warnings"] = [*remarks, *_slow_world(recorder, summary["real_time_factor"])]
     return summary
 
 
@@ -164,6 +171,22 @@ def _whole(count: float | None) -> int | None:
     return None if count is None else round(count)
 
 
+def _real_time_factor(recorder: Recorder) -> float | None:
+    """Returns the seconds of the simulated world in a second of the run; None if nobody told them."""
+    world, wall = (recorder.count("simulated_world", name) for name in ("world_s", "wall_s"))
+    return round(world / wall, 3) if world is not None and wall else None
+
+
+def _slow_world(recorder: Recorder, factor: float | None) -> list[str]:
+    wanted = float(recorder.counters.get("simulated_world", {}).get("speed") or "nan")
+    if factor is None or not factor < SLOW_WORLD * wanted:
+        return []
+    return [
+        f"The machine is too slow for the simulated world: {factor:.2f} s of it passed in a second instead of "
+        f"{wanted:g}; arm and objects moved in slow motion, and delays and tracking errors are the machine's."
+    ]
+
+
 def _errors(errors: TrackingErrors) -> dict:
     if not errors.distance:
         return {**dict.fromkeys(("rms_mm", "median_mm", "max_mm", "rms_deg", "max_deg")), "samples": 0}
@@ -214,6 +237,8 @@ def as_text(summary: dict) -> str:
         value = summary[key]
         unit = " mm/s" if key.endswith("mm_s") and value is not None else ""
         lines.append(f"  {label:<22} {'unknown' if value is None else value}{unit}")
+    if summary["real_time_factor"] is not None:
+        lines.append(f"  {'real-time factor':<22} {summary['real_time_factor']:.2f} (the world's seconds in a second)")
     lines.append(f"  hand travel            {summary['hand_travel_rad']} rad (index, middle, thumb, spread)")
     if summary["scenario"] is not None:
         lines.append(f"  scenario               {summary['scenario']['scenario']}: {summary['scenario']['step']}")
@@ -229,7 +254,8 @@ def as_text(summary: dict) -> str:
     for name, d in summary["delay_ms"].items():
         numbers = " ".join(_cell(d[k]) for k in ("p50", "p95", "p99"))
         lines.append(f"    {name:<40} {numbers} {d['samples']:8d}")
-    lines += ["", *(f"  FAULT: {fault}" for fault in summary["faults"])]
+    lines += ["", *(f"  WARNING: {warning}" for warning in summary["warnings"])]
+    lines += [f"  FAULT: {fault}" for fault in summary["faults"]]
     if not summary["faults"]:
         lines.append("  The arm followed, the hand moved, no node died.")
     return "\n".join(lines)

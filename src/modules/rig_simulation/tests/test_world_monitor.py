@@ -58,6 +58,50 @@ def test_objects_reset_and_change_of_scene(ros, world, wait_until):
     wait_until(lambda: len(states[-1].objects) == 5, 15.0, "the other scene")
 
 
+def test_the_pace_of_the_world_is_told(ros, world, wait_until):
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+
+    def values() -> dict:
+        found = [s for array in arrays for s in array.status if s.name == "simulated_world" and s.values]
+        return {v.key: v.value for v in found[-1].values} if found else {}
+
+    ros.run("rig_simulation", "world_monitor.py", f"_port:={world.port}")
+    wait_until(lambda: values().get("real_time_factor"), 30.0, "a factor")
+    assert (values()["real_time_factor"], values()["speed"], values()["world_s"]) == ("0.000", "", "0.0")
+    world.ask("step", count=500)
+    time = world.ask("state")["time"]
+    wait_until(lambda: float(values()["world_s"]) == time, 15.0, "the world's time")
+
+
+def test_a_world_that_is_behind_is_called_slow(ros, wait_until):
+    import time
+
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    from rig_simulation.control_port import ControlPort
+
+    began, speed = time.monotonic(), 0.5
+    state = {
+        "state": lambda: {"time": speed * (time.monotonic() - began), "speed": 1.0, "contacts": 0},
+        "objects": lambda: {"mounting": [0.0, 0.0, 0.0], "objects": {}},
+    }
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+
+    def told() -> tuple:
+        found = [s for array in arrays for s in array.status if s.name == "simulated_world"]
+        return (found[-1].level, found[-1].message) if found else ()
+
+    with ControlPort(state) as port:
+        ros.run("rig_simulation", "world_monitor.py", f"_port:={port.port}")
+        slow = "The machine is too slow: 0.50 s of the world in a second."
+        wait_until(lambda: told() == (1, slow), 30.0, "the warning")
+        speed = 1.0
+        wait_until(lambda: told() == (0, "The world keeps its time."), 60.0, "its end")
+    wait_until(lambda: told() and told()[0] == 2 and "does not answer" in told()[1], 30.0, "the world's end")
+
+
 def test_without_a_world_it_says_so_and_waits(ros, free_port, wait_until):
     import rospy
     from std_srvs.srv import Trigger

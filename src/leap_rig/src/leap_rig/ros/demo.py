@@ -28,10 +28,12 @@ from leap_rig.report import as_text, summarise
 from leap_rig.ros.listener import RigListener
 from leap_rig.ros.live_status import CLEAR_LINE, COMPLAINT, LiveStatus
 
-CONTROLLER = "kuka_real_time_node"
+CONTROLLER, RECORDER = "kuka_real_time_node", "recorder"
 READY_TIMEOUT_S = 90.0
 EXIT_TIMEOUT_S = 60.0
 AT_HOME_OR_LATER = ("home", "pick_up", "servo")
+SCENARIOS = ("pick_cup", "assisted_grasp")
+SCENE, YAML = "scene", ".yaml"
 
 
 def parse_arguments(argv: list[str]) -> argparse.Namespace:
@@ -42,7 +44,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--recording", type=Path, metavar="FILE", help="play this recording of Leap frames")
     parser.add_argument("--offset", type=float, nargs=3, metavar=("X", "Y", "Z"), help="shift the recording, mm")
     parser.add_argument("--record", type=Path, metavar="FILE", help="film the simulated world: .mp4, or .png")
-    parser.add_argument("--scenario", metavar="NAME", help="what the simulated person does: pick_cup or assisted_grasp")
+    parser.add_argument("--scenario", metavar="NAME", help=f"what the simulated person does: {' or '.join(SCENARIOS)}")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the summary there as JSON")
     parser.add_argument("launch", nargs="*", metavar="NAME:=VALUE", help="arguments of demo.launch")
     arguments = parser.parse_args(argv)
@@ -60,7 +62,20 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
             parser.error(f"{item!r} is not of the form name:=value")
     if "sim:=false" in [item.lower() for item in arguments.launch]:
         parser.error("the demo is the simulated rig; the real one is started by `roslaunch leap_rig demo sim:=false`")
+    given = _given(arguments)
+    scenario, scene = given.get("scenario"), Path(given.get(SCENE, ""))
+    if scenario and scenario not in SCENARIOS:
+        parser.error(f"there is no scenario {scenario!r}; known are {' and '.join(SCENARIOS)}")
+    if scenario and given.get("recording"):
+        parser.error(f"the scenario {scenario} and a recording exclude each other: either is what the hand does")
+    if scene.suffix == YAML and not scene.is_file():
+        parser.error(f"the scene {scene} is not a file")
     return arguments
+
+
+def _given(arguments: argparse.Namespace) -> dict[str, str]:
+    """Returns what the arguments mean for the launch file; a later one wins, as there."""
+    return dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False))
 
 
 def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
@@ -74,14 +89,28 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
         launch.append(f"record:={arguments.record.resolve()}")
     if arguments.scenario is not None:
         launch.append(f"scenario:={arguments.scenario}")
-    return launch + arguments.launch
+    return launch + [_with_whole_path(item) for item in arguments.launch]
+
+
+def _with_whole_path(item: str) -> str:
+    """Returns an argument of the launch file; a scene's file by its absolute path, since nodes run in another folder."""
+    name, _, value = item.partition(":=")
+    return f"{name}:={Path(value).resolve()}" if name == SCENE and value.endswith(YAML) else item
 
 
 class Deaths(ProcessListener):
-    """Names the processes that ended without being asked to."""
+    """Names the processes that ended without being asked to.
+
+    Attributes:
+        sentences: of those that the rig needs.
+        remarks: of those that it can do without.
+        expected: names of those whose end is nothing to speak of.
+        ended: names of all.
+    """
 
     def __init__(self) -> None:
         self.sentences: list[str] = []
+        self.remarks: list[str] = []
         self.expected = {"viewer"}
         self.ended: set[str] = set()
 
@@ -94,8 +123,12 @@ class Deaths(ProcessListener):
         """Called by roslaunch: a process ended."""
         node = process_name.rsplit("-", 1)[0]
         self.ended.add(node)
-        if node not in self.expected:
-            how = "while the rig started" if exit_code is None else f"with exit code {exit_code}"
+        if node in self.expected:
+            return
+        how = "while the rig started" if exit_code is None else f"with exit code {exit_code}"
+        if node == RECORDER:
+            self.remarks.append(f"The film was not taken to the end: {node} ended {how}.")
+        else:
             self.sentences.append(f"{node} ended {how}")
 
 
@@ -215,7 +248,7 @@ def run(arguments: argparse.Namespace) -> int:
         with contextlib.suppress(OSError):  # the terminal may be closed
             status.finish()
         parent.shutdown()
-    summary = summarise(recorder, summary_time, deaths.sentences)
+    summary = summarise(recorder, summary_time, deaths.sentences, deaths.remarks)
     print(as_text(summary))
     if arguments.report is not None:
         try:

@@ -1,17 +1,22 @@
 """Publishes where the objects of the simulated world are, and changes what stands there.
 
-Topic: `simulation/object_states` in kuka/base_frame. Services: `simulation/reset` puts the objects back to where the
-scene wants them, `simulation/set_scene` puts another scene there; arm and hand stay as they are.
+Topics: `simulation/object_states` in kuka/base_frame; on /diagnostics how fast the world's time passes. Services:
+`simulation/reset` puts the objects back to where the scene wants them, `simulation/set_scene` puts another scene there;
+arm and hand stay as they are.
 """
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, Pose, Quaternion
 from std_srvs.srv import Trigger, TriggerResponse
 
 from common.errors import DeviceError
+from common.ros.diagnostics import Diagnostics
 from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_zyx
 from rig_msgs.msg import ObjectState, ObjectStates
@@ -19,10 +24,14 @@ from rig_msgs.srv import SetScene, SetSceneRequest, SetSceneResponse
 from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import WorldMonitorConfig
 from rig_simulation.ros.polling import poll
+from rig_simulation.world.pace import Pace
 
 NAME = "world_monitor"
 BASE_FRAME = "kuka/base_frame"
 TIMEOUT_S = 2.0
+STATE_PERIOD_S = 0.5
+SLOW = 0.95
+"""Share of the wanted speed below which the world counts as slow."""
 
 
 class WorldMonitor:
@@ -31,16 +40,26 @@ class WorldMonitor:
     def __init__(self, config: WorldMonitorConfig) -> None:
         self._period = 1.0 / config.rate
         self._client = ControlClient(config.host, config.port, TIMEOUT_S)
+        self._pace, self._next_state = Pace(), 0.0
+        self._state: dict | None = None
+        self._trouble = f"The simulated world at {config.host}:{config.port} has not answered yet."
         self._objects = rospy.Publisher("simulation/object_states", ObjectStates, queue_size=10)
         rospy.Service("simulation/reset", Trigger, self._reset)
         rospy.Service("simulation/set_scene", SetScene, self._set_scene)
+        Diagnostics("simulated_world", self._diagnose)
 
     def run(self) -> None:
         """Polls until ROS shuts down; waits where the world does not answer."""
         poll(self._publish, self._period)
 
     def _publish(self) -> None:
-        answer = self._client.ask("objects")
+        try:
+            answer = self._client.ask("objects")
+            self._take_state()
+        except DeviceError as error:
+            self._trouble = str(error)
+            raise
+        self._trouble = ""
         roll, pitch, yaw = np.radians(answer["mounting"])
         R_base_world = rotation_from_zyx(yaw, pitch, roll).T
         message = ObjectStates()
@@ -52,6 +71,26 @@ class WorldMonitor:
             pose = Pose(position, Quaternion(*quaternion_from_rotation(R)))
             message.objects.append(ObjectState(name, pose, state["clearance"], state["speed"], state["touches"]))
         self._objects.publish(message)
+
+    def _take_state(self) -> None:
+        now = time.monotonic()
+        if now < self._next_state:
+            return
+        self._next_state = now + STATE_PERIOD_S
+        state = self._client.ask("state")
+        now = time.monotonic()
+        self._pace.see(state["time"], now)
+        self._state = {"world_s": state["time"], "wall_s": now, "speed": state["speed"], "contacts": state["contacts"]}
+
+    def _diagnose(self) -> tuple[int, str, dict[str, object]]:
+        state, factor = self._state, self._pace.factor
+        if self._trouble or state is None:
+            return DiagnosticStatus.ERROR, self._trouble, {}
+        values = {name: "" if value is None else value for name, value in state.items()}
+        values["real_time_factor"] = "" if factor is None else f"{factor:.3f}"
+        if factor is not None and state["speed"] is not None and factor < SLOW * state["speed"]:
+            return DiagnosticStatus.WARN, f"The machine is too slow: {factor:.2f} s of the world in a second.", values
+        return DiagnosticStatus.OK, "The world keeps its time.", values
 
     def _reset(self, _) -> TriggerResponse:
         try:

@@ -11,23 +11,26 @@ class Clock:
     Args:
         speed: seconds of the world in a second; None: it stands until it is moved.
 
+    Attributes:
+        speed: as given.
+
     With speed 1 it is the system's monotonic clock; with another it is not, so ages are differences of its own times.
     """
 
     def __init__(self, speed: float | None) -> None:
-        self._speed = speed
+        self.speed = speed
         self._start = time.monotonic() if speed is not None else 0.0
 
     @property
     def stepped(self) -> bool:
         """Whether it only moves when it is told to."""
-        return self._speed is None
+        return self.speed is None
 
     def __call__(self) -> float:
         """Returns the time."""
-        if self._speed is None:
+        if self.speed is None:
             return self._start
-        return self._start + (time.monotonic() - self._start) * self._speed
+        return self._start + (time.monotonic() - self._start) * self.speed
 
     def move(self, seconds: float) -> None:
         """Moves it on.

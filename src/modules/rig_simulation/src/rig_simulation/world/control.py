@@ -53,6 +53,7 @@ class WorldRequests:
             "steps": world.steps,
             "timestep": world.timestep,
             "stepped": self._clock.stepped,
+            "speed": self._clock.speed,
             "loads": world.loads,
             "contacts": int(world.data.ncon),
             "real_time_factor": (world.steps - self._steps_at_start) * world.timestep / passed,

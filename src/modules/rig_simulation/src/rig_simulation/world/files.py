@@ -55,6 +55,8 @@ def _read(kind: str, name: str) -> dict[str, Any]:
                 return yaml.safe_load(path.read_text(encoding="utf-8"))
             except (yaml.YAMLError, UnicodeDecodeError) as error:
                 raise ConfigError([f"The file {path} is no yaml: {str(error).splitlines()[0]}."]) from None
+    if name.endswith(".yaml"):
+        raise ConfigError([f"There is no file {Path(name).absolute()}."])
     known = sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
     raise ConfigError(
         [f"There is no file {name!r} among the {kind}; known are {', '.join(known)}, or a path to a yaml."]
