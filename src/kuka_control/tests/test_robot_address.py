@@ -2,13 +2,16 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from common.config import keys
 from common.errors import ConfigError
+from common.poses import pose, translation
+from common.rotations import rotation_about
 from kuka_control.config import ArmConfig
-from kuka_control.robot_address import KEYS, RobotAddress, robot_address
+from kuka_control.robot_address import OPTIONS, RobotAddress, robot_address
 
 CONFIG = Path(__file__).parents[1] / "config"
 
@@ -29,9 +32,19 @@ def test_the_parameters_of_either_controller_do(name):
 
 
 def test_what_is_given_stands_above_the_parameters():
-    given = {**dict.fromkeys(KEYS), "ip": "127.0.0.1", "port": 4711, "tool_length": 0.0}
+    given = {**dict.fromkeys(OPTIONS), "ip": "127.0.0.1", "port": 4711, "tool_length": 0.0}
     address = robot_address(values(), given)
-    assert address == RobotAddress("LBR7R800", "MF_elektrisch", "127.0.0.1", 4711, 0.0)
+    assert (address.robot, address.flange, address.ip) == ("LBR7R800", "MF_elektrisch", "127.0.0.1")
+    assert (address.port, address.tool_length) == (4711, 0.0)
+
+
+def test_the_tool_is_the_controllers():
+    T = pose(rotation_about(1, 0.4), (0.1, 0.0, 0.5))
+    turned = {**values(), "use_tool_transform": True, "tool_transform": T.ravel().tolist()}
+    np.testing.assert_array_equal(robot_address(turned, {}).T_flange_tool, T)
+    np.testing.assert_array_equal(robot_address(values(), {}).T_flange_tool, translation(0.0, 0.0, 0.106))
+    given = robot_address(turned, {"tool_length": 0.2})
+    np.testing.assert_array_equal(given.T_flange_tool, translation(0.0, 0.0, 0.2))
 
 
 def test_all_faults_are_said_with_their_keys():
@@ -39,9 +52,9 @@ def test_all_faults_are_said_with_their_keys():
         robot_address({**values(), "robot": "UR5", "colour": 1}, {"port": 0, "tool_length": -1.0}, "kuka/")
     assert [fault.split()[0] for fault in caught.value.faults] == [
         "kuka/colour",
+        "kuka/tool_length",
         "kuka/robot",
         "kuka/port",
-        "kuka/tool_length",
     ]
     with pytest.raises(ConfigError, match="must be a mapping"):
         robot_address(None, {})

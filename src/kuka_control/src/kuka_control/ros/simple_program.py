@@ -13,13 +13,12 @@ import numpy as np
 import rospy
 
 from common.errors import ConfigError, DeviceError, RigError
-from common.poses import translation
 from kst.client import KstClient
 from kst.errors import ReplyTimeout, ServerBusy
 from kst.limits import JointLimits
 from kuka_control.joint_configurations import chosen_configuration, named_configurations
 from kuka_control.joint_motion import ARRIVED_DEG, JointMotion, MotionWatch, Progress
-from kuka_control.robot_address import KEYS, RobotAddress, robot_address
+from kuka_control.robot_address import OPTIONS, RobotAddress, robot_address
 from kuka_control.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 from kuka_control.ros.parameter_server import (
     NoMaster,
@@ -84,7 +83,7 @@ def _run(options: argparse.Namespace) -> int:
     if from_server:
         _refuse_if_held()
     _register()
-    T_flange_tool = translation(0.0, 0.0, address.tool_length)
+    T_flange_tool = address.T_flange_tool
     client = _connect(address, model, T_flange_tool)
     try:
         return _move(client, model, T_flange_tool, name, target, options)
@@ -187,7 +186,7 @@ def _leave(progress: Progress) -> int:
 
 def _address(options: argparse.Namespace) -> tuple[RobotAddress, bool]:
     """Returns the robot, and whether it is the one that the controllers of this ROS graph speak to."""
-    given = {key: getattr(options, key) for key in KEYS}
+    given = {key: getattr(options, key) for key in OPTIONS}
     try:
         values = parameters("kuka")
     except (NoMaster, NoParameters):
@@ -247,7 +246,12 @@ def _parser() -> argparse.ArgumentParser:
     robot.add_argument("--port", type=int, help="TCP port of the toolbox server")
     robot.add_argument("--robot", choices=ROBOTS, help="the arm")
     robot.add_argument("--flange", choices=tuple(FLANGE_HEIGHTS), help="the media flange")
-    robot.add_argument("--tool-length", type=float, metavar="M", help="from the flange to the tool point, m")
+    robot.add_argument(
+        "--tool-length",
+        type=float,
+        metavar="M",
+        help="from the flange to the tool point, m; instead of the parameters' tool",
+    )
     return parser
 
 
