@@ -238,7 +238,8 @@ class KstArm(Arm):
             self._take("moment", moment)
             if "force" in self._untold:
                 self._take("force", force)
-        if kind != "joints" and self._client.round_trip <= QUICK_S:
+        round_trip = self._client.round_trip
+        if kind != "joints" and round_trip is not None and round_trip <= QUICK_S:
             self._take("joints", self._client.joints())
 
     def stop_servo(self) -> None:
