@@ -8,6 +8,7 @@ import pinocchio as pin
 from bench.measure import Row, number, row, timed
 from bench.solvers import ITERATIONS, TOLERANCE, DampedLeastSquares, Kdl, arm_model
 from common.config import parse
+from common.poses import translation
 from kuka_control.kinematics import DhDeviations, Kinematics, kinematics_of
 from kuka_control.robot_model import ROBOTS, robot_model
 
@@ -16,17 +17,39 @@ NEAR_RAD = np.radians(2.0)
 SOLVED = 1e-5
 """A solution is one that brings the flange there to 1e-5 m and 1e-5 rad by the URDF, with all joints in range."""
 
+TOOL = translation(0.0, 0.0, 0.106)
+
 REFINED = 1e-9
 """What the calibrated arm is brought to: position [m] and rotation by its own kinematics."""
 
 
 def rows(quick: bool) -> list[Row]:
     """Returns time and success of each solver for both arms, with a far and with a near seed."""
-    count = 20 if quick else 3_000
+    count = 20 if quick else 10_000
     table = []
     for robot in ROBOTS:
-        table += _arm_rows(robot, count) + _calibrated_rows(robot, count)
+        table += _arm_rows(robot, count) + _calibrated_rows(robot, count) + _law_rows(robot, 10 * count)
     return table
+
+
+def _law_rows(robot: str, count: int) -> list[Row]:
+    """Returns how many in-limit poses of arm and tool the closed form solves from random seeds, and how exactly."""
+    rng = np.random.default_rng(2)
+    arm = Kinematics(robot_model(robot, FLANGE), TOOL)
+    solved, worst, outside = 0, 0.0, 0
+    for _ in range(count):
+        q, seed = rng.uniform(arm.model.lower, arm.model.upper, (2, 7))
+        T_base_tool = arm.forward(q)
+        found = arm.inverse(T_base_tool, seed).q
+        if found is not None:
+            solved += 1
+            worst = max(worst, float(np.abs(arm.forward(found) - T_base_tool).max()))
+            outside += bool(np.any((found < arm.model.lower) | (found > arm.model.upper)))
+    what, how = f"IK {robot} law: closed form", f"of {count} random poses with a tool of 0.106 m, seed random"
+    return [
+        number(f"{what}, solved", 100.0 * solved / count, "%", f"{how}; {outside} of them out of a joint's range"),
+        number(f"{what}, largest error", 1e15 * worst, "1e-15", f"{how}; m, and elements of the rotation"),
+    ]
 
 
 def _arm_rows(robot: str, count: int) -> list[Row]:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`make bench`: measures speed on this machine and prints one table; the same as JSON goes to build/bench.json.
+"""`make bench`: measures speed on this machine and prints one table; of all benchmarks as JSON to build/bench.json too.
 
 Nothing here is a pass or a fail. Numbers compare within one run; on a busy machine read the medians.
 """
@@ -54,9 +54,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{what:<{wide[0]}}  {median:>{wide[1]}}  {p99:>{wide[2]}}  {unit:<{wide[3]}}  {how}")
     for sentence in failed:
         print(f"NOT RUN  {sentence}")
-    (ROOT / "build").mkdir(exist_ok=True)
-    result = {**machine, "rows": [dataclasses.asdict(r) for r in rows], "not_run": failed}
-    (ROOT / "build" / "bench.json").write_text(json.dumps(result, indent=2) + "\n")
+    if not arguments.only:
+        (ROOT / "build").mkdir(exist_ok=True)
+        result = {**machine, "rows": [dataclasses.asdict(r) for r in rows], "not_run": failed}
+        (ROOT / "build" / "bench.json").write_text(json.dumps(result, indent=2) + "\n")
     return 1 if failed else 0
 
 
