@@ -316,11 +316,11 @@ def test_the_nodelets_have_the_same_topics(ros, camera, wait_until):
     from sensor_msgs.msg import Image, PointCloud2
 
     from common.ros.images import picture_from_image
+    from vision.ros.register_choice import missing_packages
 
-    try:
-        rospkg.RosPack().get_path("depth_image_proc")
-    except rospkg.ResourceNotFound:
-        pytest.skip("libdepth-image-proc-dev and libimage-proc-dev are not installed")
+    missing = missing_packages(rospkg.RosPack())
+    if missing:
+        pytest.skip(f"{', '.join(missing)} not installed")
     metric = ros.record("camera/depth_registered/sw_registered/image_rect", Image)
     clouds = ros.record("camera/depth_registered/points", PointCloud2)
     ros.launch("vision", "register_rgbd.launch", camera="false", rviz="false", nodelets="true")
