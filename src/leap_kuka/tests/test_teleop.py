@@ -86,6 +86,39 @@ def test_all_start_conditions_that_fail_are_named(play, sample):
     assert all(word in reason for word in ("box", "pitch", "roll", "confidence"))
 
 
+@pytest.mark.parametrize("speed", [0.4, 0.5, 1.0, 1.5])
+@pytest.mark.parametrize("ahead", [(1.0, 0.0, 0.0), (0.0, -0.6, 0.8)])
+@pytest.mark.parametrize("buffer_size", [1, 2, 10, 50])
+def test_a_hand_that_flies_through_the_box_starts_nothing_until_it_rests_there(
+    leap, arm, player, sample, speed, ahead, buffer_size
+):
+    play = player(Teleop(leap(buffer_size=buffer_size), arm()))
+    middle = np.array([0.0, 0.35, 0.0])
+    results = [play.step(sample(position=middle + d * np.array(ahead))) for d in np.arange(-0.3, 0.3, 0.01 * speed)]
+    assert all(r.state == WAITING for r in results)
+    if buffer_size <= 10:
+        said = f"the hand moves too fast for a start, at {speed:.2f} m/s, and must be below 0.3 m/s"
+        assert any(said in r.reason for r in results)
+    results = [play.step(sample(position=middle + d * np.array(ahead))) for d in np.arange(0.3, 0.0, -0.01 * speed)]
+    assert all(r.state == WAITING for r in results)
+    assert play.steps(max(buffer_size, 10), sample(position=middle))[-1].state == RUNNING
+
+
+def test_a_slow_hand_starts_and_a_fast_one_goes_on(play, sample):
+    for step in range(9):
+        play.step(sample(position=(-0.05 + 0.0025 * step, 0.35, 0.0)))
+    assert play.step(sample(position=(-0.0275, 0.35, 0.0))).state == RUNNING
+    for step in range(10):
+        assert play.step(sample(position=(-0.0275 + 0.015 * step, 0.35, 0.0))).state == RUNNING
+
+
+def test_frames_that_come_in_a_burst_tell_no_speed_that_lets_a_hand_start(play, sample):
+    """What the tracker held up comes all at once; the hand moved while it did."""
+    for step in range(10):
+        result = play.step(sample(position=(0.01 * step - 0.05, 0.35, 0.0)), dt=1e-4)
+    assert result.state == WAITING and "too fast" in result.reason
+
+
 @pytest.mark.parametrize("yaw", [0.0, 60.0, 90.0, -135.0, 180.0])
 def test_the_yaw_is_free_at_the_start(play, sample, yaw):
     """Also where the fingers point across the Leap, and atan2(y, -z) of the direction says nothing of the pitch."""
@@ -117,7 +150,7 @@ def test_low_confidence_ends_a_stream_with_its_reason(play, sample):
     end = next(r for r in results if r.state == WAITING)
     assert "confidence" in end.reason
     assert end.T_virtual_tool is None and end.T_virtual_hand is not None
-    assert play.steps(10, sample(position=(0.0, 0.35, 0.095)))[-1].state == RUNNING
+    assert play.steps(15, sample(position=(0.0, 0.35, 0.095)))[-1].state == RUNNING
 
 
 def test_losing_the_hand_ends_the_stream_at_once(play, sample):
@@ -285,8 +318,19 @@ def test_a_hand_that_enters_starts_level_in_the_box_and_is_clipped_at_25_deg_of_
     assert "pitch" in steepest.reason
 
 
+LEAVING = (-0.1, 0.2, 0.0)
+"""A hand comes in, rests, and goes away through the box, while a second one stays."""
+
+
 def test_a_hand_that_leaves_ends_its_stream_while_a_second_hand_is_in_view(recording, leap, arm):
-    changes = streams(run(Teleop(leap(), arm()), recording("confidence-74fps", (-0.1, 0.2, 0.0))))
+    changes = streams(run(Teleop(leap(start_tol_pitch=45.0), arm()), recording("confidence-74fps", LEAVING)))
     assert [r.state for _, r in changes] == [RUNNING, WAITING]
-    assert changes[0][1].reason == "right hand 28 is followed"
+    assert changes[0][1].reason.startswith("right hand 28 is followed")
     assert changes[1][1].reason == "right hand 28 was lost"
+
+
+def test_a_hand_that_comes_level_while_it_hurries_away_starts_nothing(recording, leap, arm):
+    results = run(Teleop(leap(), arm()), recording("confidence-74fps", LEAVING))
+    reasons = [r.reason for _, r in results if r.reason.startswith("right hand 28: the hand moves too fast")]
+    assert reasons, "nothing else was wrong with it"
+    assert streams(results) == []

@@ -7,6 +7,8 @@ still meanwhile. After a few left out in a row the hand counts as lost: what jum
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +20,9 @@ from leap_kuka.hand_frame import HandSample, hand_rotation, sample_fault
 MAX_STEP_M = 0.02
 MAX_SPEED_M_S = 2.0
 MAX_LEFT_OUT = 5
+
+SPEED_SAMPLES = 10
+"""So many samples tell how fast the palm moves, however many make the mean."""
 
 MIN_MEAN_LENGTH = 0.8
 """Shortest mean of unit vectors that is taken for a direction. Above 1/sqrt(2) the means of direction and normal cannot
@@ -31,10 +36,12 @@ class MeanHand:
     Attributes:
         T_leap_hand: pose of the hand frame in the Leap frame, shape (4, 4) [m].
         confidence: 0 to 1.
+        speed: of the palm over the newest samples [m/s]; infinite while it is not known.
     """
 
     T_leap_hand: np.ndarray
     confidence: float
+    speed: float
 
     @property
     def palm(self) -> np.ndarray:
@@ -53,7 +60,7 @@ class HandAverage:
     def reset(self) -> None:
         """Forgets all samples."""
         self._window.reset()
-        self._last: tuple[np.ndarray, float] | None = None
+        self._newest: deque[tuple[np.ndarray, float]] = deque(maxlen=SPEED_SAMPLES)
         self.count = 0
         self.left_out = 0
 
@@ -69,7 +76,7 @@ class HandAverage:
             self.left_out += 1
             return fault
         self.left_out = 0
-        self._last = (sample.position, now)
+        self._newest.append((sample.position, now))
         self._window.add(np.concatenate([sample.position, sample.direction, sample.normal, [sample.confidence]]))
         self.count = min(self.count + 1, self.size)
         return None
@@ -79,13 +86,18 @@ class HandAverage:
         mean = self._window.mean()
         if mean is None or min(np.linalg.norm(mean[3:6]), np.linalg.norm(mean[6:9])) < MIN_MEAN_LENGTH:
             return None
-        return MeanHand(read_only(pose(hand_rotation(mean[3:6], mean[6:9]), mean[:3])), float(mean[9]))
+        return MeanHand(read_only(pose(hand_rotation(mean[3:6], mean[6:9]), mean[:3])), float(mean[9]), self._speed())
+
+    def _speed(self) -> float:
+        elapsed = self._newest[-1][1] - self._newest[0][1]
+        steps = np.diff([position for position, _ in self._newest], axis=0)
+        return float(np.sum(np.linalg.norm(steps, axis=1))) / elapsed if elapsed > 0.0 else math.inf
 
     def _glitch(self, position: np.ndarray, now: float) -> str | None:
-        if self._last is None:
+        if not self._newest:
             return None
-        step = float(np.linalg.norm(position - self._last[0]))
-        elapsed = now - self._last[1]
+        step = float(np.linalg.norm(position - self._newest[-1][0]))
+        elapsed = now - self._newest[-1][1]
         if step <= max(MAX_STEP_M, MAX_SPEED_M_S * elapsed):
             return None
         return f"the palm jumped by {1e3 * step:.0f} mm within {1e3 * elapsed:.0f} ms"

@@ -1,4 +1,4 @@
-"""Whether the hand steers the arm: it starts inside the interaction box, level and well seen, and ends on bad sight.
+"""Whether the hand steers the arm: it starts in the interaction box, level, slow and well seen, and ends on bad sight.
 
 The interaction box stands upright on the Leap's y axis; its axes are the Leap's.
 """
@@ -16,6 +16,9 @@ from leap_kuka.config import ArmConfig, LeapConfig
 from leap_kuka.desired_tool import attitude
 from leap_kuka.hand_average import MeanHand
 from leap_kuka.virtual_leap import heading
+
+START_SPEED_M_S = 0.3
+"""A palm as fast as this is on its way to somewhere else and starts nothing."""
 
 SIDES = (("left of", "right of"), ("below", "above"), ("behind", "in front of"))
 """How a palm lies beyond the box, per axis and sign, as its user sees it: -z points away from the user."""
@@ -76,7 +79,7 @@ class StartGate:
         """
         faults = self._poor_sight(hand)
         if not self.running:
-            faults = self._outside(hand) + self._tilted(hand) + faults
+            faults = self._outside(hand) + self._tilted(hand) + self._fast(hand) + faults
         self.running = not faults
         return faults
 
@@ -84,6 +87,13 @@ class StartGate:
         if hand.confidence > self._leap.min_confidence:
             return []
         return [f"the confidence is {hand.confidence:.2f} and must be above {self._leap.min_confidence:g}"]
+
+    def _fast(self, hand: MeanHand) -> list[str]:
+        if hand.speed < START_SPEED_M_S:
+            return []
+        return [
+            f"the hand moves too fast for a start, at {hand.speed:.2f} m/s, and must be below {START_SPEED_M_S:g} m/s"
+        ]
 
     def _outside(self, hand: MeanHand) -> list[str]:
         beyond = self._box.outside(hand.palm)
