@@ -172,8 +172,8 @@ class TestView:
         np.testing.assert_array_equal(seen.right[:, :-shift], stripes()[:, shift:])
         assert not seen.left[:, :shift].any() and not seen.right[:, -shift:].any()
 
-    def test_far_away_it_is_the_doubled_picture_of_2019(self):
-        view = StereoView(CAMERA, config(flat_distance=1e6, lens="none"))
+    def test_where_no_depth_is_wanted_it_is_the_doubled_picture_of_2019(self):
+        view = StereoView(CAMERA, config(depth=False, flat_distance=0.4, lens="none"))
         seen = view.eyes(stripes(), None)
         np.testing.assert_array_equal(view.screen.draw(seen.left, seen.right), np.hstack((stripes(), stripes())))
 

@@ -151,6 +151,18 @@ def test_bad_parameters_end_it_with_a_sentence(ros, node, parameter, sentence):
     assert "Traceback" not in log
 
 
+@pytest.mark.parametrize("node", ["apriltag_ros_continuous_node", "apriltag_ros_single_image_server_node"])
+def test_launch_files_for_the_ros_package_find_the_nodes(node, tmp_path, processes, ros):
+    """Its programs have no suffix."""
+    launch = tmp_path / "a.launch"
+    launch.write_text(
+        f'<launch><node pkg="apriltag_ros" type="{node}" name="a" output="screen" required="true"/></launch>'
+    )
+    program = processes.start("roslaunch", str(launch))
+    assert program.wait(60.0) is not None
+    assert "There is no tag to look for" in program.log_path.read_text()
+
+
 def test_single_picture(ros, camera, tmp_path):
     import rospy
 

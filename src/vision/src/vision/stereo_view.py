@@ -74,7 +74,8 @@ class StereoView:
 
         Args:
             colour: raw, shape (height, width, 3), uint8, red first.
-            depth: of the same pixels, shape (height, width) [m], NaN = none; None: the picture is flat.
+            depth: of the same pixels, shape (height, width) [m], NaN = none; None: the picture is flat, and hangs where
+                the settings say, or has no shift at all where they want no depth.
 
         Raises:
             ValueError: a picture is not of the camera's size.
@@ -85,7 +86,7 @@ class StereoView:
                 raise ValueError(f"the {name} picture has the shape {picture.shape}, but the camera's is {size}")
         flat = cv2.remap(colour, *self._maps, cv2.INTER_LINEAR)
         if depth is None:
-            shift = round(self._half_fb / self._config.flat_distance)
+            shift = round(self._half_fb / self._config.flat_distance) if self._config.depth else 0
             return EyePictures(_moved(flat, shift), _moved(flat, -shift), False)
         # No blend between an edge and the wall behind it.
         z = cv2.remap(depth, *self._maps, cv2.INTER_NEAREST, borderValue=(float("nan"),))
