@@ -24,7 +24,7 @@ from rig_simulation.control_port import ControlClient
 from rig_simulation.view import record
 from rig_simulation.view.films import ContactSheet, FilmError, Mp4, film_for, with_lines
 from rig_simulation.view.following import TIMEOUT_S
-from rig_simulation.view.forces import LONGEST_M, METRES_PER_NEWTON, arrows, pair_forces
+from rig_simulation.view.forces import LONGEST_M, METRES_PER_NEWTON, Arrow, arrows, pair_forces
 from rig_simulation.view.scene_forces import add_arrows
 from rig_simulation.view.shapes import base_pose, beyond, shapes
 from rig_simulation.world.files import read_scene
@@ -131,8 +131,39 @@ def test_arrows_fill_a_scene_but_never_more(world):
     shown = arrows(pair_forces([contact("object/cup", f"reflex/distal_{i}") for i in range(5)]))
     add_arrows(scene, shown)
     assert (scene.ngeom, len(shown)) == (3, 5)
-    tip = scene.geoms[0].pos + scene.geoms[0].mat[:, 2] * scene.geoms[0].size[2]
-    np.testing.assert_allclose(tip, [0.1, 0.2, 0.3], atol=1e-6)
+
+
+ORTHOGRAPHIC = """
+<mujoco>
+  <visual><global offwidth="200" offheight="200"/></visual>
+  <worldbody>
+    <light pos="0 -3 0" dir="0 1 0"/>
+    <camera name="ahead" pos="0 -2 0" xyaxes="1 0 0 0 0 1" orthographic="true" fovy="1"/>
+  </worldbody>
+</mujoco>"""
+
+
+def test_an_arrow_is_drawn_from_its_tail_to_its_tip():
+    from mujoco.egl import GLContext
+
+    model = mujoco.MjModel.from_xml_string(ORTHOGRAPHIC)
+    data, camera, drawn = mujoco.MjData(model), mujoco.MjvCamera(), np.zeros((200, 200, 3), np.uint8)
+    mujoco.mj_forward(model, data)
+    camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+    scene = mujoco.MjvScene(model, maxgeom=10)
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+    add_arrows(scene, [Arrow(np.array([0.0, 0.0, -0.1]), np.array([0.0, 0.0, 0.3]), True)])
+    screen = GLContext(200, 200)
+    screen.make_current()
+    context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+    whole = mujoco.MjrRect(0, 0, 200, 200)
+    mujoco.mjr_render(whole, scene, context)
+    mujoco.mjr_readPixels(drawn, None, whole, context)
+    context.free()
+    screen.free()
+    heights = (np.flatnonzero(drawn.max(axis=(1, 2)) > 20)[[0, -1]] - 100) / 200
+    np.testing.assert_allclose(heights, [-0.1, 0.3], atol=0.015)
 
 
 def picture(grey):

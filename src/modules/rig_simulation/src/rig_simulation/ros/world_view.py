@@ -1,7 +1,7 @@
 """Shows the simulated world in RViz: table and objects, and the forces where bodies touch.
 
 Topics, both visualization_msgs/MarkerArray in kuka/base_frame: `simulation/objects`, and `simulation/contacts` with an
-arrow for each contact, 3 cm a newton, its tip where the force acts, and beside each body what bears on it, in N.
+arrow for each two bodies that touch, 6 cm a newton, and beside each body what bears on it, in N.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LIFETIME_S = 1.0
 """Markers of a world that is gone vanish after this time."""
 
 KINDS = {BOX: Marker.CUBE, BALL: Marker.SPHERE, CYLINDER: Marker.CYLINDER}
-SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.005, 0.011, 0.015, 0.03, 0.11
+SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.012, 0.024, 0.03, 0.03, 0.11
 OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)
 
 
@@ -59,10 +59,11 @@ class WorldView:
         for shape in found:
             bodies.setdefault(shape.body, []).append(shape)
         touched: dict[str, list[PairForce]] = {}
-        for pair in pair_forces(contacts):
+        pairs = pair_forces(contacts)
+        for pair in pairs:
             touched.setdefault(pair.bodies[0], []).append(pair)
         self._objects.publish(_array([shape_marker(shape) for shape in found]))
-        marks = [arrow_marker(arrow, T_base_world) for arrow in arrows(contacts)]
+        marks = [arrow_marker(arrow, T_base_world) for arrow in arrows(pairs)]
         marks += [label_marker(pairs, bodies.get(body, []), T_base_world) for body, pairs in touched.items()]
         self._contacts.publish(_array(marks))
 

@@ -9,7 +9,9 @@ import numpy as np
 
 from rig_simulation.view.forces import Arrow
 
-WIDTH_M = 0.004
+WIDTH_M = 0.009
+DRAWN_LENGTH = 2.0
+"""MuJoCo draws an arrow half as long as its connector says (3.2.3)."""
 OF_ROBOT, OF_OTHERS = np.array([1.0, 0.45, 0.0, 1.0]), np.array([0.35, 0.65, 1.0, 1.0])
 
 
@@ -22,4 +24,5 @@ def add_arrows(scene: mujoco.MjvScene, arrows: Sequence[Arrow]) -> None:
             geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.zeros(9), colour.astype(np.float32)
         )
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, WIDTH_M, arrow.tail, arrow.tip)
+        geom.size[2] *= DRAWN_LENGTH
         scene.ngeom += 1

@@ -9,6 +9,8 @@ import argparse
 import os
 import sys
 import threading
+import warnings
+from typing import Any
 
 from common.errors import DeviceError
 from rig_simulation.camera.world_copy import WorldCopy
@@ -23,10 +25,11 @@ from rig_simulation.view.following import (
     stop_when_interrupted,
     wait_for_world,
 )
-from rig_simulation.view.forces import arrows
+from rig_simulation.view.forces import arrows, pair_forces
 from rig_simulation.view.scene_forces import add_arrows
 
 NAME = "viewer"
+CLOSING_S = 10.0
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -35,11 +38,9 @@ def main(arguments: list[str] | None = None) -> int:
     add_options(parser)
     options = parse_options(parser, arguments)
     stop = stop_when_interrupted()
-    if not os.environ.get("DISPLAY"):
-        print(f"{NAME}: There is no screen (DISPLAY is not set).", file=sys.stderr)
-        return 1
     os.nice(NICENESS)
     try:
+        _check_screen()
         with ControlClient(HOST, options.port, TIMEOUT_S) as client:
             wait_for_world(client, options.wait, stop)
             _show(client, options, stop)
@@ -49,30 +50,83 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Event) -> None:
-    """Shows the world in a window, and in a new one after a change of scene.
+def _check_screen() -> None:
+    """Opens the connection to the screen: the window's own thread could tell nobody that there is none.
 
     Raises:
-        DeviceError: the world does not answer any more.
+        DeviceError: there is no screen.
     """
-    from mujoco import viewer  # opens the screen
+    import glfw  # with mujoco
 
+    screen = os.environ.get("DISPLAY")
+    if not screen:
+        raise DeviceError("There is no screen (DISPLAY is not set).")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns of what the sentence below says
+        opened = glfw.init()
+    if not opened:
+        raise DeviceError(f"There is no screen {screen} (DISPLAY), or it does not let this program in.")
+
+
+def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Event) -> None:
+    """Shows the world in a window, and in a new one after a change of scene, until it ends.
+
+    Raises:
+        DeviceError: the world's first answers do not fit.
+    """
     world, window = WorldCopy(client), None
     try:
-        while not stop.wait(1.0 / options.rate) and (window is None or window.is_running()):
-            is_new = world.follow()
-            contacts = client.ask("contacts")["contacts"]
+        while not stop.wait(1.0 / options.rate) and (window is None or window.is_open):
+            try:
+                is_new = world.follow()
+                pairs = pair_forces(client.ask("contacts")["contacts"])
+            except DeviceError as error:
+                if window is None:
+                    raise
+                print(f"{NAME}: The world has ended: {error}", flush=True)
+                break
             if is_new:
                 if window is not None:
                     window.close()
-                window = viewer.launch_passive(world.model, world.data, show_left_ui=False, show_right_ui=False)
+                window = Window(world, tuple(options.view))
             assert window is not None  # the first state is of a new model
-            with window.lock():
-                if is_new:
-                    aim(window.cam, tuple(options.view), world.data)
-                window.user_scn.ngeom = 0
-                add_arrows(window.user_scn, arrows(contacts))
-            window.sync()
+            window.show(arrows(pairs))
     finally:
         if window is not None:
             window.close()
+
+
+class Window:
+    """MuJoCo's passive viewer of a copy of the world.
+
+    Args:
+        world: what it shows.
+        view: from where it looks, see following.aim.
+    """
+
+    def __init__(self, world: WorldCopy, view: tuple[float, float, float]) -> None:
+        from mujoco import viewer  # opens the screen
+
+        before = threading.enumerate()
+        self._handle: Any = viewer.launch_passive(world.model, world.data, show_left_ui=False, show_right_ui=False)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        with self._handle.lock():
+            aim(self._handle.cam, view, world.data)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nobody has closed it."""
+        return self._handle.is_running()
+
+    def show(self, forces: list) -> None:
+        """Shows the present state of the copy, with arrows."""
+        with self._handle.lock():
+            self._handle.user_scn.ngeom = 0
+            add_arrows(self._handle.user_scn, forces)
+        self._handle.sync()
+
+    def close(self) -> None:
+        """Closes it and waits for the thread that draws: one that still draws while the program ends crashes it."""
+        self._handle.close()
+        for thread in self._threads:
+            thread.join(CLOSING_S)
