@@ -410,6 +410,23 @@ def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, s
     assert told[-1].get("missed_answers", "0") == "0" and node.modes[-1].data == "servo"
 
 
+def test_in_servo_mode_joint_positions_come_with_the_goals_not_at_rate_joints(ros, start, hand):
+    from sensor_msgs.msg import JointState
+
+    from kuka_msgs.msg import jointPositions
+
+    node = start(time_out=5.0, rate_joints=2.0)
+    node.wait_for_mode("home")
+    assert node.control(True).success
+    hand(home_tool())
+    node.wait_for_mode("servo")
+    states, positions = ros.record("joint_states", JointState), ros.record("kuka/joint_positions", jointPositions)
+    states.wait(2), positions.wait(1)
+    states.clear(), positions.clear()
+    states.wait(8)
+    assert len(positions) > 3 * len(states)
+
+
 def test_a_jump_is_picked_up_anew(robot, start, hand, wait_until):
     node = start()
     node.wait_for_mode("home")
