@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import collections
 import re
 import xml.etree.ElementTree as ElementTree
 
@@ -195,9 +196,26 @@ class TestPage:
         wrong = [f"line {block.line}: {fault}" for block in pages.code(page) for fault in commands.faults(block.text)]
         assert not wrong
 
-    def test_blocks_that_no_test_runs_say_why(self, page):
-        for block in pages.bash_blocks(page):
-            assert block.marker in ("", *pages.MARKERS), f"line {block.line}: {block.marker!r} is no reason"
+    def test_blocks_say_how_they_are_run(self, page):
+        for block in pages.blocks(page):
+            for mark in block.marks:
+                if mark.startswith(pages.ELSEWHERE):
+                    assert pages.runs(mark, block), f"{block.where}: that is not in {mark[len(pages.ELSEWHERE) :]}"
+                else:
+                    assert mark in pages.MARKS, f"{block.where}: no test knows {mark!r}"
+
+    def test_what_may_move_a_real_arm_says_so(self, page):
+        for block in pages.blocks(page):
+            real = commands.for_a_real_rig(block.text)
+            assert not real or pages.REAL_HARDWARE in block.marks, f"{block.where}: {real} without the mark"
+
+
+def test_blocks_that_no_test_of_the_handbook_runs_are_counted():
+    """Who marks one more thinks of what it takes to run it."""
+    why_not = collections.Counter(block.why_not for page in pages.pages() for block in pages.blocks(page))
+    ran = why_not.pop("")
+    assert why_not == {"real hardware": 15, "run by": 22, "slow": 15}
+    assert ran == 61
 
 
 class TestChecker:
@@ -235,10 +253,61 @@ class TestChecker:
         text = "# A title, `code` and [link](x.md)\n## tags.yaml\n## Twice\n## Twice\n```\n# none\n```\n"
         assert pages.anchors(text) == {"a-title-code-and-link", "tagsyaml", "twice", "twice-1"}
 
-    def test_marker_of_a_block(self, tmp_path):
+    @pytest.mark.parametrize(
+        "command",
+        [
+            "roslaunch leap_rig demo sim:=false marker_ring:=true",
+            "roslaunch leap_rig demo sim:=false robot_ip:=172.31.1.147",
+            "roslaunch vision camera.launch sim:=false",
+            "roslaunch kuka_control real_time_controller.launch",
+            "roslaunch kuka_control ptp_controller.launch ip:=172.31.1.147",
+            "rosrun kuka_control simple_controller.py zero",
+            "rosrun kuka_control simple_controller.py --ip 172.31.1.147 zero",
+            "rosrun vision calibrate_camera.py",
+        ],
+    )
+    def test_sees_what_may_move_a_real_arm(self, command):
+        assert commands.for_a_real_rig(command) == [command]
+
+    @pytest.mark.parametrize(
+        "command",
+        [
+            "roslaunch leap_rig demo",
+            "roslaunch leap_rig demo sim:=false robot_ip:=127.0.0.1 hand_interface:=lo",
+            "roslaunch kuka_control real_time_controller.launch ip:=127.0.0.1",
+            "rosrun kuka_control simple_controller.py --list",
+            "rosrun kuka_control simple_controller.py --ip 127.0.0.1 zero",
+            "rosrun vision calibrate_camera.py --ip 127.0.0.1",
+        ],
+    )
+    def test_passes_what_stays_on_this_machine(self, command):
+        assert not commands.for_a_real_rig(command)
+
+    def test_blocks_of_a_page(self, tmp_path):
         page = tmp_path / "page.md"
-        page.write_text("<!-- slow -->\n```bash\nmake bench\n```\n\n```bash\nmake help\n```\n")
-        assert [(b.marker, b.text, b.line) for b in pages.bash_blocks(page)] == [
-            ("slow", "make bench", 3),
-            ("", "make help", 7),
+        page.write_text(
+            "# Page\n<!-- slow -->\n```bash\nmake bench  # long\n\n# remark\n```\n\n```python\n# no heading\n```\n"
+            "```text\nx\n```\n## Next\n<!-- running rig, until Ctrl-C -->\n\n  ```bash\n  make \\\n    help\n  ```\n"
+        )
+        assert [(b.marks, b.commands, b.line, b.language, b.section) for b in pages.blocks(page)] == [
+            (("slow",), ["make bench"], 4, "bash", 1),
+            ((), [], 10, "python", 1),
+            (("running rig", "until Ctrl-C"), ["make    help"], 19, "bash", 2),
         ]
+
+    @pytest.mark.parametrize(
+        ("mark", "found"),
+        [
+            ("run by tools/test.sh", True),
+            ("run by tools/no.sh", False),
+            ("run by tests/test_docs.py::TestChecker", True),
+            ("run by tests/test_docs.py::test_no", False),
+            ("run by docs/handbook/workspace.md", True),
+            ("run by docs/handbook/training.md", False),
+        ],
+    )
+    def test_what_runs_a_block_elsewhere(self, mark, found):
+        block = pages.Block(
+            pages.ROOT / "README.md", 1, "rosrun kuka_control workspace_plotter.py --save workspace.png"
+        )
+        assert pages.runs(mark, block) is found

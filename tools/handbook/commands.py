@@ -35,6 +35,23 @@ def commands(text: str) -> Iterator[list[str]]:
                 yield words
 
 
+def for_a_real_rig(text: str) -> list[str]:
+    """Returns the commands in a text that speak to real devices, above all those that may move a real arm."""
+    return [" ".join(words) for words in commands(text) if _real(words)]
+
+
+def _real(words: list[str]) -> bool:
+    rest = " ".join(words[1:])
+    if re.search(r"(?<!\S)(robot_ip:=|ip:=|--ip[ =])127\.", rest):
+        return False
+    if re.search(r"(?<!\S)(sim:=false|robot_ip:=|ip:=|--ip[ =])", rest):
+        return True
+    if re.match(r"kuka_control (real_time|ptp)_controller\.launch", rest):
+        return True  # the address of the parameter files is the real robot's
+    asks = re.search(r"(?<!\S)--(list|help|by-hand|again)(?!\S)", rest)
+    return not asks and re.match(r"kuka_control simple_controller\.py|vision calibrate_camera\.py", rest) is not None
+
+
 def _faults(words: list[str]) -> list[str]:
     check = {"make": _make, "rosrun": _rosrun, "roslaunch": _roslaunch, "rosservice": _graph, "rostopic": _graph}
     return [f"`{' '.join(words)}`: {fault}" for fault in check[words[0]](words[1:])]

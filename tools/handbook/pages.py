@@ -9,25 +9,58 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 LINK = re.compile(r"!?\[(?:[^\]]|\][^(])*?\]\(([^)\s]+)\)")
-MARKERS = ("real hardware", "running rig", "screen", "slow")
-"""Why a block of commands is not run by a test; stands in an HTML comment before the block."""
+FENCE = re.compile(r"( *)```(\w*)\s*$")
+HEADING = re.compile(r"#{1,6} ")
+MARK = re.compile(r" *<!-- *([^>]*?) *-->\s*$")
+
+BESIDE_RIG, UNTIL_CTRL_C, REAL_HARDWARE, SLOW, ELSEWHERE = (
+    "running rig", "until Ctrl-C", "real hardware", "slow", "run by "
+)  # fmt: skip
+"""What the comment before a block says, several with a comma between: how the tests of the handbook run it, or why not.
+After `run by ` stands FILE or FILE::TEST."""
+MARKS = (BESIDE_RIG, UNTIL_CTRL_C, REAL_HARDWARE, SLOW)
 
 
 @dataclass(frozen=True)
 class Block:
-    """Commands of a page.
+    """Commands, or a program, of a page.
 
     Attributes:
         page: where they stand.
         line: number of the first one.
         text: the commands.
-        marker: why no test runs them; empty for those that it runs, None for code that is no block of bash.
+        marks: how tests run them; empty for those that just end by themselves.
+        language: "bash" or "python".
+        section: number of the heading below which they stand.
     """
 
     page: Path
     line: int
     text: str
-    marker: str | None
+    marks: tuple[str, ...] = ()
+    language: str = "bash"
+    section: int = 0
+
+    @property
+    def where(self) -> str:
+        """Page and line, for people."""
+        return f"{self.page.relative_to(ROOT) if ROOT in self.page.parents else self.page.name}:{self.line}"
+
+    @property
+    def why_not(self) -> str:
+        """Why the tests of the handbook do not run it: `slow`, `real hardware`, `run by`; empty if they do."""
+        for mark in self.marks:
+            if mark in (REAL_HARDWARE, SLOW):
+                return mark
+            if mark.startswith(ELSEWHERE):
+                return ELSEWHERE.strip()
+        return ""
+
+    @property
+    def commands(self) -> list[str]:
+        """The commands one by one, without remarks; lines that end with a backslash go on in the next one."""
+        lines = (re.sub(r"(^|\s)#.*", "", line).strip() for line in self.text.replace("\\\n", " ").splitlines())
+        return [line for line in lines if line]
 
 
 def pages() -> list[Path]:
@@ -54,25 +87,48 @@ def anchors(text: str) -> set[str]:
     return set(found)
 
 
-def bash_blocks(page: Path) -> Iterator[Block]:
-    """Yields the fenced blocks of bash of a page."""
-    text = page.read_text()
-    pattern = re.compile(r"(?:<!-- *([^>]*?) *-->\s*\n)?^( *)```bash\n(.*?)^ *```", re.DOTALL | re.MULTILINE)
-    for match in pattern.finditer(text):
-        indent = len(match[2])
-        commands = "\n".join(line[indent:] for line in match[3].splitlines())
-        yield Block(page, text.count("\n", 0, match.start(3)) + 1, commands, match[1] or "")
+def blocks(page: Path, languages: tuple[str, ...] = ("bash", "python")) -> Iterator[Block]:
+    """Yields the fenced blocks of commands and programs of a page, in order."""
+    section, comment, fence = 0, "", None
+    found: list[str] = []
+    for number, line in enumerate(page.read_text().splitlines(), 1):
+        if fence is not None:
+            if line.strip() != "```":
+                found.append(line[len(fence[1]) :])
+                continue
+            if fence[2] in languages:
+                marks = tuple(filter(None, comment.split(", ")))
+                yield Block(page, number - len(found), "\n".join(found), marks, fence[2], section)
+            fence, comment, found = None, "", []
+        elif FENCE.match(line):
+            fence = FENCE.match(line)
+        elif line.strip():
+            section += bool(HEADING.match(line))
+            mark = MARK.match(line)
+            comment = mark[1] if mark else ""
+
+
+def runs(mark: str, block: Block) -> bool:
+    """Whether the file after `run by ` exists and has the test; a page, whether it has the commands and runs them."""
+    name, _, test = mark[len(ELSEWHERE) :].partition("::")
+    file = ROOT / name
+    if not file.is_file():
+        return False
+    if file.suffix == ".md":
+        ran = {command for other in blocks(file) if not other.why_not for command in other.commands}
+        return ran.issuperset(block.commands)
+    return re.search(rf"^ *(def|class) {test}\b", file.read_text(), re.MULTILINE) is not None if test else True
 
 
 def code(page: Path) -> Iterator[Block]:
     """Yields all code of a page that may hold commands: blocks, indented lines, and code within sentences."""
     text = page.read_text()
     for match in re.finditer(r"^( *)```(?:bash|sh|)\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE):
-        yield Block(page, text.count("\n", 0, match.start(2)) + 1, match[2], None)
+        yield Block(page, text.count("\n", 0, match.start(2)) + 1, match[2])
     text = re.sub(r"```.*?```", lambda match: "\n" * match[0].count("\n"), text, flags=re.DOTALL)
     for number, line in enumerate(text.splitlines(), 1):
         if line.startswith("    "):
-            yield Block(page, number, line, None)
+            yield Block(page, number, line)
         else:
             for words in re.findall(r"`([^`]+)`", line):
-                yield Block(page, number, words, None)
+                yield Block(page, number, words)

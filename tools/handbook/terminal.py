@@ -24,7 +24,10 @@ CTRL_C = b"\x03"
 READY = re.compile(r"listening on|UDP port|^world: | s \| arm ", re.MULTILINE)
 """What programs print when they are ready that are no nodes: simulated devices, and the demo with the arm at home."""
 
-DEVICES = re.compile(r"rig_simulation/(world|sunrise_controller|reflex_hand|leapd|viewer|record)\.py")
+DEVICES = {
+    f"rig_simulation/{name}.py" for name in ("world", "sunrise_controller", "reflex_hand", "leapd", "viewer", "record")
+}
+"""What launch files start that is no node."""
 FAULT = re.compile(r"Traceback|has died|^success: False", re.MULTILINE | re.IGNORECASE)
 """What no command prints that does what the page says."""
 
@@ -103,8 +106,9 @@ class Terminal:
     def _ready(self) -> bool:
         if not self.command.startswith("roslaunch"):
             return bool(READY.search(self.output) or (self._nodes() | self._windows()) - self._before)
-        nodes = [line for line in re.findall(r"^    (\S+ \(\S+/\S+\))$", self.output, re.MULTILINE)]
-        names = {line.split()[0] for line in nodes if not DEVICES.search(line)}
+        nodes = dict(re.findall(r"^    (\S+) \((\S+/\S+)\)$", self.output, re.MULTILINE))
+        absent = set(re.findall(r"cannot launch node of type \[(\S+)\]", self.output))  # of a package that is optional
+        names = {name for name, program in nodes.items() if program not in DEVICES | absent}
         return bool(nodes) and names <= {node.rsplit("/", 1)[-1] for node in self._nodes()}
 
     def _nodes(self) -> set[str]:

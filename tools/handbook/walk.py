@@ -133,7 +133,7 @@ def walk_beside_rig(pages: list[Path], folder: Path, environment: dict[str, str]
 @contextlib.contextmanager
 def screen() -> Iterator[str]:
     """Gives a screen without a monitor; yields its DISPLAY."""
-    command = ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-nolisten", "tcp"]
+    command = ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-noreset"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
         assert server.stdout is not None
         try:
