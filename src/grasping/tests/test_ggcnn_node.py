@@ -340,28 +340,59 @@ def test_weight_files_are_checked(changes, sentence):
         load_network(parse(NetworkConfig, {**own_yaml("ggcnn.yaml")["network"], **changes}))
 
 
-def test_the_second_networks_file_is_read_and_is_for_one_view(tmp_path):
+def rig(**changes):
+    """Returns the rig that the package's own yaml files describe."""
+    from grasping.dataset.configuration import live_origin
+    from grasping.ros.weight_files import own_yaml
+    from grasping.settings import overlaid, settings_from
+
+    values = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}
+    return live_origin(settings_from(overlaid(values, changes)), "ab" * 32, "LBR7R800")
+
+
+@pytest.mark.parametrize(
+    ("learned", "used", "sentence"),
+    [
+        ({"view": "camera"}, {"view": "table"}, "learned with view: camera, but view is table"),
+        ({}, {"table": {"extent": 0.4}}, "learned with table: .*0.65.*, but table is .*0.4"),
+        (
+            {"view": "camera"},
+            {"view": "camera", "crop": {"side": 300}},
+            "learned with crop: .*400.*, but crop is .*300",
+        ),
+        ({}, {"tool": {"closing_angle": 90.0}}, "learned with hand: .*, but hand is"),
+    ],
+)
+def test_the_second_network_is_refused_on_another_rig(tmp_path, learned, used, sentence):
     import torch
 
-    from grasping.refinement import RefinementNetwork, content
+    from grasping.refinement import RefinementNetwork
+    from grasping.refinement_file import content, taste
     from grasping.ros.weight_files import load_refinement
-    from grasping.view import CAMERA, TABLE
 
     network, file = RefinementNetwork(), str(tmp_path / "refinement.pt")
-    torch.save(network.state_dict(), file)
-    for view in (CAMERA, TABLE):
-        assert load_refinement(file, view).view is None  # what has no offset has no axes
-    network.offset[2] = 0.2
-    for view, other in ((CAMERA, TABLE), (TABLE, CAMERA)):
-        torch.save(content(network, view), file)
-        assert load_refinement(file, view).view == view
-        with pytest.raises(RigError, match=f"learned with view: {view}, but view is {other}"):
-            load_refinement(file, other)
-    torch.save(network.state_dict(), file)
-    with pytest.raises(RigError, match="does not say in which view it learned"):
-        load_refinement(file, CAMERA)
-    with pytest.raises(RigError):
-        load_refinement("ggcnn2.pt", CAMERA)
+    torch.save(content(network, rig(**learned)), file)
+    load_refinement(file, rig(**learned))
+    with pytest.raises(RigError, match=sentence):
+        load_refinement(file, rig(**used))
+    torch.save(taste(network, rig(**learned)), file)
+    load_refinement(file, rig(**used))
+
+
+def test_a_second_network_of_an_older_version_or_none_is_refused(tmp_path):
+    import torch
+
+    from grasping.refinement import RefinementNetwork
+    from grasping.ros.weight_files import load_refinement
+
+    file = str(tmp_path / "refinement.pt")
+    torch.save(RefinementNetwork().state_dict(), file)
+    with pytest.raises(RigError, match="no second network of version 2: train it anew"):
+        load_refinement(file, rig())
+    with pytest.raises(RigError, match="no second network of version 2"):
+        load_refinement("ggcnn2.pt", rig())
+    with pytest.raises(RigError, match=r"none comes with the package: train one .* with train_refinement.py"):
+        load_refinement("refinement.pt", rig())
 
 
 @pytest.mark.parametrize("moment", ["its libraries load", "its networks load", "it works"])
@@ -388,17 +419,20 @@ def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, ca
 
     from common.ros.conversions import pose_from_message
     from grasp_msgs.msg import GraspList
-    from grasping.refinement import RefinementNetwork, content
+    from grasping.refinement import AXES, RefinementNetwork
+    from grasping.refinement_file import Origin, content
 
     network, file = RefinementNetwork(), tmp_path / "refinement.pt"
-    network.offset[2] = 0.2  # a tilt about the view's x axis
-    torch.save(content(network, view), file)
+    network.offset[AXES.index("tilt_x")] = 0.2
+    torch.save(content(network, Origin(view=view)), file)
     lists = ros.record("ggcnn/out/grasps", GraspList)
     start(ros, view=view, refine=True, refinement_weights=str(file), reach__ask=False, peaks__threshold=0.05)
     found = newest(lists, wait_until, lambda m: m.grasps, "a grasp")
     approach = pose_from_message(found.grasps[0].pose_camera)[:3, 2]
     axis = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0) if view == "table" else (0.0, 0.0, 1.0)
     assert approach @ axis == pytest.approx(np.cos(0.2), abs=0.01)
+    assert 0.0 < found.grasps[0].probability <= 1.0
+    assert np.all(np.array([*found.grasps[0].deviations, found.grasps[0].width_deviation]) > 0.0)
 
 
 def test_a_wrong_mounting_ends_it_too(ros):

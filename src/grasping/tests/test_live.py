@@ -24,6 +24,7 @@ from grasping.live import Finder, Findings
 from grasping.predictor import Predictor, PredictorSettings
 from grasping.reach import Reach, ReachBook, ReachConfig
 from grasping.refinement import Refined, Refinement, RefinementNetwork
+from grasping.refinement_spread import angle_deviation
 from grasping.settings import overlaid, sentences, settings_from
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -154,18 +155,20 @@ def test_each_stage_is_timed():
 
 
 class Deeper:
-    """A second network that always says: 1 cm deeper, tilted by 0.1 rad about x."""
+    """A second network that always says: 1 cm deeper, tilted by 0.1 rad about x, 6 px wider open."""
 
     def apply(self, output, picture):
         flat = np.ones(picture.input.shape, np.float32)
-        return Refined(output, 0.01 * flat, 0.1 * flat, 0.0 * flat)
+        spreads = np.stack([0.01 * flat, 5.0 * flat, 0.2 * flat])
+        return Refined(output, 0.01 * flat, 0.1 * flat, 0.0 * flat, 6.0 * flat, 4.0 * flat, spreads)
 
 
 def learned() -> Refinement:
-    """Returns a second network that changes what it sees, without a constant offset."""
+    """Returns a second network that changes what it sees, without what has the axes of the view."""
     torch.manual_seed(1)
     network = RefinementNetwork()
     network.last.weight.data.normal_(0.0, 0.3)
+    network.load_state_dict(network.without_axes())
     return Refinement(network)
 
 
@@ -195,6 +198,15 @@ def test_the_second_network_moves_and_tilts_the_grasp_in_the_axes_of_the_view(vi
     before, after = (T_view_camera @ found.proposals[0].T_camera_grasp for found in (plain, refined))
     assert after[2, 3] - before[2, 3] == pytest.approx(0.01, abs=1e-6)
     np.testing.assert_allclose(after[:2, 3] / after[2, 3], before[:2, 3] / before[2, 3], atol=1e-6)
+    a, b = plain.proposals[0], refined.proposals[0]
+    pixel_m = refined.view.picture.crop.side / 300.0 / refined.view.camera.K[0, 0] * before[2, 3]
+    assert b.width == pytest.approx((a.width + 6.0 * pixel_m) * after[2, 3] / before[2, 3], rel=1e-3)
+    assert a.spread is None
+    assert 0.0 < b.spread.probability <= 1.0
+    assert b.spread.deviations[2:] == pytest.approx(
+        (0.01 * np.sqrt(2.0), 0.2 * np.sqrt(3.0), 0.2 * np.sqrt(3.0), angle_deviation(4.0)), rel=1e-5
+    )
+    assert b.spread.opening == pytest.approx(5.0 * np.sqrt(2.0) * pixel_m, rel=1e-3)
     half_turn = np.diag([-1.0, -1.0, 1.0])  # the same grasp
     turns = [rotation_about(0, 0.1) @ before[:3, :3] @ same for same in (np.eye(3), half_turn)]
     assert min(np.abs(after[:3, :3] - R).max() for R in turns) < 1e-6

@@ -49,17 +49,41 @@ def test_part_of_a_shard_is_refused(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "data").exists()
 
 
-def test_training_ends_and_goes_on(data, tmp_path, monkeypatch):
+def test_training_ends_and_goes_on(data, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"
-    options = ["--count", "2", "--side", "60", "--every", "2", "--half", "false"]
-    call(monkeypatch, train_ggcnn, data, run, "--steps", "2", *options)
-    call(monkeypatch, train_ggcnn, data, run, "--steps", "4", *options)
+    options = ["--steps", "4", "--count", "2", "--side", "60", "--every", "2", "--half", "false"]
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as interrupted:
+        interrupted.setattr(train_ggcnn, "plot", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            call(interrupted, train_ggcnn, data, run, *options)
+    call(monkeypatch, train_ggcnn, data, run, *options)
     with (run / "curves.csv").open(newline="") as file:
         assert [row["step"] for row in csv.DictReader(file)] == ["2", "4"]
     assert (run / "curves.png").stat().st_size > 1000
     content = (run / "weights.pt").read_bytes()
     assert weights.load(content).name == "ggcnn2"
     assert len(content) < 300_000
+    (data / "train_000002.npz").unlink()
+    for change in ([], ["--seed", "2"]):
+        with pytest.raises(SystemExit):
+            call(monkeypatch, train_ggcnn, data, run, *options, *change)
+        assert "holds a training on other data or with other settings" in capsys.readouterr().err
+        assert (run / "weights.pt").read_bytes() == content
+    call(monkeypatch, train_ggcnn, data, run, *options, "--anew")
+    assert (run / "before_1" / "weights.pt").read_bytes() == content
+    assert (run / "weights.pt").read_bytes() != content
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_a_device_that_is_not_there_is_refused(data, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_ggcnn, data, tmp_path / "run", "--device", "cuda")
+    assert "torch sees no CUDA device: train with --device cpu." in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_training_without_data_says_what_to_do(tmp_path, monkeypatch, capsys):

@@ -1,8 +1,6 @@
-"""The second network: untrained it changes nothing, it turns and moves with the picture, and its file is safe."""
+"""The second network: untrained it changes nothing, and what it learned turns and moves with the picture."""
 
 from __future__ import annotations
-
-import io
 
 import numpy as np
 import pytest
@@ -15,18 +13,24 @@ from grasping.depth_image import NETWORK_SIDE, Crop, centre_crop, prepare
 from grasping.maps import Peak
 from grasping.projection import grasp
 from grasping.refinement import (
+    CHANGES,
+    COS,
+    DEPTH_M,
     HEIGHT,
+    LEAN_X,
+    LEAN_Y,
     SHRINK,
     SIDE,
+    SIN,
+    TILT_RAD,
+    Change,
     Refinement,
     RefinementNetwork,
-    content,
     features,
-    load,
+    opened,
     refined_grasp,
 )
-from grasping.view import VIEWS
-from grasping.weights import WeightsError
+from grasping.refinement_spread import UNIFORM, angle_deviation, places, spread
 
 CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
 SHAPE = (480, 640)
@@ -54,9 +58,10 @@ def test_untrained_it_is_ggcnn_bit_by_bit():
     refined = Refinement(RefinementNetwork()).apply(output, picture)
     np.testing.assert_array_equal(refined.output, output)
     assert refined.output.dtype == np.float32
-    for values in (refined.dz, refined.tilt_x, refined.tilt_y):
+    for values in (refined.dz, refined.tilt_x, refined.tilt_y, refined.wider):
         np.testing.assert_array_equal(values, np.zeros((NETWORK_SIDE, NETWORK_SIDE)))
     peak = Peak(120, 170, 0.8, 0.4, 60.0)
+    assert opened(peak, refined) == peak
     own = grasp(peak, picture.crop, NETWORK_SIDE, depth, CAMERA)
     same = refined_grasp(own, refined, peak)
     np.testing.assert_array_equal(same.T_camera_grasp, own.T_camera_grasp)
@@ -73,6 +78,69 @@ def looks(turn_or_shift) -> np.ndarray:
     picture = prepare(depth, Crop(0, 0, NETWORK_SIDE))._replace(mean=0.7)
     with torch.no_grad():
         return trained()(torch.from_numpy(features(np.stack(maps), picture))[None])[0].numpy()
+
+
+def refined_bump(quarters: int):
+    """Returns what a trained network, without what has the axes of a view, makes of a bump in a picture turned so."""
+    row, column = np.indices((NETWORK_SIDE, NETWORK_SIDE))
+    bump = np.exp(-((row - 140.0) ** 2 / 400.0 + (column - 170.0) ** 2 / 900.0))
+    turn = np.exp(2j * 0.5 * np.pi * quarters)  # anticlockwise, as the line's
+    line = np.rot90(np.exp(2j * (0.3 + bump)), quarters) * turn
+    maps = [np.rot90(bump, quarters), line.real, line.imag, np.rot90(0.1 + 0.3 * bump, quarters)]
+    depth = np.rot90(0.7 - 0.05 * bump, quarters)
+    picture = prepare(depth.astype(np.float32), Crop(0, 0, NETWORK_SIDE))._replace(mean=0.7)
+    network = trained()
+    network.load_state_dict(network.without_axes())
+    network.last.bias.data[Change._fields.index("follow")] = 2.0
+    return Refinement(network).apply(np.stack(maps).astype(np.float32), picture)
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_line_and_lean_turn_with_the_picture(quarters):
+    plain, found = refined_bump(0), refined_bump(quarters)
+    turn = np.exp(1j * 0.5 * np.pi * quarters)
+    line = np.rot90(plain.output[1] + 1j * plain.output[2], quarters) * turn**2
+    np.testing.assert_allclose(found.output[1] + 1j * found.output[2], line, atol=0.03)
+    # A tilt is an axis: x right, y down, and the picture turns anticlockwise.
+    tilt = np.rot90(plain.tilt_x - 1j * plain.tilt_y, quarters) * turn
+    assert np.abs(tilt).max() > 0.1
+    np.testing.assert_allclose(found.tilt_x - 1j * found.tilt_y, tilt, atol=0.05 * np.abs(tilt).max())
+    for name in ("wider", "concentration", "dz"):
+        a, b = getattr(found, name), np.rot90(getattr(plain, name), quarters)
+        np.testing.assert_allclose(a, b, atol=0.15 * np.abs(b).max())  # the neighbourhood is no perfect disc
+
+
+def test_a_line_turned_by_half_a_turn_is_the_same_line():
+    """All that goes in and out is of twice the angle."""
+    output, picture, _ = scene()
+    angle = 0.5 * np.arctan2(output[2], output[1])
+    turned = np.stack([output[0], np.cos(2.0 * (angle + np.pi)), np.sin(2.0 * (angle + np.pi)), output[3]])
+    plain = np.stack([output[0], np.cos(2.0 * angle), np.sin(2.0 * angle), output[3]])
+    found, same = (Refinement(trained()).apply(m.astype(np.float32), picture) for m in (turned, plain))
+    for a, b in zip(found, same):
+        np.testing.assert_allclose(a, b, atol=1e-3)
+
+
+def test_the_lean_is_that_of_the_surface():
+    """A plane that rises by 0.2 to the right and by 0.1 downwards, in a picture with a focal length of 400 px."""
+    row, column = np.indices((NETWORK_SIDE, NETWORK_SIDE))
+    z, focal = 0.7, SHRINK * 100.0
+    height = np.clip((0.2 * (column - 150.0) + 0.1 * (row - 150.0)) * z / focal + 0.05, 0.0, None)
+    table = np.full((NETWORK_SIDE, NETWORK_SIDE), z)
+    inside = (abs(row - 150) < 60) & (abs(column - 150) < 60)
+    picture = prepare((table - np.where(inside, height, 0.0)).astype(np.float32), Crop(0, 0, NETWORK_SIDE))
+    seen = features(np.zeros((4, NETWORK_SIDE, NETWORK_SIDE), np.float32), picture._replace(mean=z))
+    shrunk = 1.0 + np.hypot(0.2, 0.1)
+    middle = slice(SIDE // 2 - 2, SIDE // 2 + 2)
+    np.testing.assert_allclose(seen[LEAN_X][middle, middle], -0.1 / shrunk, atol=0.02)
+    np.testing.assert_allclose(seen[LEAN_Y][middle, middle], 0.2 / shrunk, atol=0.02)
+    assert np.abs(seen[[LEAN_X, LEAN_Y]]).max() < 1.0
+
+
+def test_behind_the_features_stands_the_line():
+    output, picture, _ = scene()
+    seen = features(output, picture)
+    np.testing.assert_allclose(np.hypot(seen[COS], seen[SIN]), 1.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
@@ -117,14 +185,15 @@ def test_a_leaning_camera_sees_the_same_heights():
 def test_a_constant_offset_moves_the_maps_and_keeps_the_grasps_depth():
     network = RefinementNetwork()
     output, picture, _ = scene()
-    network.offset[:] = torch.tensor([3.0 * picture.mean, -2.0 * picture.mean, 0.1, -0.05, 0.3])
+    network.offset[:] = torch.tensor([3.0 * picture.mean, -2.0 * picture.mean, 0.02, 0.3, 0.1, -0.05, 0.1])
     refined = Refinement(network).apply(output, picture)
     found, before = refined.output[:, 10:-10, 13:-7], output[:, 12:-8, 10:-10]
     np.testing.assert_allclose(found[[0, 3]], before[[0, 3]], atol=1e-4)
     angle = np.exp(2j * 0.3) * (before[1] + 1j * before[2])
     np.testing.assert_allclose(found[1] + 1j * found[2], angle, atol=1e-4)
     found = (picture.depth + refined.dz)[10:-10, 13:-7]
-    np.testing.assert_allclose(found, picture.depth[12:-8, 10:-10], atol=1e-4)
+    np.testing.assert_allclose(found, picture.depth[12:-8, 10:-10] + 0.02, atol=1e-4)
+    np.testing.assert_allclose(refined.wider, 0.1 * 150.0 / picture.mean, rtol=1e-5)
     np.testing.assert_allclose(refined.tilt_x, 0.1, atol=1e-6)
     np.testing.assert_allclose(refined.tilt_y, -0.05, atol=1e-6)
 
@@ -143,52 +212,46 @@ def test_a_refined_grasp_stays_on_its_pixels_ray_and_leans():
     assert found.width == pytest.approx(own.width * p[2] / before[2])
 
 
-def file(state) -> bytes:
-    buffer = io.BytesIO()
-    torch.save(state, buffer)
-    return buffer.getvalue()
+def test_what_an_untrained_network_says_of_its_spread():
+    said = Change.of(torch.zeros(1, len(CHANGES), 2, 2))
+    for values, wanted in ((said.depth_spread, DEPTH_M), (said.tilt_spread, TILT_RAD), (said.turn_sin, 0.0)):
+        np.testing.assert_allclose(values.numpy(), wanted)
 
 
-def test_a_saved_network_comes_back():
-    network = trained()
-    network.offset[:] = torch.tensor([1.0, 2.0, 0.1, 0.2, 0.3])
+def test_a_person_sees_a_wider_hand():
     output, picture, _ = scene()
-    for a, b in zip(
-        load(file(network.state_dict())).apply(output, picture), Refinement(network).apply(output, picture)
-    ):
-        np.testing.assert_array_equal(a, b)
+    refined = Refinement(RefinementNetwork()).apply(output, picture)
+    refined.wider[120, 170] = 12.0
+    assert opened(Peak(120, 170, 0.8, 0.4, 60.0), refined).width == 72.0
 
 
-def bad(key, value):
-    state = RefinementNetwork().state_dict()
-    state[key] = value
-    return state
+@pytest.mark.parametrize("deviation", [0.05, 0.1, 0.3])
+def test_the_deviation_of_an_angle_is_that_of_its_samples(deviation):
+    rng = np.random.default_rng(0)
+    concentration = 1.0 / (2.0 * deviation) ** 2
+    drawn = 0.5 * rng.vonmises(0.0, concentration, 100_000)
+    length = abs(np.exp(2j * drawn).mean())
+    assert angle_deviation(concentration) == pytest.approx(0.5 * np.sqrt(-2.0 * np.log(length)), rel=0.02)
+    assert angle_deviation(0.0) == UNIFORM
 
 
-@pytest.mark.parametrize("view", VIEWS)
-def test_a_file_names_the_view_in_which_it_learned(view):
-    assert load(file(content(trained(), view))).view == view
-    assert load(file(trained().state_dict())).view is None
-
-
-@pytest.mark.parametrize(
-    ("data", "sentence"),
-    [
-        (b"nothing", "The torch file cannot be read"),
-        (file({}), "neither a state dict nor a model"),
-        (file({"a": torch.zeros(3)}), "lacks"),
-        (file(bad("offset", torch.zeros(3))), "The array offset has the shape"),
-        (file(bad("offset", torch.full((5,), np.nan))), "not finite"),
-        (file(bad("view", torch.tensor(2.0))), "names no view"),
-        (file(bad("view", torch.zeros(2))), "names no view"),
-    ],
-    ids=["no torch file", "empty", "foreign", "shape", "not finite", "view", "views"],
-)
-def test_bad_files_are_refused(data, sentence):
-    with pytest.raises(WeightsError, match=sentence):
-        load(data)
-
-
-def test_another_hash_is_refused():
-    with pytest.raises(WeightsError, match="but 00 was expected"):
-        load(file(RefinementNetwork().state_dict()), "00")
+def test_the_spread_of_a_grasp():
+    """Two places in one picture, three to one, the first drawn out along its fingers."""
+    row, column = np.indices((SIDE, SIDE))
+    first = 3.0 * np.exp(-((column - 20.0) ** 2 / 8.0 + (row - 20.0) ** 2 / 2.0))
+    second = 1.5 * np.exp(-((column - 55.0) ** 2 + (row - 50.0) ** 2) / 4.0)
+    mass = first + second + 1e-9
+    quality = np.kron(np.log(mass) / 20.0, np.ones((SHRINK, SHRINK))).astype(np.float32)
+    output, picture, depth = scene()
+    refined = Refinement(RefinementNetwork()).apply(np.stack([quality, *output[1:]]), picture)
+    place = places(refined)
+    np.testing.assert_allclose(place, mass / mass.sum(), atol=1e-6)
+    peak = Peak(SHRINK * 20 + 2, SHRINK * 20 + 2, 1.0, 0.0, 60.0)
+    own = grasp(peak, picture.crop, NETWORK_SIDE, depth, CAMERA)
+    found = spread(refined, place, peak, own, 0.002)
+    assert found.probability == pytest.approx(first.sum() / mass.sum(), abs=0.02)
+    assert found.deviations[:2] == pytest.approx((0.002 * 4 * 2.0, 0.002 * 4 * 1.04), rel=0.1)
+    across = spread(refined, place, peak, own._replace(angle=0.5 * np.pi), 0.002)
+    assert across.deviations[:2] == pytest.approx(found.deviations[1::-1], rel=1e-6)
+    assert found.deviations[2] == pytest.approx(np.sqrt(2.0) * DEPTH_M)
+    assert found.deviations[3:5] == pytest.approx(np.sqrt(3.0) * TILT_RAD)

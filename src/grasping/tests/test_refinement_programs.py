@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import sys
 from dataclasses import replace
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from grasping import refinement
+from grasping import refinement_file
 from grasping.dataset import store
 from grasping.dataset.labels import relative_label
 from grasping.programs import (
@@ -22,6 +23,8 @@ from grasping.programs import (
     make_episodes,
     train_refinement,
 )
+from grasping.refinement import RefinementNetwork
+from grasping.refinement_file import Origin
 from grasping.synthetic import episodes
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
@@ -50,8 +53,9 @@ def test_episodes_are_made_once_and_read_as_recorded_ones(data, monkeypatch):
     assert episode.metadata.operator == "simulated"
     assert frame.maps.shape == (4, 150, 150)
     assert relative_label(frame) is not None
-    # The hand comes straight down, but for the tremor.
-    assert frame.T_base_grasp[2, 2] < -0.9
+    # The hand comes from above, leaning by no more than half a radian or so.
+    assert frame.T_base_grasp[2, 2] < -0.8
+    assert 0.02 < frame.opening <= 0.1
     paths[0].unlink()
     kept = paths[1].stat().st_mtime_ns
     call(monkeypatch, make_episodes, data, WEIGHTS, "--episodes", len(NUMBERS), "--frames", 1)
@@ -71,8 +75,8 @@ def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(data, tmp_
 
 
 def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
-    """Without bias and tremor the grasp lies on the surface that the camera sees."""
-    who = episodes.person.Person(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0)
+    """Without bias, tremor and lean the grasp lies on the surface that the camera sees, and comes straight down."""
+    who = episodes.person.Person(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0, lean=0.0, follow=0.0)
     network, sha256 = make_episodes.network(WEIGHTS)
     episode = episodes.episode("person", NUMBERS[1], network, sha256, who, 1)
     frame = episode.frame(0)
@@ -92,8 +96,12 @@ def holdout_fixture(monkeypatch):
 def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, tmp_path, monkeypatch):
     run = tmp_path / "run"
     options = ["--every", "1", "--count", "2", "--hidden", "2"]
-    call(monkeypatch, train_refinement, data, run, "--steps", "2", *options)
-    call(monkeypatch, train_refinement, data, run, "--steps", "3", *options)
+    options = ["--steps", "3", *options]
+    with monkeypatch.context() as interrupted:
+        interrupted.setattr(train_refinement, "plot", interrupt_at(2))
+        with pytest.raises(KeyboardInterrupt):
+            call(interrupted, train_refinement, data, run, *options)
+    call(monkeypatch, train_refinement, data, run, *options)
     with (run / "curves.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["step"] for row in rows] == ["1", "2", "3"]
@@ -102,18 +110,16 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert json.loads((run / "settings.json").read_text())["episodes"] == 3
     content = (run / "weights.pt").read_bytes()
     assert len(content) < 100_000
-    assert refinement.load(content).view == "camera"
-    assert refinement.load((run / "taste.pt").read_bytes()).fits("table")
-    assert not refinement.load(content).fits("table")
-    with_offset, taste = (torch.load(run / f"{name}.pt", weights_only=True) for name in ("weights", "taste"))
-    del with_offset["view"]
-    assert not taste.pop("offset").any()
-    assert with_offset.pop("offset").any()
-    assert with_offset.keys() == taste.keys()
-    assert all(torch.equal(with_offset[name], taste[name]) for name in taste)
+    network, origin = refinement_file.load(content)
+    sha256 = hashlib.sha256(WEIGHTS.read_bytes()).hexdigest()
+    assert origin == Origin(view="camera", crop={"side": 400, "rows_up": 0}, network=sha256)
+    assert network.network.offset.any()
+    taste, origin = refinement_file.load((run / "taste.pt").read_bytes())
+    assert origin == Origin(network=sha256)
+    assert not taste.network.offset.any()
     results = tmp_path / "results"
     untrained = tmp_path / "untrained.pt"
-    torch.save(refinement.RefinementNetwork().state_dict(), untrained)
+    torch.save(refinement_file.content(RefinementNetwork(), Origin()), untrained)
     call(monkeypatch, evaluate_refinement, data, data, results, "--refinement", "untrained", untrained)
     first = (results / "results.csv").read_text()
     more = ["--refinement", "untrained", untrained, "--refinement", "trained", run / "weights.pt"]
@@ -137,8 +143,11 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert "| untrained less GGCNN alone | " + " | ".join(["+0.0 (+0.0 to +0.0)"] * 6) + " |" in text
     assert "| untrained | " in text.partition("log-likelihood")[2]
     assert "| +0.00 (+0.00 to +0.00) |" in text
+    attitudes = text.partition("rotation error at the person's place")[2]
+    assert all(f"| {name} | " in attitudes for name in ("GGCNN alone", "GGCNN + constant offset", "trained"))
+    assert "| trained less GGCNN + constant offset | " in attitudes
     assert not (results / "curve.png").exists()
-    call(monkeypatch, train_refinement, data, tmp_path / "few", "--steps", "1", "--episodes", "2", *options)
+    call(monkeypatch, train_refinement, data, tmp_path / "few", *options, "--episodes", "2")
     curve = ["--refinement", "few", tmp_path / "few" / "weights.pt", "--refinement", "all", run / "weights.pt"]
     call(monkeypatch, evaluate_refinement, data, data, tmp_path / "curve", "--no-lifting", *curve)
     assert (tmp_path / "curve" / "curve.png").stat().st_size > 1000
@@ -146,6 +155,75 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     rows = list(csv.DictReader((tmp_path / "part" / "results.csv").read_text().splitlines()))
     assert {r["episode"] for r in rows} == {name for name in held if episode_files.is_held_out(name)}
     assert {r["lifted"] for r in rows} == {""}
+
+
+def interrupt_at(count: int):
+    """Returns what takes the place of a function and ends the program when it is called that often."""
+    calls = []
+
+    def call_it(*_):
+        calls.append(1)
+        if len(calls) == count:
+            raise KeyboardInterrupt
+
+    return call_it
+
+
+def test_another_training_is_not_gone_on_with(data, holdout, tmp_path, monkeypatch, capsys):
+    run = tmp_path / "run"
+    options = ["--steps", "1", "--every", "1", "--count", "2", "--hidden", "2"]
+    call(monkeypatch, train_refinement, data, run, *options, "--episodes", "2")
+    files = {p.name: p.read_bytes() for p in run.iterdir()}
+    for change in (["--episodes", "3"], ["--episodes", "2", "--seed", "2"]):
+        with pytest.raises(SystemExit):
+            call(monkeypatch, train_refinement, data, run, *options, *change)
+        assert "holds a training on other data or with other settings" in capsys.readouterr().err
+        assert {p.name: p.read_bytes() for p in run.iterdir()} == files
+    call(monkeypatch, train_refinement, data, run, *options, "--episodes", "3", "--anew")
+    assert {p.name: p.read_bytes() for p in (run / "before_1").iterdir()} == files
+    assert (run / "weights.pt").read_bytes() != files["weights.pt"]
+    assert json.loads((run / "settings.json").read_text())["episodes"] == 3
+    call(monkeypatch, train_refinement, data, run, *options, "--episodes", "2", "--anew")
+    assert (run / "before_2" / "weights.pt").exists()
+    assert (run / "weights.pt").read_bytes() == files["weights.pt"]
+
+
+def of_another_rig(data, folder, **changes):
+    """Copies the episodes into a folder, the last one with changes to its rig's configuration."""
+    paths = sorted(data.iterdir())
+    for path in paths:
+        content = path.read_bytes()
+        if path == paths[-1]:
+            episode = store.decode(content)
+            metadata = replace(episode.metadata, configuration={**episode.metadata.configuration, **changes})
+            content = store.encode(replace(episode, metadata=metadata))
+        (folder / path.name).write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("crop", {"crop": {"side": 300, "rows_up": 0}}),
+        ("network", {"weights": "ab" * 32}),
+        ("hand", {"T_tool_grasp": np.eye(4).tolist()}),
+        ("robot", {"kuka": {"robot": "LBR14R820"}}),
+    ],
+)
+def test_episodes_of_several_rigs_are_refused_unless_asked_for(data, tmp_path, monkeypatch, capsys, name, changes):
+    of_another_rig(data, tmp_path, **changes)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run")
+    assert f"_000004 differ in {name}: train on those of one, or with --mixed." in capsys.readouterr().err
+    mixed = episode_files.origin_of(episode_files.read(tmp_path), mixed=True)
+    assert mixed == replace(episode_files.origin_of(episode_files.read(data)), **{name: None})
+
+
+def test_a_second_network_of_another_rig_is_not_compared(data, holdout, tmp_path, monkeypatch, capsys):
+    file = tmp_path / "second.pt"
+    torch.save(refinement_file.content(RefinementNetwork(), Origin(network="ab" * 32)), file)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, evaluate_refinement, data, data, tmp_path / "results", "--refinement", "second", file)
+    assert "second.pt learned with network: abababababab..., but network is " in capsys.readouterr().err
 
 
 def test_training_is_over_when_nothing_gets_better():
@@ -173,6 +251,7 @@ def test_things_are_left_out_and_chosen(data):
     ("program", "arguments", "sentence"),
     [
         (train_refinement, ["nowhere", "run"], "holds no episode"),
+        (train_refinement, [WEIGHTS.parent, "run", "--device", "gpu"], "invalid choice: 'gpu'"),
         (train_refinement, ["nowhere", "run", "--count", "0"], "--count is 0, but must be at least 1."),
         (evaluate_refinement, ["nowhere", "nowhere", "results"], "holds no episode"),
         (make_episodes, ["made", "nowhere.pt"], "No such file"),

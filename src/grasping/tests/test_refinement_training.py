@@ -15,13 +15,34 @@ from common.rotations import rotation_about
 from grasping.dataset.episode import Frame
 from grasping.dataset.labels import pose_from_label
 from grasping.depth_image import NETWORK_SIDE, Crop, prepare
+from grasping.evaluation.attitude import (
+    CONCENTRATIONS,
+    Expected,
+    errors,
+    expected,
+    log_likelihoods,
+    persons,
+    with_constant_spread,
+)
 from grasping.evaluation.person_errors import Neighbours, miss
 from grasping.maps import Peak, Smoothing, highest, smoothed
 from grasping.projection import grasp
-from grasping.refinement import HEIGHT, SIDE, Refinement, refined_grasp
+from grasping.refinement import (
+    CHANGES,
+    CONCENTRATION,
+    COS,
+    HEIGHT,
+    OPENING,
+    SIDE,
+    SIN,
+    Refinement,
+    RefinementNetwork,
+    refined_grasp,
+)
+from grasping.refinement_spread import angle_deviation
 from grasping.training.refinement_batches import batch, place_target
 from grasping.training.refinement_examples import Offset, constant_offset, example, offset_label
-from grasping.training.refinement_losses import losses
+from grasping.training.refinement_losses import Losses, losses
 from grasping.training.refinement_trainer import Settings, Trainer
 
 CAMERA = pinhole("camera", 400, 400, [[570.0, 0.0, 199.5], [0.0, 570.0, 199.5], [0.0, 0.0, 1.0]])
@@ -29,6 +50,7 @@ CROP = Crop(0, 0, 400)
 PEAK = Peak(150, 170, 0.9, 0.3, 60.0)
 NO_OFFSET = Offset()
 MAP_SIDE = 150
+LOGS = np.linspace(-3.0, 4.0, 141)
 
 
 def maps_of(peak: Peak) -> np.ndarray:
@@ -69,6 +91,17 @@ def test_an_example_says_where_the_person_grasped(x, y, z, angle, tilt):
     u, v = CAMERA.project(np.array([x, y, z]))
     assert (one.column, one.row) == pytest.approx(((u + 0.5) * 0.1875 - 0.5, (v + 0.5) * 0.1875 - 0.5))
     assert one.height == pytest.approx(0.7 - z, abs=1e-6)
+    np.testing.assert_allclose((one.tilt_x, one.tilt_y), tilt, atol=1e-6)
+    assert np.exp(2j * one.angle) == pytest.approx(np.exp(2j * angle), abs=1e-6)
+    assert np.isnan(one.opening)
+
+
+def test_an_example_says_how_wide_the_hand_was_open():
+    """A hand as wide as the network says of the pixel, at the distance of the table."""
+    width_m = PEAK.width * 400 / 300 * 0.7 / 570.0
+    one = example(frame_of(own_pose())._replace(opening=width_m), held=True)
+    row, column = round(one.row), round(one.column)
+    assert one.opening == pytest.approx(float(one.features[OPENING, row, column]), rel=2e-3)
 
 
 def test_no_example_where_the_camera_cannot_see_the_grasp():
@@ -86,6 +119,12 @@ def test_the_constant_offset_is_taken_off_the_label():
     one = example(frame_of(grasp_at(0.02, -0.015, 0.7, 0.4, (0.1, -0.05))), held=True)
     _, target = batch([one], Offset(x=8.0 * one.mean, y=-12.0 * one.mean))
     assert _middle(target.place[0].numpy()) == pytest.approx((one.row + 3.0, one.column - 2.0), abs=0.01)
+    offset = Offset(depth=0.01, angle=0.4, tilt_x=0.02, tilt_y=-0.01, opening=0.05)
+    _, target = batch([one._replace(opening=0.3)], offset)
+    assert float(target.height) == pytest.approx(one.height + 0.01)
+    assert (float(target.cos), float(target.sin)) == pytest.approx((1.0, 0.0), abs=1e-6)
+    assert (float(target.tilt_x), float(target.tilt_y)) == pytest.approx((0.08, -0.04), abs=1e-6)
+    assert float(target.opening) == pytest.approx(0.25)
 
 
 def test_the_constant_offset_is_found_and_undone():
@@ -114,7 +153,7 @@ def test_the_constant_offset_is_found_and_undone():
 
 
 def test_nobody_teaches_no_offset():
-    assert constant_offset([]) == (0.0,) * 6
+    assert constant_offset([]) == (0.0,) * 7
 
 
 def test_a_miss_does_not_mind_which_finger_is_which():
@@ -140,42 +179,126 @@ def test_the_nearest_neighbour_of_a_known_frame_is_that_frame():
         assert (found.position, found.rotation) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
+OF = {name: i for i, name in enumerate(CHANGES)}
+LOSS_OF = {
+    "quality": "place",
+    "depth": "depth",
+    "depth_spread": "depth",
+    "turn_cos": "turn",
+    "turn_sin": "turn",
+    "opening": "opening",
+    "opening_spread": "opening",
+    "tilt_x": "tilt",
+    "tilt_y": "tilt",
+    "follow": "tilt",
+    "tilt_spread": "tilt",
+}
+"""Which loss each output of the network changes."""
+
+
+def leaning_frame() -> Frame:
+    """A grasp with all that is to be learned, in front of a slope."""
+    frame = frame_of(grasp_at(0.02, -0.015, 0.67, 0.5, (0.1, -0.05)))._replace(opening=0.08)
+    slope = np.round(660.0 + 0.2 * np.arange(400)).astype(np.uint16)
+    return frame._replace(depth=np.tile(slope, (400, 1)))
+
+
 def right_change(seen, target):
-    """Returns the change that makes quality and depth those of the label."""
-    change = torch.zeros(1, 2, SIDE, SIDE)
-    change[:, 0] = target.place / target.place.max() - seen[:, 0]
-    change[:, 1] = seen[:, HEIGHT] - target.height[:, None, None]
-    return change
+    """Returns what makes quality and pose those of the label, but for the spreads."""
+    said = torch.zeros(1, len(CHANGES), SIDE, SIDE)
+    said[:, OF["quality"]] = target.place / target.place.max() - seen[:, 0]
+    said[:, OF["depth"]] = seen[:, HEIGHT] - target.height
+    said[:, OF["opening"]] = target.opening - seen[:, OPENING]
+    said[:, OF["tilt_x"]], said[:, OF["tilt_y"]] = target.tilt_x, target.tilt_y
+    c, s = seen[:, COS], seen[:, SIN]
+    said[:, OF["turn_cos"]] = CONCENTRATION * (c * target.cos + s * target.sin - 1.0)
+    said[:, OF["turn_sin"]] = CONCENTRATION * (c * target.sin - s * target.cos)
+    return said
 
 
-@settings(max_examples=10)
-@given(st.sampled_from((0, 1)), st.floats(0.05, 0.5), st.booleans())
-def test_losses_are_smallest_at_the_label(channel, size, negative):
-    one = example(frame_of(grasp_at(0.02, -0.015, 0.69)), held=True)
-    seen, target = batch([one], NO_OFFSET)
+def turned(said, error, concentration=CONCENTRATION):
+    """Returns what the network says with another line, twice the angle off by an error, and another concentration."""
+    x, y = said[:, OF["turn_cos"]] + CONCENTRATION, said[:, OF["turn_sin"]]
+    c, s = np.cos(error), np.sin(error)
+    found = said.clone()
+    found[:, OF["turn_cos"]] = concentration / CONCENTRATION * (c * x - s * y) - CONCENTRATION
+    found[:, OF["turn_sin"]] = concentration / CONCENTRATION * (s * x + c * y)
+    return found
+
+
+@pytest.mark.parametrize("name", [n for n in CHANGES if not n.endswith("_spread") and n not in ("turn_cos", "follow")])
+@settings(max_examples=5)
+@given(st.floats(0.05, 0.5), st.booleans())
+def test_losses_are_smallest_at_the_label(name, size, negative):
+    seen, target = batch([example(leaning_frame(), held=True)], NO_OFFSET)
     right = right_change(seen, target)
-    best = losses(seen, right, target)
-    assert float(best.depth) < 1e-6
-    worse = right.clone()
-    if channel == 0:
+    best, worse = losses(seen, right, target), right.clone()
+    if name == "quality":
         worse[:, 0, 20:30, 20:30] += 0.7 + size  # a rival
+    elif name == "turn_sin":
+        worse = turned(right, -size if negative else size)
     else:
-        worse[:, 1] += -size * 0.1 if negative else size * 0.1
+        worse[:, OF[name]] += (-size if negative else size) * CHANGES[name]
     found = losses(seen, worse, target)
-    assert found[1 + channel] > best[1 + channel] + 1e-4
-    assert found[2 - channel] == best[2 - channel]
+    for part in Losses._fields[1:]:
+        if part == LOSS_OF[name]:
+            assert getattr(found, part) > getattr(best, part) + 1e-4
+        else:
+            assert getattr(found, part) == getattr(best, part)
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_each_output_of_the_network_learns(name):
+    """From its initial state on: the gradient reaches the weights of the last layer that make it."""
+    seen, target = batch([example(leaning_frame(), held=True)], NO_OFFSET)
+    network = RefinementNetwork()
+    losses(seen, network(seen), target).total.backward()
+    assert network.last.weight.grad[OF[name]].abs().max() > 1e-6
+    assert network.last.bias.grad[OF[name]].abs() > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("output", "wrong"), [("depth", "depth"), ("opening", "opening"), ("tilt", "tilt_x"), ("turn", "turn_sin")]
+)
+def test_who_errs_is_to_be_unsure(output, wrong):
+    """The best spread is the larger the larger the errors are."""
+    seen, target = batch([example(leaning_frame(), held=True)], NO_OFFSET)
+
+    def best_spread(error):
+        said = right_change(seen, target)
+        if output == "turn":  # the vector's length is how sure it is
+            found = [float(losses(seen, turned(said, error, k), target).turn) for k in CONCENTRATIONS]
+            return 1.0 / CONCENTRATIONS[int(np.argmin(found))]
+        said[:, OF[wrong]] += error * CHANGES[wrong]
+        found = []
+        for log in LOGS:
+            said[:, OF[f"{output}_spread"]] = float(log)
+            found.append(float(getattr(losses(seen, said, target), output)))
+        return LOGS[int(np.argmin(found))]
+
+    assert best_spread(0.1) < best_spread(0.4) < best_spread(1.0)
+
+
+def test_an_opening_that_is_not_known_teaches_nothing():
+    seen, target = batch([example(leaning_frame()._replace(opening=np.nan), held=True)], NO_OFFSET)
+    said = torch.zeros(1, len(CHANGES), SIDE, SIDE, requires_grad=True)
+    found = losses(seen, said, target)
+    assert found.opening.item() == 0.0
+    found.total.backward()
+    assert torch.isfinite(said.grad).all()
+    assert not said.grad[:, OF["opening"]].any()
 
 
 def test_a_failed_grasp_teaches_only_not_to_grasp_there():
     one = example(frame_of(own_pose()), held=False)
     seen, target = batch([one], NO_OFFSET)
-    change = torch.zeros(1, 2, SIDE, SIDE, requires_grad=True)
-    found = losses(seen, change, target)
+    said = torch.zeros(1, len(CHANGES), SIDE, SIDE, requires_grad=True)
+    found = losses(seen, said, target)
     assert not any(v.item() for v in found[1:])
     found.total.backward()
     row, column = round(one.row), round(one.column)
-    assert float(change.grad[0, 0, row, column]) > 0.0
-    assert not change.grad[0, 1].any()
+    assert float(said.grad[0, 0, row, column]) > 0.0
+    assert not said.grad[0, 1:].any()
 
 
 @given(st.floats(5.0, SIDE - 6.0), st.floats(5.0, SIDE - 6.0))
@@ -218,6 +341,26 @@ def test_training_learns_what_the_person_prefers():
     assert after["depth"] < 0.7 * before["depth"]
 
 
+def test_training_learns_an_attitude_that_depends_on_the_place():
+    """On things 4 cm high the person turns the line by 0.6 rad and leans by 0.3 rad, low ones are taken as they lie."""
+    examples = []
+    for high in (True, False):
+        frame = frame_of(grasp_at(0.01, -0.02, 0.66 if high else 0.69, PEAK.angle + 0.6 * high, (0.3 * high, 0.0)))
+        frame.depth[100:300, 100:300] = 660 if high else 690
+        examples.append(example(frame, held=True))
+    trainer = Trainer(Settings(steps=250, count=2, rate=2e-2, hidden=8), NO_OFFSET)
+    for _ in range(250):
+        trainer.train(examples)
+    for one, (turn, tilt) in zip(examples, ((0.6, 0.3), (0.0, 0.0))):
+        seen, target = batch([one], NO_OFFSET)
+        found = expected(seen, target, trainer.mean, NO_OFFSET)
+        did = persons(target, NO_OFFSET)
+        assert found.angle[0] - PEAK.angle == pytest.approx(turn, abs=0.1)
+        assert found.tilt_x[0] == pytest.approx(tilt, abs=0.05)
+        assert np.degrees(errors(found, did)[0]) < 6.0
+        assert angle_deviation(found.concentration[0]) < angle_deviation(CONCENTRATION)
+
+
 def test_training_goes_on_where_it_was_left():
     examples = [example(frame_of(own_pose()), held=True)]
     whole, first = (Trainer(Settings(steps=4, count=1, hidden=2), constant_offset([])) for _ in range(2))
@@ -231,3 +374,39 @@ def test_training_goes_on_where_it_was_left():
         second.train(examples)
     for a, b in zip(whole.mean.parameters(), second.mean.parameters()):
         torch.testing.assert_close(a, b, rtol=0.0, atol=0.0)
+
+
+def drawn(n: int, concentration: float, scale: float, seed: int = 0) -> tuple[Expected, Expected]:
+    """Returns n expected attitudes, and as many persons' about them."""
+    rng = np.random.default_rng(seed)
+    nothing, flat = np.zeros(n), np.ones(n)
+    found = Expected(rng.uniform(-3.0, 3.0, n), nothing, nothing, nothing, concentration * flat, scale * flat)
+    angle = found.angle + 0.5 * rng.vonmises(0.0, concentration, n) + np.pi * rng.integers(0, 2, n)
+    far, where = rng.gamma(2.0, scale, n), rng.uniform(0.0, 2.0 * np.pi, n)
+    return found, Expected(angle, far * np.cos(where), far * np.sin(where), nothing, nothing, nothing)
+
+
+def test_the_constant_spread_that_suits_best_is_the_true_one():
+    found, did = drawn(20_000, 10.0, 0.1)
+    fitted = with_constant_spread(found, found, did)
+    assert fitted.concentration[0] == pytest.approx(10.0, rel=0.1)
+    assert fitted.tilt_spread[0] == pytest.approx(0.1, rel=0.03)
+    best = log_likelihoods(found, did).mean()
+    for wrong in ({"concentration": 5.0}, {"concentration": 20.0}, {"tilt_spread": 0.07}, {"tilt_spread": 0.15}):
+        other = found._replace(**{name: np.full(20_000, value) for name, value in wrong.items()})
+        assert log_likelihoods(other, did).mean() < best - 0.03
+
+
+def test_the_density_of_an_attitude_has_the_integral_one():
+    angle, x, y = np.meshgrid(np.arange(60) * np.pi / 60, *[np.linspace(-1.5, 1.5, 121)] * 2, indexing="ij")
+    nothing = np.zeros(angle.size)
+    did = Expected(angle.ravel(), x.ravel(), y.ravel(), nothing, nothing, nothing)
+    found = Expected(nothing + 0.7, nothing, nothing, nothing, nothing + 3.0, nothing + 0.1)
+    assert np.exp(log_likelihoods(found, did)).sum() * np.pi / 60 * 0.025**2 == pytest.approx(1.0, abs=0.02)
+
+
+def test_an_attitude_does_not_mind_which_finger_is_which():
+    found, did = drawn(50, 10.0, 0.1)
+    turned = did._replace(angle=did.angle + np.pi)
+    np.testing.assert_allclose(errors(found, did), errors(found, turned), atol=1e-6)
+    np.testing.assert_allclose(log_likelihoods(found, did), log_likelihoods(found, turned), atol=1e-6)

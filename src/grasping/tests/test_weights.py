@@ -13,7 +13,7 @@ import published_networks
 import pytest
 import torch
 
-from grasping import refinement, weights
+from grasping import refinement_file, weights
 
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 
@@ -94,7 +94,7 @@ class Program(torch.nn.Module):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("load", [weights.load, refinement.load], ids=["first network", "second network"])
+@pytest.mark.parametrize("load", [weights.load, refinement_file.load], ids=["first network", "second network"])
 def test_no_program_runs(tmp_path, monkeypatch, load):
     monkeypatch.chdir(tmp_path)
     buffer = io.BytesIO()

@@ -19,11 +19,14 @@ from grasping.maps import Maps, Peak, Smoothing, peaks, smoothed
 from grasping.predictor import Predictor
 from grasping.preference import preferred
 from grasping.projection import Grasp, along, grasp, pixel_size, seen_by
-from grasping.refinement import Refined, refined_grasp
+from grasping.refinement import Refined, opened, refined_grasp
+from grasping.refinement_spread import Spread, places, spread
 from grasping.surface import NORMAL, VERTICAL, ApproachConfig, surface_at
 from grasping.tool_pose import ToolPoseConfig
 from grasping.tracking import AveragingConfig, GraspTracker, MapAverage, Sighting, Tracked, TrackingConfig
 from grasping.view import CameraView, NoView, TableView, View
+
+OUT_OF_SIGHT = "the best grasp is out of sight for a moment"
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ class Proposal(NamedTuple):
         pixel: u, v in the camera's picture [px].
         width_px: opening in the camera's picture [px].
         peak: in the network's picture.
+        spread: how the person's grasp may differ; None without a second network.
     """
 
     id: int
@@ -76,6 +80,7 @@ class Proposal(NamedTuple):
     pixel: tuple[float, float]
     width_px: float
     peak: Peak
+    spread: Spread | None
 
 
 class Findings(NamedTuple):
@@ -161,7 +166,7 @@ class Finder:
         T_track = np.eye(4) if T_base_camera is None else T_base_camera
         sightings = [Sighting(T_track @ c.T_camera_grasp, c.width, c.peak.quality) for c in told]
         proposals = tuple(
-            _proposal(t, told[t.sighting].peak, camera, T_base_camera) for t in self._tracker.step(sightings, now)
+            _proposal(t, told[t.sighting], camera, T_base_camera) for t in self._tracker.step(sightings, now)
         )
         stages.end("poses")
         missing = sum(c.no_normal for c in told)
@@ -173,11 +178,14 @@ class Finder:
         s = self._settings
         candidates: list[_Candidate] = []
         side = len(view.picture.input)
+        place = None if refined is None else places(refined)
         for peak in found:
+            if refined is not None:
+                peak = opened(peak, refined)
             peak = peak._replace(width=max(0.0, peak.width))
             seen = grasp(peak, view.picture.crop, side, view.depth, view.camera)
             if seen is None:
-                candidates.append(_Candidate(peak, np.eye(4), 0.0, False, "there is no reading near it"))
+                candidates.append(_Candidate(peak, np.eye(4), 0.0, False, "there is no reading near it", None))
                 continue
             turned, no_normal, why = (
                 self._approached(seen, view, T_base_camera)
@@ -185,12 +193,16 @@ class Finder:
                 else (refined_grasp(seen, refined, peak), False, "")
             )
             if turned is None:
-                candidates.append(_Candidate(peak, np.eye(4), 0.0, no_normal, why))
+                candidates.append(_Candidate(peak, np.eye(4), 0.0, no_normal, why, None))
                 continue
             T = view.T_camera_view @ turned.T_camera_grasp
             T_base = None if T_base_camera is None else T_base_camera @ T
             why = objection(T, T_base, turned.width, s.tool.max_opening, s.limits)
-            candidates.append(_Candidate(peak, T, turned.width, no_normal, why))
+            sure = None
+            if refined is not None and place is not None:
+                pixel_m = view.picture.crop.side / side * seen.T_camera_grasp[2, 3] / view.camera.K[0, 0]
+                sure = spread(refined, place, peak, seen, pixel_m)
+            candidates.append(_Candidate(peak, T, turned.width, no_normal, why, sure))
         return candidates
 
     def _approached(self, seen: Grasp, view: View, T_base_camera: np.ndarray | None) -> tuple[Grasp | None, bool, str]:
@@ -213,7 +225,9 @@ class Finder:
             return ""
         if not candidates:
             return f"no peak of the quality is above {self._settings.threshold:.2f}"
-        return f"the best grasp is not told: {candidates[0].objection}"
+        if all(c.objection for c in candidates):
+            return f"the best grasp is not told: {candidates[0].objection}"
+        return OUT_OF_SIGHT
 
 
 def maps_of(output: np.ndarray, view: View, settings: LiveSettings) -> Maps:
@@ -234,13 +248,17 @@ class _Candidate(NamedTuple):
     width: float
     no_normal: bool
     objection: str
+    spread: Spread | None
 
 
-def _proposal(tracked: Tracked, peak: Peak, camera: CameraModel, T_base_camera: np.ndarray | None) -> Proposal:
+def _proposal(tracked: Tracked, seen: _Candidate, camera: CameraModel, T_base_camera: np.ndarray | None) -> Proposal:
     T_base = None if T_base_camera is None else tracked.T
     T_camera = tracked.T if T_base_camera is None else read_only(inverse(T_base_camera) @ tracked.T)
     angle, pixel, width_px = seen_by(camera, T_camera, tracked.width)
-    return Proposal(tracked.id, T_camera, T_base, tracked.width, peak.quality, angle, pixel, width_px, peak)
+    peak = seen.peak
+    return Proposal(
+        tracked.id, T_camera, T_base, tracked.width, peak.quality, angle, pixel, width_px, peak, seen.spread
+    )
 
 
 class _Stages:

@@ -14,7 +14,7 @@ from common.camera_model import CameraModel
 from grasping.depth_image import CROP_SIDE, NETWORK_SIDE, Picture, centre_crop, prepare
 from grasping.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
 from grasping.projection import Grasp, grasp
-from grasping.refinement import Refined, Refinement, refined_grasp
+from grasping.refinement import Refined, Refinement, opened, refined_grasp
 
 Network = Callable[[torch.Tensor], torch.Tensor]
 """From depth pictures, shape (n, 1, h, w), to maps, shape (n, 4, h, w)."""
@@ -81,6 +81,8 @@ class Predictor:
         refined = self.refined(output, picture)
         maps = smoothed(output if refined is None else refined.output, picture.valid, s.smoothing)
         found = [highest(maps)] if s.count == 1 else peaks(maps, s.count, s.distance, s.threshold)
+        if refined is not None:
+            found = [opened(p, refined) for p in found]
         grasps = [grasp(p, picture.crop, NETWORK_SIDE, depth, camera) for p in found]
         if refined is not None:
             grasps = [None if g is None else refined_grasp(g, refined, p) for g, p in zip(grasps, found)]

@@ -11,6 +11,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.poses import pose
 from common.rotations import rotation_about
+from grasping.refinement_file import Origin
 from grasping.settings import GgcnnSettings
 from grasping.tool_pose import ToolPoseConfig
 from grasping.view import TABLE
@@ -44,18 +45,36 @@ def rig_configuration(
         settings: what the network sees of them.
         weights: SHA-256 of the network's weight file.
     """
-    view = settings.main.view
     # Adding 0 turns -0.0 into 0.0, which would be another text.
     return {
         "kuka": kuka,
         "T_flange_tool": T_flange_tool.tolist(),
-        "T_tool_grasp": (np.round(T_tool_grasp, 9) + 0.0).tolist(),
         "camera": {
             "name": camera.name,
             "size": [camera.width, camera.height],
             **{key: getattr(camera, key).tolist() for key in "KDRP"},
         },
         "T_base_camera": (np.round(T_base_camera, DIGITS) + 0.0).tolist(),
+        **_network_configuration(T_tool_grasp, settings, weights),
+    }
+
+
+def live_origin(settings: GgcnnSettings, weights: str, robot: str | None) -> Origin:
+    """Returns what of this rig a second network depends on.
+
+    Args:
+        settings: what the network sees, and the hand.
+        weights: SHA-256 of the first network's weight file.
+        robot: which arm, None where that is not known.
+    """
+    found = _network_configuration(grasp_in_tool(settings.tool), settings, weights)
+    return Origin.of({**found, "kuka": {"robot": robot}})
+
+
+def _network_configuration(T_tool_grasp: np.ndarray, settings: GgcnnSettings, weights: str) -> dict[str, Any]:
+    view = settings.main.view
+    return {
+        "T_tool_grasp": (np.round(T_tool_grasp, 9) + 0.0).tolist(),
         "view": view,
         "crop": asdict(settings.crop),
         "table": asdict(settings.table) if view == TABLE else None,

@@ -18,6 +18,7 @@ import numpy as np
 
 from common.camera_model import CameraModel
 from common.poses import inverse
+from grasping.dataset.opening import opening as hand_opening
 from grasping.depth_image import Crop
 from grasping.maps import Peak
 from grasping.view import CAMERA
@@ -73,6 +74,7 @@ class Frame(NamedTuple):
         peak: GGCNN's own grasp, the best peak of the smoothed quality, in the network's 300 x 300 picture.
         T_base_camera: optical frame in `kuka/base_frame`, shape (4, 4) [m].
         T_base_grasp: the person's grasp there, shape (4, 4) [m], as `projection.Grasp` has its axes.
+        opening: of the hand before it closed [m]; NaN where it is not known.
     """
 
     camera: CameraModel
@@ -82,6 +84,7 @@ class Frame(NamedTuple):
     peak: Peak
     T_base_camera: np.ndarray
     T_base_grasp: np.ndarray
+    opening: float = float("nan")
 
     @property
     def depth_m(self) -> np.ndarray:
@@ -156,6 +159,11 @@ class Episode:
         return self.T_base_tool_closed @ self.T_tool_grasp
 
     @property
+    def opening(self) -> float:
+        """How wide the hand was open in the last frame [m]; NaN where the fingers stood about nothing."""
+        return hand_opening(self.finger_angles[-1])
+
+    @property
     def distance(self) -> np.ndarray:
         """How far the tool still had to go to its grasp, shape (n,) [m]; where that is little, the hand hides the
         object from the camera, and GGCNN may take the hand for one."""
@@ -172,6 +180,7 @@ class Episode:
             Peak(round(row), round(column), *rest),
             self.T_base_camera[i],
             self.T_base_grasp,
+            self.opening,
         )
 
     def frames(self) -> list[Frame]:

@@ -40,8 +40,13 @@ class Miss(NamedTuple):
 def miss(T_wanted: np.ndarray, T_found: np.ndarray) -> Miss:
     """Returns how far a grasp, shape (4, 4) [m], is from the wanted one."""
     T = inverse(T_wanted) @ T_found
-    rotation = min(rotation_angle(T[:3, :3]), rotation_angle(T[:3, :3] @ HALF_TURN))
-    return Miss(float(np.linalg.norm(T[:3, 3])), float(rotation))
+    return Miss(float(np.linalg.norm(T[:3, 3])), rotation_miss(T_wanted[:3, :3], T_found[:3, :3]))
+
+
+def rotation_miss(R_wanted: np.ndarray, R_found: np.ndarray) -> float:
+    """Returns the angle between attitudes, shape (3, 3), half a turn about the approach being none [rad]."""
+    R = R_wanted.T @ R_found
+    return float(min(rotation_angle(R), rotation_angle(R @ HALF_TURN)))
 
 
 class Neighbours:

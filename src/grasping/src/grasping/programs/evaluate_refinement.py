@@ -6,8 +6,9 @@ those that the episodes recorded, and all are smoothed alike. Where the episodes
 lifting in MuJoCo too, hand wide open, and the bound is what the simulated person intended: the grasp without the
 tremor, which nobody can foresee. Results go to results.csv, one line a grasp, and table.md, with the differences over
 the same episodes, and with the likelihood of the person's places: which of several equal grasps it is to be, nobody can
-foresee either. Where second networks learned from different numbers of episodes, as settings.json beside their files
-says, curve.png shows what more of them bring.
+foresee either; and, taking the place as known, how far attitude and opening of the hand are from the person's, and how
+likely the attitude was. Where second networks learned from different numbers of episodes, as settings.json beside their
+files says, curve.png shows what more of them bring.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import argparse
 import csv
 import json
 from pathlib import Path
-from typing import Callable, Dict, List, Union
+from typing import Callable, Dict, List, NamedTuple, Union
 
 import cv2
 import mujoco
@@ -27,22 +28,23 @@ from tqdm import tqdm
 from common.errors import RigError
 from common.poses import inverse
 from common.statistics import median, paired_difference, share
-from grasping import refinement
+from grasping import refinement_file
 from grasping.dataset.episode import Frame
 from grasping.dataset.labels import own_grasp, pose_from_label
 from grasping.depth_image import NETWORK_SIDE, Crop, Picture, prepare
-from grasping.evaluation import learning_curve
+from grasping.evaluation import attitude, learning_curve
 from grasping.evaluation.likelihood import calibrated, log_likelihoods
 from grasping.evaluation.person_errors import NEAR_M, Neighbours, miss
 from grasping.maps import Peak, peaks, smoothed
+from grasping.networks import WIDTH_SCALE_PX
 from grasping.programs import episode_files
 from grasping.programs.evaluate import NETWORK_SMOOTHING, kept_rows
 from grasping.programs.make_dataset import ignore_warning
 from grasping.projection import Grasp
-from grasping.refinement import refined_grasp
+from grasping.refinement import Refinement, RefinementNetwork, refined_grasp
 from grasping.synthetic import episodes
-from grasping.training.refinement_batches import batch
-from grasping.training.refinement_examples import Example, Offset, constant_offset, example, offset_label
+from grasping.training.refinement_batches import Targets, batch
+from grasping.training.refinement_examples import Offset, constant_offset, example, offset_label
 
 FIRST = 3
 """So many of a method's grasps are what a person is offered."""
@@ -62,17 +64,32 @@ MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = 
 """Columns of the tables: what is made of the episodes' values, and the value of a line of results.csv."""
 
 
-def methods(training: list[episode_files.Named], offset: Offset, second: list[tuple[str, str]]) -> dict[str, Method]:
+def second_networks(files: list[tuple[str, str]], test: list[episode_files.Named]) -> dict[str, Refinement]:
+    """Returns the second networks of weight files by their names.
+
+    Args:
+        files: names and weight files.
+        test: episodes on which they are to be tested.
+
+    Raises:
+        RigError: a weight file cannot be used, or not for these episodes.
+        OSError: likewise.
+    """
+    found, rig = {}, episode_files.origin_of(test, mixed=True)
+    for name, file in files:
+        found[name], origin = refinement_file.load(Path(file).read_bytes())
+        if objection := origin.objection(rig):
+            raise RigError(f"The second network in {file} {objection} in the episodes.")
+    return found
+
+
+def methods(training: list[episode_files.Named], offset: Offset, second: dict[str, Refinement]) -> dict[str, Method]:
     """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first.
 
     Args:
         training: episodes that teach the neighbours.
         offset: the person's.
-        second: names and weight files of second networks.
-
-    Raises:
-        RigError: a weight file cannot be used.
-        OSError: likewise.
+        second: second networks by their names.
     """
     neighbours = Neighbours([f for named in training if named.episode.held for f in named.episode.frames()])
 
@@ -85,8 +102,8 @@ def methods(training: list[episode_files.Named], offset: Offset, second: list[tu
         OFFSET: lambda frame: [pose_from_label(f, offset_label(f, offset)) for f, _ in own(frame)],
         NEIGHBOUR: lambda frame: [neighbours.grasp(f) for f, _ in own(frame)[:1]],
     }
-    for name, file in second:
-        found[name] = _refined(refinement.load(Path(file).read_bytes()))
+    for name, network in second.items():
+        found[name] = _refined(network)
     return found
 
 
@@ -100,7 +117,7 @@ def _best(output: np.ndarray, picture: Picture) -> list[Peak]:
     return peaks(smoothed(output, picture.valid, NETWORK_SMOOTHING), FIRST, threshold=-np.inf)
 
 
-def _refined(second: refinement.Refinement) -> Method:
+def _refined(second: Refinement) -> Method:
     def grasps(frame: Frame) -> list[np.ndarray]:
         output, picture = _seen(frame)
         refined = second.apply(output, picture)
@@ -142,6 +159,20 @@ def row(
     return line
 
 
+class Seen(NamedTuple):
+    """Pictures as second networks see them.
+
+    Attributes:
+        seen: input of a second network.
+        target: what the person did.
+        pixel_size: of a pixel of the network's picture, by the distance, shape (n,).
+    """
+
+    seen: torch.Tensor
+    target: Targets
+    pixel_size: np.ndarray
+
+
 def _within(millimetres: str | float) -> bool:
     return millimetres != "" and float(millimetres) < 1000.0 * NEAR_M
 
@@ -176,42 +207,80 @@ def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def likelihoods(
-    known: list[episode_files.Named], test: list[episode_files.Named], offset: Offset, second: list[tuple[str, str]]
-) -> str:
+def likelihoods(known: Seen, test: Seen, second: dict[str, Refinement]) -> str:
     """Returns, as Markdown, how probable the maps make the person's places, all with the same constant offset.
 
     Args:
-        known: episodes that say how each map is best taken as a distribution.
+        known: pictures that say how each map is best taken as a distribution.
         test: others.
-        offset: the person's.
-        second: names and weight files of second networks.
+        second: second networks by their names.
     """
-    seen = [batch(_examples(part), offset) for part in (known, test)]
-    places = [target.place.numpy() for _, target in seen]
+    places = [of.target.place.numpy() for of in (known, test)]
 
-    def found(network: refinement.RefinementNetwork | None) -> np.ndarray:
+    def found(network: RefinementNetwork) -> np.ndarray:
         with torch.no_grad():
-            before, now = ((x[:, 0] if network is None else x[:, 0] + network(x)[:, 0]).numpy() for x, _ in seen)
+            before, now = ((of.seen[:, 0] + network(of.seen)[:, 0]).numpy() for of in (known, test))
         return log_likelihoods(now, places[1], calibrated(before, places[0]))
 
-    plain = found(None)
+    plain = found(RefinementNetwork())
     lines = [
         _line("map", "log-likelihood of the person's place [nats], mean", "more than GGCNN's"),
         _line(*["---"] * 3),
+        _line(OFFSET, f"{plain.mean():.2f}", ""),
     ]
-    lines.append(_line(OFFSET, f"{plain.mean():.2f}", ""))
-    for name, file in second:
-        values = found(refinement.load(Path(file).read_bytes()).network)
+    for name, one in second.items():
+        values = found(one.network)
         lines.append(_line(name, f"{values.mean():.2f}", f"{paired_difference(values, plain):.2f}"))
     return "\n".join(lines) + "\n"
 
 
-def _examples(part: list[episode_files.Named]) -> list[Example]:
-    """Returns the examples of the last frames of episodes whose grasps held."""
-    episodes_held = [named.episode for named in part if named.episode.held]
-    found = [example(episode.frame(len(episode) - 1), held=True) for episode in episodes_held]
-    return [one for one in found if one is not None]
+def attitudes(known: Seen, test: Seen, offset: Offset, second: dict[str, Refinement]) -> str:
+    """Returns, as Markdown, how well attitude and opening of the hand are foretold at the person's places.
+
+    Args:
+        known: pictures that say how spread the attitudes are where a method does not say it.
+        test: others.
+        offset: the person's.
+        second: second networks by their names.
+    """
+    untrained = RefinementNetwork()
+    did = attitude.persons(test.target, offset)
+    metres = WIDTH_SCALE_PX * test.pixel_size
+
+    def measured(network: RefinementNetwork, added: Offset, own_spread: bool) -> list[np.ndarray]:
+        found = attitude.expected(test.seen, test.target, network, added)
+        if not own_spread:
+            before = attitude.expected(known.seen, known.target, network, added)
+            found = attitude.with_constant_spread(found, before, attitude.persons(known.target, offset))
+        turned = np.degrees(attitude.errors(found, did))
+        return [turned, attitude.log_likelihoods(found, did), 1000.0 * metres * np.abs(found.opening - did.opening)]
+
+    of = {ALONE: measured(untrained, Offset(), False), OFFSET: measured(untrained, offset, False)}
+    of.update({name: measured(one.network, offset, True) for name, one in second.items()})
+    opens = np.isfinite(did.opening)
+    names = ["rotation error at the person's place deg, median", "log-likelihood of the rotation [nats], mean"]
+    names += ["opening error mm, median"] * bool(opens.any())
+    lines = [_line("method", *names), _line(*["---"] * (1 + len(names)))]
+    for name, (turned, likely, opened) in of.items():
+        cells = [str(median(turned)), f"{likely.mean():.2f}", *([str(median(opened[opens]))] * bool(opens.any()))]
+        lines.append(_line(name, *cells))
+    lines += ["", _line("difference", *names), _line(*["---"] * (1 + len(names)))]
+    for name in second:
+        for other in (ALONE, OFFSET):
+            one, less = of[name], of[other]
+            cells = [str(paired_difference(one[0], less[0], np.median)), f"{paired_difference(one[1], less[1]):.2f}"]
+            if opens.any():
+                cells.append(str(paired_difference(one[2][opens], less[2][opens], np.median)))
+            lines.append(_line(f"{name} less {other}", *cells))
+    return "\n".join(lines) + "\n"
+
+
+def seen_of(part: list[episode_files.Named], offset: Offset) -> Seen:
+    """Returns the last pictures of episodes whose grasps held, and what the person did, without the constant offset."""
+    frames = [n.episode.frame(len(n.episode) - 1) for n in part if n.episode.held]
+    pairs = [(f, one) for f in frames if (one := example(f, held=True)) is not None]
+    sizes = [f.crop.side / NETWORK_SIDE / f.camera.K[0, 0] for f, _ in pairs]
+    return Seen(*batch([one for _, one in pairs], offset), np.array(sizes))
 
 
 def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
@@ -265,7 +334,8 @@ def main() -> None:
         if not test or not any(named.episode.held for named in training):
             raise RigError(f"Of {len(test)} episodes to test on and {len(training)} to learn from, too few held.")
         offset = constant_offset([f for named in training if named.episode.held for f in named.episode.frames()])
-        found: dict[str, Method | None] = {**methods(training, offset, arguments.refinement)}
+        second = second_networks(arguments.refinement, test)
+        found: dict[str, Method | None] = {**methods(training, offset, second)}
     except (RigError, OSError) as error:
         parser.error(str(error))
     if all(episodes.scene_of(named.name) for named in test):
@@ -289,6 +359,7 @@ def main() -> None:
             file.flush()
     text = tables(rows, list(found), [name for name, _ in arguments.refinement])
     if known:
-        text += "\n" + likelihoods(known, test, offset, arguments.refinement)
+        shown = seen_of(known, offset), seen_of(test, offset)
+        text += "\n" + likelihoods(*shown, second) + "\n" + attitudes(*shown, offset, second)
     (arguments.folder / "table.md").write_text(text)
     curve(rows, arguments.refinement, arguments.folder / "curve.png")

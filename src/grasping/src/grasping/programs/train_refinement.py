@@ -1,8 +1,9 @@
 """Trains the second network on episodes of a person's grasps; ends and goes on at any time.
 
-The folder of the run holds checkpoint.pt (to go on), weights.pt (the best so far), taste.pt (the same without the
-constant offset, which is of this person's hand alone), settings.json, curves.csv and curves.png. One in five episodes,
-by its file's name, is kept to say when training is over.
+The folder of the run holds checkpoint.pt (to go on, with the same episodes and settings), weights.pt (the best so far),
+taste.pt (the same without the constant offset and the lean about the view's axes, which are of this person's hand and
+place alone), settings.json, curves.csv and curves.png. One in five episodes, by its file's name, is kept to say when
+training is over.
 """
 
 from __future__ import annotations
@@ -18,13 +19,12 @@ import torch
 from tqdm import tqdm
 
 from common.errors import RigError
-from grasping import refinement
-from grasping.programs import episode_files
-from grasping.programs.train_ggcnn import save
+from grasping import refinement_file
+from grasping.programs import episode_files, runs
 from grasping.training import refinement_examples
 from grasping.training.refinement_trainer import Settings, Trainer
 
-COLUMNS = ("step", "training", "validation", "place", "depth", "miss")
+COLUMNS = ("step", "training", "validation", "place", "depth", "turn", "opening", "tilt", "miss")
 
 
 def plot(rows: list[dict], path: Path) -> None:
@@ -36,7 +36,7 @@ def plot(rows: list[dict], path: Path) -> None:
     steps = [r["step"] for r in rows]
     for name in COLUMNS[1:-1]:
         left.plot(steps, [r[name] for r in rows], label=name)
-    left.set(xlabel="step", ylabel="loss", yscale="log")
+    left.set(xlabel="step", ylabel="loss")
     left.legend()
     right.plot(steps, [r["miss"] for r in rows])
     right.set(xlabel="step", ylabel="median miss on held-out episodes [px]", ylim=(0, None))
@@ -53,21 +53,28 @@ def parse() -> argparse.Namespace:
     default = Settings()
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the episodes")
-    parser.add_argument("run", type=Path, help="folder of the run; a checkpoint in it is gone on from")
+    parser.add_argument("run", type=Path, help="folder of the run; the same training in it is gone on with")
     for name, value in asdict(default).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=type(value), default=value, help=f"default: {value}")
     parser.add_argument("--episodes", type=int, default=10**6, help="most episodes to train on")
     parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="train on none of these")
+    parser.add_argument("--mixed", action="store_true", help="train on episodes of several rigs all the same")
+    parser.add_argument(
+        "--anew", action="store_true", help="begin anew where RUN holds another training, which is kept"
+    )
+    parser.add_argument("--device", choices=runs.DEVICES, default="auto", help="default: cuda where there is one")
     parser.add_argument("--every", type=int, default=50, help="steps between validations and checkpoints")
     parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
     arguments = parser.parse_args()
+    arguments.refuse = parser.error
     for name in ("steps", "count", "hidden", "patience", "episodes", "every", "threads"):
         if getattr(arguments, name) < 1:
             parser.error(f"--{name.replace('_', '-')} is {getattr(arguments, name)}, but must be at least 1.")
     torch.set_num_threads(arguments.threads)
     try:
         named = episode_files.read(arguments.data, without=arguments.without)
-        arguments.view = episode_files.view_of(named)
+        arguments.origin = episode_files.origin_of(named, arguments.mixed)
+        arguments.device = runs.device(arguments.device)
         arguments.training = [n for n in named if not episode_files.is_held_out(n.name)][: arguments.episodes]
         arguments.validation = [n for n in named if episode_files.is_held_out(n.name)]
         for part in (arguments.training, arguments.validation):
@@ -81,23 +88,29 @@ def parse() -> argparse.Namespace:
 def main() -> None:
     arguments = parse()
     settings = Settings(**{name: getattr(arguments, name) for name in asdict(Settings())})
-    arguments.run.mkdir(parents=True, exist_ok=True)
+    parts = arguments.training, arguments.validation
+    identity = runs.identity(
+        {**asdict(settings), **asdict(arguments.origin)}, *([n.sha256 for n in part] for part in parts)
+    )
+    try:
+        saved = runs.opened(arguments.run, identity, arguments.anew)
+    except RigError as error:
+        arguments.refuse(str(error))
     offset = refinement_examples.constant_offset(
         [f for n in arguments.training if n.episode.held for f in n.episode.frames()]
     )
-    examples, validation = prepared(arguments.training), prepared(arguments.validation)
-    trainer, rows, recent = Trainer(settings, offset), [], []
-    checkpoint = arguments.run / "checkpoint.pt"
-    if checkpoint.exists():
-        saved = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    examples, validation = (prepared(part) for part in parts)
+    trainer, rows, recent = Trainer(settings, offset, arguments.device), [], []
+    if saved is not None:
         trainer.resume(saved["trainer"])
         rows = saved["rows"]
     about = {
         **asdict(settings),
-        "view": arguments.view,
+        **asdict(arguments.origin),
         "episodes": len(arguments.training),
         "frames": len(examples),
-        **offset._asdict(),
+        "offset": offset._asdict(),
+        "identity": identity,
     }
     (arguments.run / "settings.json").write_text(json.dumps(about, indent=2) + "\n")
     bar = tqdm(total=settings.steps, initial=trainer.step, unit="step", mininterval=10.0)
@@ -108,14 +121,12 @@ def main() -> None:
             continue
         found = trainer.validate(validation)
         if all(found["validation"] < r["validation"] for r in rows):
-            content = refinement.content(trainer.mean, arguments.view)
-            save(content, arguments.run / "weights.pt")
-            # Without an offset nothing has axes, and no view needs to be named.
-            save({**trainer.mean.state_dict(), "offset": torch.zeros(5)}, arguments.run / "taste.pt")
+            runs.save(refinement_file.content(trainer.mean, arguments.origin), arguments.run / "weights.pt")
+            runs.save(refinement_file.taste(trainer.mean, arguments.origin), arguments.run / "taste.pt")
         rows.append({"step": trainer.step, "training": float(np.mean(recent)), **found})
         recent = []
         bar.set_postfix_str(f"loss {found['validation']:.3f}, miss {found['miss']:.1f} px")
-        save({"trainer": trainer.state(), "rows": rows}, checkpoint)
+        runs.save({"identity": identity, "trainer": trainer.state(), "rows": rows}, arguments.run / runs.CHECKPOINT)
         with (arguments.run / "curves.csv").open("w", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
             writer.writeheader()

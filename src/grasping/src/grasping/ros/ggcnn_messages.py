@@ -16,7 +16,7 @@ from grasping.live import Proposal
 from grasping.reach import Reach
 
 BASE = "kuka/base_frame"
-COMMAND_SIZE = 6
+DEVIATIONS = 6
 FINGER_M, LINE_M, BEST_LINE_M, TEXT_M = 0.05, 0.003, 0.006, 0.02
 MARKER_LIFE_S = 1.0
 """Markers of a node that is gone go too."""
@@ -29,6 +29,7 @@ def grasp_list(header: Header, proposals: list[tuple[Proposal, Reach]], reason: 
 
 def _grasp(header: Header, proposal: Proposal, reach: Reach) -> Grasp:
     known = proposal.T_base_grasp is not None
+    spread = proposal.spread
     return Grasp(
         id=proposal.id,
         pose_camera=message_from_pose(proposal.T_camera_grasp),
@@ -37,6 +38,9 @@ def _grasp(header: Header, proposal: Proposal, reach: Reach) -> Grasp:
         quality=proposal.quality,
         angle=proposal.angle,
         pixel=proposal.pixel,
+        probability=math.nan if spread is None else spread.probability,
+        deviations=[math.nan] * DEVIATIONS if spread is None else spread.deviations.tolist(),
+        width_deviation=math.nan if spread is None else spread.opening,
         reachable=reach.reachable,
         reason=reach.reason,
     )

@@ -30,8 +30,9 @@ from common.ros.params import private_values
 from common.ros.stage_times import StageTimes
 from grasp_msgs.msg import GraspList
 from grasping import drawing
+from grasping.dataset.configuration import live_origin
 from grasping.depth_image import NETWORK_SIDE, Crop, centre_crop, prepare
-from grasping.live import Finder, Findings, Proposal
+from grasping.live import OUT_OF_SIGHT, Finder, Findings, Proposal
 from grasping.predictor import Predictor, PredictorSettings
 from grasping.projection import depth_between_fingers
 from grasping.reach import ASKED, Reach
@@ -123,7 +124,7 @@ class GgcnnNode:
         self._list.publish(messages.grasp_list(header, proposals, reason))
         self._markers.publish(messages.markers(header, proposals))
         why = reason or proposals[0][1].reason
-        if why != ASKED:  # that lasts for a picture or two only
+        if why not in (ASKED, OUT_OF_SIGHT):  # they last for a picture or two only
             self._reasons.tell(why)
 
     def _tell_best(self, picture: DepthPicture, best: Proposal) -> None:
@@ -203,7 +204,8 @@ def _run() -> None:
     torch.set_num_threads(settings.network.threads)
     cv2.setNumThreads(settings.network.threads)
     main = settings.main
-    second = load_refinement(main.refinement_weights, main.view) if main.refine else None
+    rig = live_origin(settings, loaded.sha256, rospy.get_param("kuka/robot", None))
+    second = load_refinement(main.refinement_weights, rig) if main.refine else None
     predictor = Predictor(loaded.network, PredictorSettings(), second)
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]

@@ -9,7 +9,9 @@ import rospkg
 import yaml
 
 from common.errors import RigError
-from grasping import refinement, weights
+from grasping import refinement_file, weights
+from grasping.refinement import Refinement
+from grasping.refinement_file import Origin
 from grasping.settings import ANY, LISTED, NetworkConfig
 from grasping.weights import Loaded, WeightsError, listed_sha256
 
@@ -42,21 +44,26 @@ def load_network(config: NetworkConfig) -> Loaded:
     return loaded
 
 
-def load_refinement(name: str, view: str) -> refinement.Refinement:
+def load_refinement(name: str, rig: Origin) -> Refinement:
     """Returns the second network of a weight file; one of this package must have the hash in its list.
 
     Args:
         name: of the file.
-        view: in which it is to be used, a name in `grasping.view.VIEWS`.
+        rig: on which it is to be used.
 
     Raises:
-        RigError: the file is missing, has another hash, holds something else, or was not learned in that view.
+        RigError: the file is missing, has another hash, holds something else, or was not learned on such a rig.
     """
     path = _path(name)
-    found = refinement.load(_content(path), None if name.startswith("/") else _listed(path))
-    if not found.fits(view):
-        learned = "does not say in which view it learned" if found.view is None else f"learned with view: {found.view}"
-        raise WeightsError(f"The second network in {path} {learned}, but view is {view}.")
+    if not name.startswith("/") and not path.exists():
+        raise RigError(
+            f"There is no second network {path}, and none comes with the package: train one on a person's grasps with "
+            "train_refinement.py, and name its weights.pt in refinement_weights."
+        )
+    found, origin = refinement_file.load(_content(path), None if name.startswith("/") else _listed(path))
+    objection = origin.objection(rig)
+    if objection:
+        raise WeightsError(f"The second network in {path} {objection}.")
     return found
 
 

@@ -1,7 +1,7 @@
 """Episodes of a simulated person, in the very form of the recorded ones: scene, pictures, GGCNN's maps, the grasp.
 
 Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the person's grasp
-wide open, and lifts.
+as wide open as the person opens the hand, and lifts. The opening stands in the fingers' angles, as a recorded hand's.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ import numpy as np
 
 from common.poses import inverse, pose, read_only
 from grasping import depth_image, maps
+from grasping.dataset import opening
 from grasping.dataset.episode import TELEOPERATION, Episode, Metadata
 from grasping.evaluation import trials
 from grasping.evaluation.lifting import lift
 from grasping.predictor import Network, run
 from grasping.synthetic import labels, person, samples, sensor
+from grasping.view import CAMERA
 
 SMOOTHING = maps.Smoothing(quality=2.0)
 MAP_SIDE = 150
@@ -26,7 +28,19 @@ FRAME_S, REACH_S = 0.5, 2.0
 """Between two frames; from the last one to the closing of the fingers [s]."""
 OPERATOR = "simulated"
 NAME = re.compile(r"simulated_(\w+)_(\d+)")
-SETTINGS_VERSION = 1
+SETTINGS_VERSION = 2
+
+
+class Grasp(NamedTuple):
+    """The person's grasp.
+
+    Attributes:
+        T_base_grasp: shape (4, 4) [m].
+        opening: of the hand before it closes [m].
+    """
+
+    T_base_grasp: np.ndarray
+    opening: float
 
 
 class Situation(NamedTuple):
@@ -80,15 +94,15 @@ def intended(of: Situation, made: Episode) -> np.ndarray:
     """
     who = person.Person(**made.metadata.configuration["person"])
     steady = who._replace(tremor_m=0.0, tremor_rad=0.0)
-    T_base_grasp = _grasp(of, steady, np.random.default_rng(0))
-    assert T_base_grasp is not None, "an episode is of a grasp"
-    return T_base_grasp
+    found = _grasp(of, steady, np.random.default_rng(0))
+    assert found is not None, "an episode is of a grasp"
+    return found.T_base_grasp
 
 
-def held(of: Situation, T_base_grasp: np.ndarray, opening: float = samples.GRIPPER.opening) -> bool:
-    """Returns whether the gripper, open by `opening` [m], lifts something there."""
+def held(of: Situation, T_base_grasp: np.ndarray, width: float = samples.GRIPPER.opening) -> bool:
+    """Returns whether the gripper, open by `width` [m], lifts something there."""
     T_world_grasp = inverse(of.T_base_world) @ T_base_grasp
-    return lift(of.view.scene, T_world_grasp, opening, samples.GRIPPER, of.friction).lifted
+    return lift(of.view.scene, T_world_grasp, width, samples.GRIPPER, of.friction).lifted
 
 
 def episode(
@@ -106,9 +120,10 @@ def episode(
     """
     of = situation(split, number)
     rng = np.random.default_rng([97, number])
-    T_base_grasp = _grasp(of, who, rng)
-    if T_base_grasp is None:
+    chosen = _grasp(of, who, rng)
+    if chosen is None:
         return None
+    T_base_grasp = chosen.T_base_grasp
     T_base_camera = of.T_base_world @ pose(of.view.camera.R, of.view.camera.position)
     stored: dict[str, list] = {"depth": [], "maps": [], "mean": [], "peak": []}
     for _ in range(frames):
@@ -119,7 +134,7 @@ def episode(
         small = np.stack([cv2.resize(m, (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA) for m in output])
         for name, value in zip(stored, (depth, small.astype(np.float16), picture.mean, peak)):
             stored[name].append(value)
-    lifted = held(of, T_base_grasp)
+    lifted = held(of, *chosen)
     stamp = FRAME_S * np.arange(frames)
     return Episode(
         metadata=_metadata(of, who, lifted, network_sha256),
@@ -138,22 +153,26 @@ def episode(
         T_base_camera=np.stack([T_base_camera] * frames),
         T_base_tool_measured=np.stack([T_base_grasp] * frames),
         T_base_tool_desired=np.full((frames, 4, 4), np.nan),
-        finger_angles=np.full((frames, 4), np.nan, np.float32),
+        finger_angles=np.tile(opening.angles(chosen.opening), (frames, 1)).astype(np.float32),
         teleop_active=np.ones(frames, bool),
     )
 
 
-def _grasp(of: Situation, who: person.Person, rng: np.random.Generator) -> np.ndarray | None:
+def _grasp(of: Situation, who: person.Person, rng: np.random.Generator) -> Grasp | None:
     camera = of.view.camera
     places = person.points(of.depth, camera)
-    focal = camera.focal * len(of.depth) / camera.side
-    pixel = person.chosen_pixel(who, of.labels, places[..., 2], of.labels.opening * of.depth / focal)
+    height = places[..., 2]
+    pixel_m = of.depth * camera.side / len(of.depth) / camera.focal
+    pixel = person.chosen_pixel(who, of.labels, height, of.labels.opening * pixel_m)
     if pixel is None:
         return None
-    angle = float(of.labels.angle[pixel])
+    angle = float(of.labels.angle[pixel]) + who.turn * max(0.0, height[pixel])
     line = camera.R @ np.array([np.cos(angle), -np.sin(angle), 0.0])
+    leant = person.lean(who, height, float(pixel_m[pixel]), pixel)
     R, p = of.T_base_world[:3, :3], of.T_base_world[:3, 3]
-    return person.grasp_pose(who, R @ places[pixel] + p, R @ line, rng)
+    T_base_grasp = person.grasp_pose(who, R @ places[pixel] + p, R @ line, leant, rng)
+    needed = float(of.labels.opening[pixel] * pixel_m[pixel])
+    return Grasp(T_base_grasp, person.opening(who, needed, float(height[pixel]), rng))
 
 
 def _metadata(of: Situation, who: person.Person, lifted: bool, network_sha256: str) -> Metadata:
@@ -165,5 +184,12 @@ def _metadata(of: Situation, who: person.Person, lifted: bool, network_sha256: s
         object=", ".join(of.view.scene.families),
         source=TELEOPERATION,
         reason="lifted by a parallel gripper in simulation" if lifted else "not lifted in simulation",
-        configuration={"simulated": SETTINGS_VERSION, "person": who._asdict(), "network": network_sha256},
+        configuration={
+            "simulated": SETTINGS_VERSION,
+            "person": who._asdict(),
+            "view": CAMERA,
+            "crop": {"side": trials.CROP.side, "rows_up": 0},
+            "table": None,
+            "weights": network_sha256,
+        },
     )

@@ -1,8 +1,10 @@
 """A simulated person who grasps: knows what holds, has a taste and a bias, and trembles.
 
 Stands in for a teleoperating person where none is at hand; whatever was found with it is to be called simulated. The
-person sees the exact labels, prefers high and slender parts of things, comes straight down with the hand wide open, and
-grasps beside the chosen place by a constant bias and a tremor.
+person sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a constant
+bias and a tremor. Attitude and opening of the hand are a matter of the place, too: the higher it is, the more the wrist
+turns and the wider the hand opens, and the less it leans away from the person, who sits below the picture; and it leans
+with the surface. All that is visible, and is there to be learned; how people do it, nobody has measured here.
 """
 
 from __future__ import annotations
@@ -16,8 +18,11 @@ from common.poses import pose
 from grasping.maps import gaussian
 from grasping.synthetic import scene
 from grasping.synthetic.labels import Labels
+from grasping.synthetic.samples import GRIPPER
 
 DOWN = np.array([0.0, 0.0, -1.0])
+EYE_M = 0.02
+"""Standard deviation of the blur through which the lean of a surface is seen."""
 
 
 class Person(NamedTuple):
@@ -28,6 +33,12 @@ class Person(NamedTuple):
         higher: what height is worth, in quality a metre.
         slender: what a narrow opening is worth, in quality a metre less.
         blur: standard deviation of the eye's blur of all that [px].
+        turn: of the line through the fingers, anticlockwise in the picture, by the height [rad/m].
+        lean: away from the person, on the table [rad]; less with the height, none from
+        upright: this height on [m].
+        follow: share of the surface's lean that the hand leans, too.
+        margin: that the hand opens wider than it must, on the table [m].
+        generous: how much more by the height [m/m].
         bias: x, y, z [m] beside the chosen place, in the base frame.
         tremor_m: standard deviation of a position along each axis [m].
         tremor_rad: standard deviation of a turn about each axis [rad].
@@ -37,6 +48,12 @@ class Person(NamedTuple):
     higher: float = 8.0
     slender: float = 6.0
     blur: float = 2.0
+    turn: float = 4.0
+    lean: float = 0.3
+    upright: float = 0.12
+    follow: float = 0.4
+    margin: float = 0.005
+    generous: float = 0.15
     bias: tuple[float, float, float] = (0.008, 0.006, 0.0)
     tremor_m: float = 0.005
     tremor_rad: float = np.radians(5.0)
@@ -82,16 +99,51 @@ def points(depth: np.ndarray, camera: scene.Camera) -> np.ndarray:
     return camera.position + (depth[..., None] * rays) @ camera.R.T
 
 
-def grasp_pose(person: Person, place: np.ndarray, line: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def lean(person: Person, height: np.ndarray, pixel_m: float, at: tuple[int, int]) -> np.ndarray:
+    """Returns how much the hand leans about the base frame's x and y axes, shape (2,) [rad].
+
+    Args:
+        person: who grasps.
+        height: above the table, shape (h, w) [m].
+        pixel_m: what a pixel shows of the scene [m].
+        at: row and column of the chosen place.
+    """
+    row, column = at
+    seen = gaussian(np.clip(height, 0.0, None).astype(np.float32), EYE_M / pixel_m)
+    down, right = (float(np.gradient(seen, pixel_m, axis=axis)[row, column]) for axis in (0, 1))
+    steep = 1.0 + np.hypot(down, right)  # an edge is no slope to lean with
+    away = person.lean * max(0.0, 1.0 - max(0.0, height[at]) / person.upright)
+    # Rows run against the base frame's y axis.
+    return np.array([away - person.follow * down / steep, -person.follow * right / steep])
+
+
+def grasp_pose(
+    person: Person, place: np.ndarray, line: np.ndarray, leant: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
     """Returns the person's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach.
 
     Args:
         person: who grasps.
         place: the chosen place, shape (3,) [m].
         line: direction of the line through the fingers, shape (3,); both in the base frame.
+        leant: about the base frame's x and y axes, shape (2,) [rad].
         rng: of the tremor.
     """
     x = line - (line @ DOWN) * DOWN
     x /= np.linalg.norm(x)
-    R = np.column_stack([x, np.cross(DOWN, x), DOWN]) @ pin.exp3(rng.normal(0.0, person.tremor_rad, 3))
+    upright = np.column_stack([x, np.cross(DOWN, x), DOWN])
+    R = pin.exp3(np.append(leant, 0.0)) @ upright @ pin.exp3(rng.normal(0.0, person.tremor_rad, 3))
     return pose(R, place + person.bias + rng.normal(0.0, person.tremor_m, 3))
+
+
+def opening(person: Person, needed: float, height: float, rng: np.random.Generator) -> float:
+    """Returns how wide the person opens the hand [m], as wide as it goes at most.
+
+    Args:
+        person: who grasps.
+        needed: opening that the thing needs [m].
+        height: of the place above the table [m].
+        rng: of the tremor.
+    """
+    wanted = needed + person.margin + person.generous * max(0.0, height) + rng.normal(0.0, person.tremor_m)
+    return float(np.clip(wanted, needed, GRIPPER.opening))

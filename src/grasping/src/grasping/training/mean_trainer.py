@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 LONGEST_GRADIENT = 1.0
+CPU = torch.device("cpu")
 
 Network = TypeVar("Network", bound=nn.Module)
 

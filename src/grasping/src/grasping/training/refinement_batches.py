@@ -18,17 +18,31 @@ SIGMA_PX = 1.25
 
 
 class Targets(NamedTuple):
-    """What the second network should say of n pictures.
+    """What the second network should say of n pictures; the constant offset is taken off all.
 
     Attributes:
         place: about the person's pixel, sum 1, shape (n, SIDE, SIDE).
         held: 1 where the person's grasp held, 0 where it failed, shape (n,).
         height: of the grasp above the table, along the optical axis, shape (n,) [m].
+        cos: of twice the angle of the line through the fingers, shape (n,).
+        sin: likewise.
+        tilt_x: of the approach, shape (n,) [rad].
+        tilt_y: likewise.
+        opening: of the hand, shape (n,) [GGCNN's unit x m]; NaN where it is not known.
     """
 
     place: torch.Tensor
     held: torch.Tensor
     height: torch.Tensor
+    cos: torch.Tensor
+    sin: torch.Tensor
+    tilt_x: torch.Tensor
+    tilt_y: torch.Tensor
+    opening: torch.Tensor
+
+    def to(self, device: torch.device) -> Targets:
+        """Returns the targets on a device."""
+        return Targets(*(value.to(device) for value in self))
 
 
 def batch(examples: list[Example], offset: Offset) -> tuple[torch.Tensor, Targets]:
@@ -36,14 +50,23 @@ def batch(examples: list[Example], offset: Offset) -> tuple[torch.Tensor, Target
 
     Args:
         examples: n of them.
-        offset: the constant one, which is taken off the place.
+        offset: the constant one, which is taken off.
     """
     seen = torch.from_numpy(np.stack([np.float32(e.features) for e in examples]))
-    places = [place_target(*place(e, offset)) for e in examples]
-    held, height = (
-        torch.tensor([getattr(e, name) for e in examples], dtype=torch.float32) for name in Targets._fields[1:]
-    )
-    return seen, Targets(torch.from_numpy(np.stack(places)), held, height)
+    places = torch.from_numpy(np.stack([place_target(*place(e, offset)) for e in examples]))
+    rest = [
+        (
+            e.held,
+            e.height + offset.depth,
+            np.cos(2.0 * (e.angle - offset.angle)),
+            np.sin(2.0 * (e.angle - offset.angle)),
+            e.tilt_x - offset.tilt_x,
+            e.tilt_y - offset.tilt_y,
+            e.opening - offset.opening,
+        )
+        for e in examples
+    ]
+    return seen, Targets(places, *torch.tensor(rest, dtype=torch.float32).unbind(1))
 
 
 def place(example: Example, offset: Offset) -> tuple[float, float]:

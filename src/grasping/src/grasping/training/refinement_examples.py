@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from grasping.dataset.episode import Frame
-from grasping.dataset.labels import RelativeLabel, map_pixel, relative_label
+from grasping.dataset.labels import RelativeLabel, map_pixel, relative_label, tilt_and_angle
 from grasping.depth_image import NETWORK_SIDE, Crop, prepare
+from grasping.networks import WIDTH_SCALE_PX
 from grasping.refinement import SHRINK, SIDE, features
 from grasping.table_depth import table_depth
 
@@ -27,6 +28,10 @@ class Example(NamedTuple):
         row: of the person's grasp; may lie outside.
         column: likewise.
         height: of the grasp above the table, along the optical axis [m].
+        angle: of the line through the fingers in the picture, anticlockwise [rad].
+        tilt_x: of the approach about the camera's x axis [rad].
+        tilt_y: likewise about its y axis.
+        opening: of the hand [GGCNN's unit x m]; NaN where it is not known.
         held: whether the grasp held.
         mean: of the picture's depth [m].
     """
@@ -35,6 +40,10 @@ class Example(NamedTuple):
     row: float
     column: float
     height: float
+    angle: float
+    tilt_x: float
+    tilt_y: float
+    opening: float
     held: bool
     mean: float
 
@@ -49,6 +58,7 @@ class Offset(NamedTuple):
         angle: in the picture, anticlockwise [rad].
         tilt_x: of the approach [rad].
         tilt_y: likewise.
+        opening: of the hand [GGCNN's unit x m: divided by the distance it is GGCNN's unit].
     """
 
     x: float = 0.0
@@ -57,6 +67,7 @@ class Offset(NamedTuple):
     angle: float = 0.0
     tilt_x: float = 0.0
     tilt_y: float = 0.0
+    opening: float = 0.0
 
 
 def example(frame: Frame, held: bool) -> Example | None:
@@ -66,12 +77,15 @@ def example(frame: Frame, held: bool) -> Example | None:
         return None
     try:
         picture = prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
+        (tilt_x, tilt_y), angle = tilt_and_angle(T[:3, :3])
     except ValueError:
         return None
     row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, SIDE)
     near = tuple(int(np.clip(SHRINK * i, 0, NETWORK_SIDE - 1)) for i in (row, column))
     height = float(table_depth(picture)[near] - T[2, 3])
-    return Example(features(frame.maps, picture).astype(np.float16), row, column, height, held, picture.mean)
+    seen = features(frame.maps, picture).astype(np.float16)
+    opening = opening_units(frame) * picture.mean / T[2, 3]
+    return Example(seen, row, column, height, angle, float(tilt_x), float(tilt_y), opening, held, picture.mean)
 
 
 def constant_offset(frames: list[Frame]) -> Offset:
@@ -80,7 +94,7 @@ def constant_offset(frames: list[Frame]) -> Offset:
     Args:
         frames: of grasps that held.
     """
-    shifts, turns = [], []
+    shifts, turns, openings = [], [], []
     for frame in frames:
         label = relative_label(frame)
         if label is None:
@@ -92,9 +106,19 @@ def constant_offset(frames: list[Frame]) -> Offset:
         if metres < SAME_PLACE_M:
             x, y = scale * distance * label.column_shift, scale * distance * label.row_shift
             shifts.append((x, y, label.depth, label.angle))
+            openings.append(opening_units(frame) - distance * frame.peak.width / WIDTH_SCALE_PX)
     if not shifts:
         return Offset()
-    return Offset(*np.median(shifts, axis=0).tolist(), *np.median(turns, axis=0).tolist())
+    known = [o for o in openings if np.isfinite(o)]
+    wider = float(np.median(known)) if known else 0.0
+    x, y, depth, angle = np.median(shifts, axis=0).tolist()
+    tilt_x, tilt_y = np.median(turns, axis=0).tolist()
+    return Offset(x, y, depth, angle, tilt_x, tilt_y, wider)
+
+
+def opening_units(frame: Frame) -> float:
+    """Returns the opening of the person's hand [GGCNN's unit x m]; NaN where it is not known."""
+    return frame.opening * frame.camera.K[0, 0] * NETWORK_SIDE / frame.crop.side / WIDTH_SCALE_PX
 
 
 def metres_per_pixel(frame: Frame) -> float:

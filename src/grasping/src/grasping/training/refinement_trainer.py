@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from grasping.refinement import HIDDEN, SHRINK, RefinementNetwork
-from grasping.training.mean_trainer import MeanTrainer
-from grasping.training.refinement_batches import batch
+from grasping.refinement import AXES, HIDDEN, SHRINK, RefinementNetwork
+from grasping.training.mean_trainer import CPU, MeanTrainer
+from grasping.training.refinement_batches import Targets, batch
 from grasping.training.refinement_examples import Example, Offset
 from grasping.training.refinement_losses import Losses, losses
 
@@ -47,12 +47,13 @@ class Settings:
 class Trainer(MeanTrainer[RefinementNetwork]):
     """The training of the second network."""
 
-    def __init__(self, settings: Settings, offset: Offset) -> None:
-        """Makes the trainer; `offset` is the person's constant one."""
-        self.settings, self.offset = settings, offset
+    def __init__(self, settings: Settings, offset: Offset, device: torch.device = CPU) -> None:
+        """Makes the trainer on a device; `offset` is the person's constant one."""
+        self.settings, self.offset, self.device = settings, offset, device
         torch.manual_seed(settings.seed)
         network = RefinementNetwork(settings.hidden)
-        network.offset[:] = torch.tensor([offset.x, offset.y, offset.tilt_x, offset.tilt_y, offset.angle])
+        network.offset[:] = torch.tensor([getattr(offset, name) for name in AXES])
+        network.to(device)
         optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay)
         super().__init__(network, optimiser, settings.memory)
 
@@ -60,7 +61,7 @@ class Trainer(MeanTrainer[RefinementNetwork]):
         """Does one step and returns its loss; the batch depends on the seed and the step alone."""
         s = self.settings
         chosen = np.random.default_rng([s.seed, self.step]).integers(0, len(examples), s.count)
-        seen, target = batch([examples[i] for i in chosen], self.offset)
+        seen, target = self._batch([examples[i] for i in chosen])
         loss = losses(seen, self.network(seen), target).total
         return self.descend(loss, s.rate * max(0.0, 1.0 - self.step / s.steps))
 
@@ -71,7 +72,7 @@ class Trainer(MeanTrainer[RefinementNetwork]):
         rows, misses, counts = [], [], []
         for i in range(0, len(held), VALIDATION_BATCH):
             part = held[i : i + VALIDATION_BATCH]
-            seen, target = batch(part, self.offset)
+            seen, target = self._batch(part)
             with torch.no_grad():
                 change = self.mean(seen)
             rows.append([v.item() for v in losses(seen, change, target)])
@@ -79,6 +80,10 @@ class Trainer(MeanTrainer[RefinementNetwork]):
             misses += _misses(seen[:, 0] + change[:, 0], target.place)
         found = dict(zip(("validation", *Losses._fields[1:]), np.average(rows, axis=0, weights=counts).tolist()))
         return {**found, "miss": float(np.median(misses))}
+
+    def _batch(self, examples: list[Example]) -> tuple[torch.Tensor, Targets]:
+        seen, target = batch(examples, self.offset)
+        return seen.to(self.device), target.to(self.device)
 
 
 def _misses(quality: torch.Tensor, place: torch.Tensor) -> list[float]:

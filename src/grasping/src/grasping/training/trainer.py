@@ -15,7 +15,7 @@ from torch import nn
 from grasping.networks import NETWORKS
 from grasping.training.batches import Samples, Targets, batch, random_batch
 from grasping.training.losses import losses
-from grasping.training.mean_trainer import MeanTrainer
+from grasping.training.mean_trainer import CPU, MeanTrainer
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Settings:
         decay: share of the steps.
         memory: of the mean of the weights, a step.
         seed: of weights and batches.
-        half: compute in bfloat16, which is faster where the processor knows it.
+        half: compute in bfloat16, which is faster where the device knows it.
     """
 
     network: str = "ggcnn2"
@@ -50,11 +50,12 @@ class Settings:
 class Trainer(MeanTrainer[nn.Module]):
     """The training of a grasp network."""
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    def __init__(self, settings: Settings, device: torch.device = CPU) -> None:
+        """Makes the trainer on a device."""
+        self.settings, self.device = settings, device
         torch.manual_seed(settings.seed)
         network = NETWORKS[settings.network]()
-        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
+        network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
         super().__init__(network, torch.optim.Adam(network.parameters(), lr=settings.rate), settings.memory)
 
     def rate(self) -> float:
@@ -66,7 +67,7 @@ class Trainer(MeanTrainer[nn.Module]):
     def train(self, samples: Samples) -> float:
         """Does one step and returns its loss; the batch depends on the seed and the step alone."""
         rng = np.random.default_rng([self.settings.seed, self.step])
-        depth, target = random_batch(samples, rng, self.settings.count, self.settings.side)
+        depth, target = self._here(random_batch(samples, rng, self.settings.count, self.settings.side))
         self.network.train()
         return self.descend(losses(self._maps(self.network, depth), target).total, self.rate())
 
@@ -74,7 +75,7 @@ class Trainer(MeanTrainer[nn.Module]):
         """Returns the losses of the mean network on whole pictures, and the share of best pixels that are grasps."""
         rows = []
         for i in range(len(samples["depth"])):
-            depth, target = batch({name: values[i : i + 1] for name, values in samples.items()})
+            depth, target = self._here(batch({name: values[i : i + 1] for name, values in samples.items()}))
             with torch.no_grad():
                 maps = self._maps(self.mean, depth)
             found = losses(maps, target)
@@ -82,8 +83,12 @@ class Trainer(MeanTrainer[nn.Module]):
         names = ("validation", "quality", "angle", "width", "hits")
         return dict(zip(names, np.mean(rows, axis=0).tolist()))
 
+    def _here(self, made: tuple[torch.Tensor, Targets]) -> tuple[torch.Tensor, Targets]:
+        depth, target = made
+        return depth.to(self.device), Targets(*(value.to(self.device) for value in target))
+
     def _maps(self, network: nn.Module, depth: torch.Tensor) -> torch.Tensor:
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self.settings.half):
+        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.settings.half):
             maps: torch.Tensor = network(depth.to(memory_format=torch.channels_last))
         return maps
 
