@@ -16,6 +16,8 @@ from rig_simulation.control_port import ControlClient
 HOST = "127.0.0.1"
 TIMEOUT_S = 2.0
 RETRY_S = 0.2
+PATIENCE_S = 20.0
+"""Longest time without an answer of a world that has not ended."""
 ABOVE_TABLE_M = 0.25
 NICENESS = 10
 """Whoever looks must not take the processor from those who work."""

@@ -23,6 +23,7 @@ from rig_simulation.view.films import Film, film_for, with_lines
 from rig_simulation.view.following import (
     HOST,
     NICENESS,
+    PATIENCE_S,
     RETRY_S,
     TIMEOUT_S,
     add_options,
@@ -36,8 +37,6 @@ from rig_simulation.view.scene_forces import add_arrows
 NAME = "record"
 MAX_GEOMS = 5000
 SHOWN_FORCES = 6
-PATIENCE_S = 20.0
-"""Longest time without an answer of a world that has not ended."""
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -9,16 +9,18 @@ import argparse
 import os
 import sys
 import threading
+import time
 import warnings
 from typing import Any
 
 from common.errors import DeviceError
 from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.command_line import parse_options
-from rig_simulation.control_port import ControlClient
+from rig_simulation.control_port import ControlClient, NobodyListens
 from rig_simulation.view.following import (
     HOST,
     NICENESS,
+    PATIENCE_S,
     TIMEOUT_S,
     add_options,
     aim,
@@ -72,19 +74,22 @@ def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Ev
     """Shows the world in a window, and in a new one after a change of scene, until it ends.
 
     Raises:
-        DeviceError: the world's first answers do not fit.
+        DeviceError: the world is there and does not answer.
     """
-    world, window = WorldCopy(client), None
+    world, window, answered = WorldCopy(client), None, time.monotonic()
     try:
         while not stop.wait(1.0 / options.rate) and (window is None or window.is_open):
             try:
-                is_new = world.follow()
                 pairs = pair_forces(client.ask("contacts")["contacts"])
-            except DeviceError as error:
-                if window is None:
-                    raise
-                print(f"{NAME}: The world has ended: {error}", flush=True)
+                is_new = world.follow()
+            except NobodyListens:
+                print(f"{NAME}: The world has ended.", flush=True)
                 break
+            except DeviceError:
+                if time.monotonic() - answered > PATIENCE_S:
+                    raise
+                continue
+            answered = time.monotonic()
             if is_new:
                 if window is not None:
                     window.close()
