@@ -78,6 +78,7 @@ NODES: dict[str, Node] = {
         },
     ),  # fmt: skip
     "vision/register_rgbd_node.py": Node({"": "vision.node_parameters:PairsConfig"}, {}),
+    "vision/register_rgbd_start.py": Node({"": "vision.node_parameters:PairsConfig"}, {}),
     "vision/stereo_view_node.py": Node({"": "vision.node_parameters:WindowConfig"}, VIEW),
     "vision/stereo_web_node.py": Node({"web": "vision.node_parameters:WebConfig"}, VIEW),
     "vision/xtion_node.py": Node(

@@ -72,7 +72,7 @@ class Xtion:
         name = self._camera.connect()
         self._trouble = ""
         serial = self._camera.serial()
-        rospy.set_param(f"~{SERIAL}", serial)
+        rospy.set_param(rospy.resolve_name(f"~{SERIAL}"), serial)
         rospy.loginfo("The camera %s, serial number %s, sends pictures.", name, serial or "unknown")
 
     def _publish_until_lost(self) -> None:
