@@ -207,10 +207,11 @@ def test_whatever_comes_an_execution_ends_once(moments):
     assert len(trial.outcomes) == 1
 
 
-def test_the_best_grasp_that_the_arm_reaches_is_executed():
-    near = Proposal(8, GRASP.T_base_grasp)
-    far = Proposal(6, GRASP.T_base_grasp, False, "The outer sphere would move it.")
-    assert choose(Proposals(0.3, [far, near, GRASP]), HOME, False, CONFIG.fresh) is near
+def test_the_best_grasp_is_executed_and_no_other_in_its_place():
+    best, other = Proposal(8, GRASP.T_base_grasp), Proposal(6, GRASP.T_base_grasp)
+    assert choose(Proposals(0.3, [best, other, GRASP]), HOME, False, CONFIG.fresh) is best
+    unknown = Proposal(9, None, "its pose is of no use: nan")
+    assert isinstance(choose(Proposals(0.3, [unknown, best]), HOME, False, CONFIG.fresh), Refusal)
 
 
 @pytest.mark.parametrize(
@@ -229,13 +230,7 @@ def test_the_best_grasp_that_the_arm_reaches_is_executed():
             Proposals(0.1, [Proposal(1, None)]),
             HOME,
             False,
-            "The camera's place is unknown, and so is that of the grasp.",
-        ),
-        (
-            Proposals(0.1, [Proposal(1, GRASP.T_base_grasp, False, "Too far.")]),
-            HOME,
-            False,
-            "The arm does not reach the grasp: Too far.",
+            "The place of the grasp is unknown: the camera's place is unknown.",
         ),
     ],
 )

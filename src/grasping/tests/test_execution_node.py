@@ -248,9 +248,7 @@ def test_what_is_refused(rig, node, wait_until):
     refused("Control of the arm is off.")
     rig.control_on, rig.grasps, rig.why_none = True, [], "no peak"
     refused("No grasp is proposed: no peak.")
-    rig.grasps = [rig.grasp(3, reachable=False)]
-    refused("The arm does not reach the grasp")
-    rig.grasps, rig.out_of_reach = [rig.grasp(3)], "The outer sphere would move it."
+    rig.grasps, rig.out_of_reach = [rig.grasp(3, reachable=False), rig.grasp(4)], "The outer sphere would move it."
     refused("The outer sphere would move it.")
     rig.out_of_reach = ""
     refused("The tool is not held: a hand is followed.")

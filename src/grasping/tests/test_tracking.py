@@ -143,6 +143,17 @@ def test_a_grasp_out_of_sight_keeps_its_number_for_a_while_only():
     assert tracker.step([sighting(0.0, 0.6)], 1.0)[0].id == 2
 
 
+def test_no_rival_is_told_while_the_best_is_out_of_sight_for_a_moment():
+    tracker = GraspTracker(tracking(keep=0.5))
+    both, rival = [sighting(0.0, 0.7), sighting(0.3, 0.6)], [sighting(0.3, 0.6)]
+    assert [t.id for t in tracker.step(both, 0.0)] == [1, 2] and not tracker.best_out_of_sight
+    for now in (0.1, 0.3, 0.5):
+        assert tracker.step(rival, now) == [] and tracker.best_out_of_sight
+    assert [t.id for t in tracker.step(both, 0.5)] == [1, 2]
+    assert tracker.step(rival, 0.9) == []
+    assert [t.id for t in tracker.step(rival, 1.1)] == [2], "now it is forgotten"
+
+
 def test_numbers_are_not_used_again_after_a_reset():
     tracker = GraspTracker(tracking())
     tracker.step([sighting(0.0, 0.6)], 0.0)

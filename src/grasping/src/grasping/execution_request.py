@@ -21,15 +21,13 @@ class Proposal:
 
     Attributes:
         id: its number.
-        T_base_grasp: shape (4, 4) [m]; None while the camera's place is unknown.
-        reachable: whether the arm gets there.
-        reason: why not.
+        T_base_grasp: shape (4, 4) [m]; None where it is unknown.
+        reason: why it is unknown, a clause.
     """
 
     id: int
     T_base_grasp: np.ndarray | None
-    reachable: bool = True
-    reason: str = ""
+    reason: str = "the camera's place is unknown"
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Proposals:
 
     Attributes:
         age: of the picture [s].
-        grasps: what is proposed.
+        grasps: what is proposed; those that the arm's controller refused come last.
         reason: why nothing is.
     """
 
@@ -81,7 +79,7 @@ class Way:
 def choose(
     proposals: Proposals | None, controller: Controller | None, hand_followed: bool, fresh: float
 ) -> Proposal | Refusal:
-    """Returns the best grasp that the arm reaches, or why there is none.
+    """Returns the best grasp, which the arm's controller is to be asked about, or why there is none.
 
     Args:
         proposals: the newest; None if none came yet.
@@ -103,12 +101,8 @@ def choose(
         return Refusal(f"The newest proposal is {proposals.age:.1f} s old.")
     if not proposals.grasps:
         return Refusal(f"No grasp is proposed: {proposals.reason or 'the list is empty'}.")
-    best = next((grasp for grasp in proposals.grasps if grasp.reachable), proposals.grasps[0])
-    if best.T_base_grasp is None:
-        return Refusal("The camera's place is unknown, and so is that of the grasp.")
-    if not best.reachable:
-        return Refusal(f"The arm does not reach the grasp: {best.reason or 'it was not said why'}")
-    return best
+    best = proposals.grasps[0]
+    return best if best.T_base_grasp is not None else Refusal(f"The place of the grasp is unknown: {best.reason}.")
 
 
 def way_to(T_base_grasp: np.ndarray, settings: ToolPoseConfig, R_home: np.ndarray, up: np.ndarray) -> Way | Refusal:

@@ -133,17 +133,29 @@ class GraspTracker:
     def step(self, sightings: Sequence[Sighting], now: float) -> list[Tracked]:
         """Returns the grasps of the newest picture, the best first, the others by their quality.
 
+        None at all while the best is out of sight and not yet forgotten: else the next best, which may belong to
+        another thing, would be taken for it in single pictures.
+
         Args:
             sightings: in the picture.
             now: time of the picture [s].
         """
         owners = self._owners(sightings)
+        for track in self._tracks:
+            track.in_sight = False
         for i, track in owners.items():
             track.see(sightings[i], i, now)
         self._tracks = [t for t in self._tracks if now - t.last <= self._config.keep]
         seen = sorted(owners.values(), key=lambda t: -t.quality)
         self._choose(seen)
+        if self.best_out_of_sight:
+            return []
         return [t.tracked() for t in sorted(seen, key=lambda t: t is not self._best)]
+
+    @property
+    def best_out_of_sight(self) -> bool:
+        """Whether the best grasp was not in the newest picture, but is not forgotten yet."""
+        return self._best is not None and not self._best.in_sight
 
     def _owners(self, sightings: Sequence[Sighting]) -> dict[int, _Track]:
         """Returns the track of each sighting: the nearest pairs first, a new track where none is near."""
@@ -272,12 +284,14 @@ class _Track:
 
     def __init__(self, number: int, config: TrackingConfig) -> None:
         self.id = number
+        self.in_sight = False
         self._filter = PoseFilter(config)
 
     def see(self, sighting: Sighting, index: int, now: float) -> None:
         self._T, self._width = self._filter.step(sighting.T, sighting.width, now)
         self.position = sighting.T[:3, 3]
         self.quality, self.last, self._index = sighting.quality, now, index
+        self.in_sight = True
 
     def tracked(self) -> Tracked:
         return Tracked(self.id, self._index, self._T, self._width, self._filter.held)

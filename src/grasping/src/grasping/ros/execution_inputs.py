@@ -99,11 +99,11 @@ def proposals_from(message: GraspList, now: rospy.Time) -> Proposals:
 
 def _proposal(grasp: Grasp) -> Proposal:
     if not grasp.pose_base.header.frame_id:
-        return Proposal(grasp.id, None, grasp.reachable, grasp.reason)
+        return Proposal(grasp.id, None)
     try:
-        return Proposal(grasp.id, pose_in(BASE, grasp.pose_base), grasp.reachable, grasp.reason)
+        return Proposal(grasp.id, pose_in(BASE, grasp.pose_base))
     except ValueError as error:
-        return Proposal(grasp.id, None, False, f"its pose is of no use: {error}")
+        return Proposal(grasp.id, None, f"its pose is of no use: {error}")
 
 
 def _hand_state(hand: Hand) -> HandState:
