@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,7 @@ NEWER_CALLS = {
     "contextlib.chdir", "functools.cache", "importlib.resources.files", "itertools.batched", "itertools.pairwise",
     "math.cbrt", "math.lcm", "math.nextafter", "math.ulp", "random.randbytes", "statistics.correlation",
 }  # fmt: skip
+NEWER_TYPES = {f"{name}[]" for name in ("dict", "frozenset", "list", "set", "tuple", "type")}
 NEWER_METHODS = {
     "bit_count", "hardlink_to", "is_relative_to", "removeprefix", "removesuffix", "with_stem", "add_note",
 }  # fmt: skip
@@ -112,6 +114,9 @@ class TestModule:
 def newer_than_38(code: str) -> set[str]:
     """Returns what a file uses of the lists above."""
     tree = ast.parse(code, feature_version=(3, 8))
+    unread = (
+        {part for node in ast.walk(tree) for part in _annotation(node)} if "annotations" in _future(tree) else set()
+    )
     found = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)} & NEWER_METHODS
     found |= {dotted(n) for n in ast.walk(tree) if isinstance(n, ast.Attribute)} & NEWER_CALLS
     for node in ast.walk(tree):
@@ -120,9 +125,23 @@ def newer_than_38(code: str) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             found |= {str(node.module)} & NEWER_MODULES
             found |= {f"{node.module}.{alias.name}" for alias in node.names} & NEWER_CALLS
+        elif isinstance(node, ast.Subscript) and node not in unread:
+            found |= {f"{dotted(node.value)}[]"} & NEWER_TYPES
         elif isinstance(node, ast.Call) and dotted(node.func) == "zip":
             found |= {"zip(strict=)" for keyword in node.keywords if keyword.arg == "strict"}
     return found
+
+
+def _annotation(node: ast.AST) -> Iterator[ast.AST]:
+    """Yields what stands in the annotation that belongs to a node."""
+    for annotation in (getattr(node, "annotation", None), getattr(node, "returns", None)):
+        if annotation is not None:
+            yield from ast.walk(annotation)
+
+
+def _future(tree: ast.Module) -> set[str]:
+    imports = (n for n in tree.body if isinstance(n, ast.ImportFrom) and n.module == "__future__")
+    return {alias.name for statement in imports for alias in statement.names}
 
 
 class TestPython38:
@@ -142,10 +161,15 @@ class TestPython38:
             ("name.removeprefix('a')", "removeprefix"),
             ("path.is_relative_to(root)", "is_relative_to"),
             ("zip(a, b, strict=True)", "zip(strict=)"),
+            ("def f(a: list[int]): pass", "list[]"),
+            ("from __future__ import annotations\nNames = dict[str, int]", "dict[]"),
         ],
     )
     def test_finds(self, code, found):
         assert newer_than_38(code) == {found}
+
+    def test_annotations_may_be_newer_where_nobody_reads_them(self):
+        assert not newer_than_38("from __future__ import annotations\ndef f(a: list[int]) -> dict[str, int]: pass")
 
     def test_refuses_newer_syntax(self):
         with pytest.raises(SyntaxError):

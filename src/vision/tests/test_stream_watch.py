@@ -1,5 +1,7 @@
 """When a stream of pictures counts as alive, slow, empty, frozen, vanished."""
 
+from __future__ import annotations
+
 import dataclasses
 
 import pytest

@@ -1,5 +1,7 @@
 """The node with the simulated hand; and how it ends."""
 
+from __future__ import annotations
+
 import subprocess
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Faults of the simulated camera: what becomes of its pictures."""
 
+from __future__ import annotations
+
 import dataclasses
 
 import numpy as np

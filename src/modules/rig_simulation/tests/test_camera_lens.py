@@ -1,5 +1,7 @@
 """The lens: what the camera's pixels see in the pinhole window, against the camera model."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
