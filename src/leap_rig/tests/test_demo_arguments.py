@@ -57,11 +57,14 @@ def test_the_scenarios_are_those_of_the_simulated_person():
     assert all(name in str(refusal.value) for name in SCENARIOS)
 
 
-def test_a_film_that_ends_is_a_remark_and_any_other_node_a_death():
+def test_the_rig_goes_on_without_a_film_or_a_camera_and_without_no_other_node():
     from leap_rig.ros.demo import Deaths
 
     deaths = Deaths()
-    for name in ("viewer-3", "recorder-4", "leap_driver-5"):
+    for name in ("viewer-3", "recorder-4", "camera/driver-6", "leap_driver-5"):
         deaths.process_died(name, 1)
-    assert deaths.remarks == ["The film was not taken to the end: recorder ended with exit code 1."]
+    assert deaths.remarks == [
+        "The film was not taken to the end: recorder ended with exit code 1.",
+        "The rig went on without its camera: camera/driver ended with exit code 1.",
+    ]
     assert deaths.sentences == ["leap_driver ended with exit code 1"]

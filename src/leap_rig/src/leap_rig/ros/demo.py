@@ -28,7 +28,7 @@ from leap_rig.report import as_text, summarise
 from leap_rig.ros.listener import RigListener
 from leap_rig.ros.live_status import CLEAR_LINE, COMPLAINT, LiveStatus
 
-CONTROLLER, RECORDER = "kuka_real_time_node", "recorder"
+CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
 READY_TIMEOUT_S = 90.0
 EXIT_TIMEOUT_S = 60.0
 AT_HOME_OR_LATER = ("home", "pick_up", "servo")
@@ -128,6 +128,8 @@ class Deaths(ProcessListener):
         how = "while the rig started" if exit_code is None else f"with exit code {exit_code}"
         if node == RECORDER:
             self.remarks.append(f"The film was not taken to the end: {node} ended {how}.")
+        elif node.startswith(CAMERA):
+            self.remarks.append(f"The rig went on without its camera: {node} ended {how}.")
         else:
             self.sentences.append(f"{node} ended {how}")
 
