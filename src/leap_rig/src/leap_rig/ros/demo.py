@@ -93,7 +93,7 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
 
 
 def _with_whole_path(item: str) -> str:
-    """Returns an argument of the launch file; a scene's file by its absolute path, since nodes run in another folder."""
+    """Returns an argument of the launch file; a scene's file by its absolute path, as nodes run in another folder."""
     name, _, value = item.partition(":=")
     return f"{name}:={Path(value).resolve()}" if name == SCENE and value.endswith(YAML) else item
 
