@@ -140,6 +140,7 @@ def test_a_person_who_grasps_makes_an_episode_and_may_take_it_back(rig, start, s
     assert not made.held and made.metadata.object == "box"
     assert processes.end(process) == 0
     assert "Traceback" not in process.log_path.read_text()
+    assert "could not be written until the end" in process.log_path.read_text()
 
 
 def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status, folder, wait_until):
@@ -204,15 +205,17 @@ def test_a_recording_makes_the_same_episodes_and_makes_them_once(ros, folder, tm
     assert again.log_path.read_text().count("holds that grasp already") == 2
 
 
-def test_a_full_disk_loses_the_episode_and_nothing_else(rig, start, status, folder, processes, wait_until):
+def test_while_the_disk_is_full_an_episode_waits_and_at_the_end_it_is_named(
+    rig, start, status, folder, processes, wait_until
+):
     """No file may grow beyond 20 kB, as on a disk that is nearly full."""
     script = str(CONFIG.parent / "scripts" / "collect.py")
     process = start(command=("bash", "-c", f"ulimit -f 20; exec {sys.executable} {script}"))
     wait_until(lambda: status()["message"] == "0 episodes, 0 held", 60.0, "that it listens")
     rig.say("/leap_kuka/stream", stream(True))
     rig.perform(grasp())
-    wait_until(lambda: status().get("lost") == "1", 20.0, "that it says so")
-    assert "An episode is lost" in status()["message"] and "File too large" in status()["message"]
+    wait_until(lambda: status().get("waiting") == "1", 20.0, "that it says so")
+    assert "An episode waits in memory" in status()["message"] and "File too large" in status()["message"]
     assert os.listdir(folder) == []
     frames = int(status()["frames_kept"])
     rig.perform([(1.0, OPEN, False, GRASP_Z, GRASP_Z + 0.1)])

@@ -271,6 +271,7 @@ class GraspCollection:
             "episodes": self._episodes,
             "held": self._held,
             "lost": self._files.lost,
+            "waiting": self._files.waiting,
             "frames_kept": self._collector.kept,
             "frames_on_hand": self._on_robot,
             "frames_waiting": self._collector.waiting,

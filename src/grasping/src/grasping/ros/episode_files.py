@@ -1,4 +1,7 @@
-"""Writes episodes from a thread of its own, each whole or not at all, and sets the last one aside on demand."""
+"""Writes episodes from a thread of its own, each whole or not at all, and sets the last one aside on demand.
+
+An episode that the disk does not take stays in memory and is tried again, until it is written or the node ends.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import queue
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import rospy
 
@@ -16,10 +20,20 @@ from grasping.dataset.episode import Episode
 from grasping.dataset.store import SUFFIX, DatasetError, encode, file_name, grasp_time, unfinished
 
 WAITING = 2
-"""Episodes that may wait for the disk; each is up to half a megabyte a frame."""
+"""Episodes that may wait to be packed; each is up to half a megabyte a frame."""
+WAITING_BYTES = 500_000_000
+"""Packed episodes that the disk did not take may need so much memory."""
+RETRY_S = 2.0
+"""They are tried again after so long."""
 FLUSH_S = 6.0
 """Twice as long is less than the 15 s that roslaunch gives a node to end."""
 ASIDE = ".discarded"
+
+
+class _Packed(NamedTuple):
+    episode: Episode
+    file: Path
+    content: bytes
 
 
 class EpisodeFiles:
@@ -30,8 +44,9 @@ class EpisodeFiles:
         on_written: is told each file that was written.
 
     Attributes:
-        lost: how many episodes could not be written.
-        fault: why the last one could not be, as a sentence; empty if it was.
+        lost: how many episodes will not be written.
+        waiting: how many the disk did not take so far.
+        fault: what is wrong, as a sentence; empty if the last episode was written.
     """
 
     def __init__(self, folder: Path, on_written: Callable[[Episode, Path, int], None]) -> None:
@@ -40,12 +55,17 @@ class EpisodeFiles:
         self._last: Path | None = None
         self._aside = False
         self._lock = threading.Lock()
+        self._packed: list[_Packed] = []
         self.lost, self.fault = 0, ""
         for file in sorted(folder.glob(".*")):
             if unfinished(file.name):
                 rospy.logwarn("The episode in %s is lost: the process that wrote it died; the file can go.", file)
         self._thread = threading.Thread(target=self._loop, name="episodes", daemon=True)
         self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        return len(self._packed)
 
     def put(self, episode: Episode) -> None:
         """Hands an episode over; it is lost if the disk is too slow for those before it."""
@@ -55,7 +75,7 @@ class EpisodeFiles:
             self._lose(f"{WAITING} episodes before it are still being written.")
 
     def close(self) -> None:
-        """Waits for what is still to be written."""
+        """Waits for what is still to be written, and says what the disk does not take even now."""
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=FLUSH_S)
             self._thread.join(FLUSH_S)
@@ -79,29 +99,51 @@ class EpisodeFiles:
 
     def _loop(self) -> None:
         while True:
-            episode = self._queue.get()
-            if episode is None:
-                return
-            self._write(episode)
-
-    def _write(self, episode: Episode) -> None:
-        file = self._folder / file_name(episode)
-        with self._lock:
-            there = self._same_grasp(episode.t_grasp)
-            if there is not None:
-                self._lose(f"{there} holds that grasp already.")
-                return
             try:
-                content = encode(episode)
-                write_bytes_whole(file, content)
+                episode = self._queue.get(timeout=RETRY_S if self._packed else None)
+            except queue.Empty:
+                self._write()
+                continue
+            if episode is not None:
+                self._pack(episode)
+            self._write()
+            if episode is None:
+                for packed in self._packed:
+                    self._lose(f"{packed.file} could not be written until the end.")
+                return
+
+    def _pack(self, episode: Episode) -> None:
+        there = self._same_grasp(episode.t_grasp)
+        if there is not None:
+            self._lose(f"{there} holds that grasp already.")
+            return
+        try:
+            packed = _Packed(episode, self._folder / file_name(episode), encode(episode))
+        except DatasetError as error:
+            self._lose(str(error))
+            return
+        if sum(len(p.content) for p in (*self._packed, packed)) > WAITING_BYTES:
+            self._lose(f"{self.waiting} before it wait for the disk and fill the memory that they may.")
+            return
+        self._packed.append(packed)
+
+    def _write(self) -> None:
+        """Writes what waits, the oldest first, until the disk takes no more."""
+        while self._packed:
+            episode, file, content = self._packed[0]
+            try:
+                with self._lock:
+                    write_bytes_whole(file, content)
+                    self._last, self._aside = file, False
             except OSError as error:
-                self._lose(f"{file} cannot be written: {error.strerror}.")
+                fault = f"An episode waits in memory: {file} cannot be written: {error.strerror}. Make room."
+                if fault != self.fault:
+                    rospy.logerr(fault)
+                self.fault = fault
                 return
-            except DatasetError as error:
-                self._lose(str(error))
-                return
-            self._last, self._aside, self.fault = file, False, ""
-        self._on_written(episode, file, len(content))
+            del self._packed[0]
+            self.fault = ""
+            self._on_written(episode, file, len(content))
 
     def _same_grasp(self, t_grasp: float) -> Path | None:
         """Returns the file of that grasp, as where a recording is played again; it may be set aside."""
@@ -109,7 +151,8 @@ class EpisodeFiles:
             time = grasp_time(file.name[: -len(ASIDE)] if file.name.endswith(ASIDE) else file.name)
             if time is not None and abs(time - t_grasp) < SAME_GRASP_S:
                 return file
-        return None
+        times = ((packed.file, packed.episode.t_grasp) for packed in self._packed)
+        return next((file for file, time in times if abs(time - t_grasp) < SAME_GRASP_S), None)
 
     def _lose(self, why: str) -> None:
         self.lost += 1
