@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import csv
 import os
 import re
 import shutil
@@ -145,9 +146,17 @@ def vision() -> None:
     _run("rosrun", "vision", "take_pictures.py", str(PICTURES))
 
 
+def curves() -> None:
+    """The curves of the training that made the weights of the first network."""
+    from grasping.programs.train_ggcnn import plot
+
+    with (ROOT / "src" / "grasping" / "weights" / "ggcnn2_curves.csv").open(newline="") as file:
+        plot(list(csv.DictReader(file)), PICTURES / "ggcnn2_curves.png")
+
+
 MAKERS = {
     maker.__name__: maker
-    for maker in (workspace, panel, rig, pick_cup, assisted_grasp, grasping, tag_pose, parts, vision)
+    for maker in (workspace, panel, rig, pick_cup, assisted_grasp, grasping, tag_pose, parts, vision, curves)
 }
 
 
