@@ -226,11 +226,12 @@ class Refinement:
         """
         seen = torch.from_numpy(features(output, picture))[None]
         with torch.no_grad():
-            said = self.network(seen)
-            for lean, name in ((LEAN_X, "tilt_x"), (LEAN_Y, "tilt_y")):
-                said[:, _place(name)] += said[:, _place("follow")] * seen[:, lean]
-            said = F.interpolate(said, scale_factor=SHRINK, mode="bilinear")
-            change = {name: m[0].numpy() for name, m in Change.of(said)._asdict().items()}
+            said = Change.of(self.network(seen))
+            said = said._replace(
+                tilt_x=said.tilt_x + said.follow * seen[:, LEAN_X], tilt_y=said.tilt_y + said.follow * seen[:, LEAN_Y]
+            )
+            large = F.interpolate(torch.stack(said, dim=1), scale_factor=SHRINK, mode="bilinear")[0].numpy()
+            change = dict(zip(Change._fields, large))
         x, y, deeper, angle, tilt_x, tilt_y, wider = self.network.offset.tolist()
         quality, cos, sin, width = output
         c, s = np.float32(np.cos(2.0 * angle)), np.float32(np.sin(2.0 * angle))
@@ -275,10 +276,6 @@ def refined_grasp(grasp: Grasp, refined: Refined, peak: Peak) -> Grasp:
     tilt = pin.exp3(np.array([refined.tilt_x[at], refined.tilt_y[at], 0.0], dtype=float))
     T = pose(tilt @ grasp.T_camera_grasp[:3, :3], factor * grasp.T_camera_grasp[:3, 3])
     return grasp._replace(T_camera_grasp=read_only(T), width=factor * grasp.width)
-
-
-def _place(name: str) -> int:
-    return Change._fields.index(name)
 
 
 def shrunk(picture: np.ndarray) -> np.ndarray:
