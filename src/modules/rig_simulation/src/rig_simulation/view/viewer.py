@@ -31,7 +31,7 @@ from rig_simulation.view.forces import arrows, pair_forces
 from rig_simulation.view.scene_forces import add_arrows
 
 NAME = "viewer"
-CLOSING_S = 10.0
+CLOSING_S = 30.0
 
 
 def main(arguments: list[str] | None = None) -> int:
