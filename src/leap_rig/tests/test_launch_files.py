@@ -49,6 +49,10 @@ def test_the_camera_of_the_demo_takes_few_pictures_of_its_own_world():
     values = parameters("rviz:=true", "world_port:=5000", "camera_rate:=2.5")
     assert (values["/camera/driver/rate"], values["/camera/driver/port"]) == (2.5, 5000)
     assert values["/camera_truth/port"] == 5000
+    assert parameters("rviz:=true")["/camera/driver/rate"] == 3.0
+    values = parameters("grasping:=true")
+    assert values["/camera/driver/rate"] == 6.0
+    assert 1.0 / values["/camera/driver/rate"] < values["/camera/watchdog/silence"]
 
 
 def test_faults_are_asked_of_the_ports_that_the_devices_listen_on():
