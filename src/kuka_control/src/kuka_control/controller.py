@@ -106,8 +106,9 @@ class Controller:
         if now - self._warned_at < WARN_EVERY_S:
             return ()
         self._warned_at = now
-        what = "No answer in time" if isinstance(error, ReplyTimeout) else "An answer is left out"
-        return (Event("warn", f"{what}: {error}."),)
+        if isinstance(error, ReplyTimeout):
+            return (Event("warn", f"No answer in time: {error}."),)
+        return (Event("warn", f"An answer is left out: {error}."),)
 
     def _watch_motion(self) -> None:
         if self.moving:

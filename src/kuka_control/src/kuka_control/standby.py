@@ -68,11 +68,12 @@ class Standby:
         self._tries += 1
         self._pause = min(2.0 * self._pause, LONGEST_PAUSE_S)
         self.next_try = now + self._pause
-        self.reason = f"{self._lost} Try {self._tries} failed: {error}."
+        failure = f"Try {self._tries} failed: {error}."
+        self.reason = f"{self._lost} {failure}"
         if now < self._remind_at:
             return ()
         self._remind_at = now + REMIND_S
-        return (Event("warn", self.reason),)
+        return (Event("warn", f"The robot is still gone. {failure}"),)
 
     def connected(self) -> tuple[Event, ...]:
         """Takes in that the robot is back; returns what is to be said."""
