@@ -220,9 +220,12 @@ def main() -> None:
         every = [Task(arguments.split, number, methods, trained) for number in range(arguments.scenes)]
         export(arguments.export, every, arguments.processes)
         return
-    arguments.folder.mkdir(parents=True, exist_ok=True)
     results = arguments.folder / "results.csv"
-    rows = kept_rows(results)
+    try:
+        arguments.folder.mkdir(parents=True, exist_ok=True)
+        rows = kept_rows(results)
+    except OSError as error:
+        parser.error(f"{error.filename} cannot be used: {error.strerror}.")
     done = {(int(r["scene"]), r["method"]) for r in rows}
     tasks = []
     for number in range(arguments.scenes):

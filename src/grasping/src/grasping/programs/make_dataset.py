@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 from pathlib import Path
 
 import cv2
 import mujoco
 import numpy as np
-from tqdm import tqdm
 
+from grasping.programs.making import make_all
 from grasping.synthetic import samples
 
 SHARD = 50
@@ -42,12 +41,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.scenes < 1 or arguments.scenes % SHARD:
         parser.error(f"--scenes is {arguments.scenes}, but must be a multiple of {SHARD}.")
-    arguments.folder.mkdir(parents=True, exist_ok=True)
     tasks = [
         (arguments.folder / f"{arguments.split}_{first:06d}.npz", arguments.split, range(first, first + SHARD))
         for first in range(0, arguments.scenes, SHARD)
     ]
-    # A fork would inherit the locks of the libraries' threads.
-    with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
-        for _ in tqdm(pool.imap_unordered(make_shard, tasks), total=len(tasks), unit="shard"):
-            pass
+    make_all(parser, arguments.folder, make_shard, tasks, arguments.processes, "shard")

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import mujoco
 import torch
-from tqdm import tqdm
 
 from common.errors import RigError
 from grasping import weights
 from grasping.dataset import store
 from grasping.predictor import frozen
 from grasping.programs.make_dataset import ignore_warning
+from grasping.programs.making import make_all
 from grasping.synthetic import episodes
 from grasping.synthetic.person import Person
 
@@ -60,11 +59,8 @@ def main() -> None:
         network(arguments.weights)
     except (OSError, RigError) as error:
         parser.error(str(error))
-    arguments.folder.mkdir(parents=True, exist_ok=True)
     tasks = [
         (arguments.folder, arguments.weights, arguments.split, number, arguments.frames)
         for number in range(arguments.episodes)
     ]
-    with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
-        for _ in tqdm(pool.imap_unordered(make, tasks), total=len(tasks), unit="episode"):
-            pass
+    make_all(parser, arguments.folder, make, tasks, arguments.processes, "episode")

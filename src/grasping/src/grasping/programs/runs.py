@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 from pathlib import Path
@@ -13,6 +14,12 @@ from common.errors import RigError
 
 CHECKPOINT = "checkpoint.pt"
 DEVICES = ("auto", "cpu", "cuda")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds what all trainings are told of their run."""
+    parser.add_argument("--anew", action="store_true", help="begin anew where RUN holds another one, which is kept")
+    parser.add_argument("--device", choices=DEVICES, default="auto", help="default: cuda where there is one")
 
 
 def identity(settings: dict[str, Any], *data: list[str]) -> str:

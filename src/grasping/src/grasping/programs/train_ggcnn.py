@@ -67,10 +67,7 @@ def main() -> None:
     for name, value in asdict(default).items():
         kind = (lambda text: text == "true") if isinstance(value, bool) else type(value)
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=value, help=f"default: {value}")
-    parser.add_argument(
-        "--anew", action="store_true", help="begin anew where RUN holds another training, which is kept"
-    )
-    parser.add_argument("--device", choices=runs.DEVICES, default="auto", help="default: cuda where there is one")
+    runs.add_options(parser)
     parser.add_argument("--every", type=int, default=250, help="steps between validations and checkpoints")
     parser.add_argument("--shards", type=int, default=10**6, help="most shards of each split")
     parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")

@@ -59,14 +59,10 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=10**6, help="most episodes to train on")
     parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="train on none of these")
     parser.add_argument("--mixed", action="store_true", help="train on episodes of several rigs all the same")
-    parser.add_argument(
-        "--anew", action="store_true", help="begin anew where RUN holds another training, which is kept"
-    )
-    parser.add_argument("--device", choices=runs.DEVICES, default="auto", help="default: cuda where there is one")
+    runs.add_options(parser)
     parser.add_argument("--every", type=int, default=50, help="steps between validations and checkpoints")
     parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
     arguments = parser.parse_args()
-    arguments.refuse = parser.error
     for name in ("steps", "count", "hidden", "patience", "episodes", "every", "threads"):
         if getattr(arguments, name) < 1:
             parser.error(f"--{name.replace('_', '-')} is {getattr(arguments, name)}, but must be at least 1.")
@@ -80,6 +76,12 @@ def parse() -> argparse.Namespace:
         for part in (arguments.training, arguments.validation):
             if not any(n.episode.held for n in part):
                 raise RigError(f"Of {len(named)} episodes, too few show a grasp that held to train on some of them.")
+        arguments.settings = Settings(**{name: getattr(arguments, name) for name in asdict(default)})
+        arguments.identity = runs.identity(
+            {**asdict(arguments.settings), **asdict(arguments.origin)},
+            *([n.sha256 for n in part] for part in (arguments.training, arguments.validation)),
+        )
+        arguments.saved = runs.opened(arguments.run, arguments.identity, arguments.anew)
     except (RigError, OSError) as error:
         parser.error(str(error))
     return arguments
@@ -87,19 +89,11 @@ def parse() -> argparse.Namespace:
 
 def main() -> None:
     arguments = parse()
-    settings = Settings(**{name: getattr(arguments, name) for name in asdict(Settings())})
-    parts = arguments.training, arguments.validation
-    identity = runs.identity(
-        {**asdict(settings), **asdict(arguments.origin)}, *([n.sha256 for n in part] for part in parts)
-    )
-    try:
-        saved = runs.opened(arguments.run, identity, arguments.anew)
-    except RigError as error:
-        arguments.refuse(str(error))
+    settings, identity, saved = arguments.settings, arguments.identity, arguments.saved
     offset = refinement_examples.constant_offset(
         [f for n in arguments.training if n.episode.held for f in n.episode.frames()]
     )
-    examples, validation = (prepared(part) for part in parts)
+    examples, validation = prepared(arguments.training), prepared(arguments.validation)
     trainer, rows, recent = Trainer(settings, offset, arguments.device), [], []
     if saved is not None:
         trainer.resume(saved["trainer"])
