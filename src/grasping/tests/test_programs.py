@@ -49,6 +49,16 @@ def test_part_of_a_shard_is_refused(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.parametrize("program", [make_dataset, evaluate])
+def test_a_folder_that_cannot_be_made_is_one_sentence(program, tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(SystemExit) as end:
+        call(monkeypatch, program, tmp_path / "file" / "data", "--scenes", 50)
+    assert end.value.code == 2
+    last = capsys.readouterr().err.rstrip().splitlines()[-1]
+    assert str(tmp_path / "file") in last and last.endswith("Not a directory.")
+
+
 def test_training_ends_and_goes_on(data, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"
     options = ["--steps", "4", "--count", "2", "--side", "60", "--every", "2", "--half", "false"]
