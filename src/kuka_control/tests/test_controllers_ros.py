@@ -299,7 +299,9 @@ def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released(robot,
     assert robot.ask()["stops"] == 1
 
 
-def test_a_motion_that_a_safety_stop_holds_is_said_and_goes_on_when_it_is_released(ros, robot, start, wait_until):
+def test_a_motion_that_a_safety_stop_holds_is_said_and_goes_on_to_its_end_when_it_is_released(
+    ros, robot, start, wait_until
+):
     from rosgraph_msgs.msg import Log
 
     said = ros.record("/rosout", Log)
@@ -309,6 +311,8 @@ def test_a_motion_that_a_safety_stop_holds_is_said_and_goes_on_when_it_is_releas
     wait_until(lambda: any("does not go on" in m.msg for m in said), 20.0, "the sentence")
     robot.ask("set_external_torque", value=[0] * 7)
     robot.ask("release")
+    node.wait_for_mode("stopped")
+    assert node.control(True).success
     node.wait_for_mode("home")
 
 
