@@ -218,6 +218,34 @@ def test_what_an_untrained_network_says_of_its_spread():
         np.testing.assert_allclose(values.numpy(), wanted)
 
 
+def test_what_is_done_live_is_what_training_means():
+    """A network that says the same everywhere, in front of a level table: the pose is what the losses compare."""
+    network = RefinementNetwork()
+    network.last.bias.data = torch.tensor([0.3, 0.4, -0.5, 0.6, 0.7, 0.5, -0.4, 0.8, 0.1, -0.2, 0.3])
+    network.offset[:] = torch.tensor([0.0, 0.0, 0.01, 0.2, 0.1, -0.05, 0.02])
+    said = Change.of(network(torch.zeros(1, LEAN_Y + 1, 1, 1)))
+    said = {name: value.item() for name, value in said._asdict().items()}
+    output, picture, _ = scene()
+    level = picture._replace(depth=np.full_like(picture.depth, 0.7), mean=0.7)
+    refined = Refinement(network).apply(output, level)
+    turn = np.arctan2(said["turn_sin"], said["turn_cos"]) + 2.0 * 0.2
+    line = np.exp(1j * turn) * (output[1] + 1j * output[2])
+    np.testing.assert_allclose(refined.output[0], output[0] + said["quality"], atol=1e-5)
+    np.testing.assert_allclose(refined.output[1] + 1j * refined.output[2], line, atol=1e-5)
+    np.testing.assert_array_equal(refined.output[3], output[3])
+    for found, wanted in (
+        (refined.dz, said["depth"] + 0.01),
+        (refined.tilt_x, said["tilt_x"] + 0.1),
+        (refined.tilt_y, said["tilt_y"] - 0.05),
+        (refined.wider, (said["opening"] + 0.02) * 150.0 / 0.7),
+        (refined.concentration, np.hypot(said["turn_cos"], said["turn_sin"])),
+        (refined.spreads[0], said["depth_spread"]),
+        (refined.spreads[1], said["opening_spread"] * 150.0 / 0.7),
+        (refined.spreads[2], said["tilt_spread"]),
+    ):
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-6)
+
+
 def test_a_person_sees_a_wider_hand():
     output, picture, _ = scene()
     refined = Refinement(RefinementNetwork()).apply(output, picture)
