@@ -16,19 +16,26 @@ import uuid
 import xmlrpc.client
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
-LONG_S, SOON_S = 180.0, 45.0
-"""Longest waits for a command, its start or its end, and for what it started to end after it [s], on a busy machine."""
+POLL_S, LONG_S, SOON_S = 0.3, 240.0, 45.0
+"""How often is looked, and the longest waits [s], on a busy machine: for a command, its start or its end; for what it
+started to end after it."""
+
+ENDED = (0, 128 + signal.SIGINT)
+"""Exit codes of a clean end by Ctrl-C: its own, or the shell's for what the signal ended."""
 
 CTRL_C = b"\x03"
-READY = re.compile(r"listening on|UDP port|^world: | s \| arm ", re.MULTILINE)
-"""What programs print when they are ready that are no nodes: simulated devices, and the demo with the arm at home."""
+READY = re.compile(r"listening on|UDP port|^world: | s \| arm servo", re.MULTILINE)
+"""What programs print when they are ready that are no nodes: simulated devices, and the demo when the arm follows."""
 
 DEVICES = {
     f"rig_simulation/{name}.py" for name in ("world", "sunrise_controller", "reflex_hand", "leapd", "viewer", "record")
 }
 """What launch files start that is no node."""
-FAULT = re.compile(r"Traceback|has died|^success: False", re.MULTILINE | re.IGNORECASE)
+FAULT = re.compile(
+    r"Traceback|has died|new node registered with same name|^success: False", re.MULTILINE | re.IGNORECASE
+)
 """What no command prints that does what the page says."""
 
 
@@ -46,7 +53,7 @@ class Terminal:
         self._mark = f"HANDBOOK_TERMINAL={uuid.uuid4()}"
         name, _, value = self._mark.partition("=")
         self._environment = {**os.environ, **environment, name: value}
-        self._before = self._nodes() | self._windows()
+        self._pids: dict[str, tuple[str, int]] = {}
         self._keyboard, inside = os.openpty()
         self._process = subprocess.Popen(
             ["bash", "-euo", "pipefail", "-c", command],
@@ -84,7 +91,7 @@ class Terminal:
         self._clear()
         return fault
 
-    def interrupt(self, codes: tuple[int, ...] = (0,)) -> str:
+    def interrupt(self, codes: tuple[int, ...] = ENDED) -> str:
         """Types Ctrl-C; returns what was wrong with the end."""
         if self._process.poll() is not None:
             return f"ended with {self._process.returncode} before Ctrl-C"
@@ -104,25 +111,33 @@ class Terminal:
         return f"printed {found[0]!r}" if found else ""
 
     def _ready(self) -> bool:
+        own = {node.rsplit("/", 1)[-1] for node in self._nodes()}
         if not self.command.startswith("roslaunch"):
-            return bool(READY.search(self.output) or (self._nodes() | self._windows()) - self._before)
+            return bool(READY.search(self.output) or own or self._windows())
         nodes = dict(re.findall(r"^    (\S+) \((\S+/\S+)\)$", self.output, re.MULTILINE))
         absent = set(re.findall(r"cannot launch node of type \[(\S+)\]", self.output))  # of a package that is optional
-        names = {name for name, program in nodes.items() if program not in DEVICES | absent}
-        return bool(nodes) and names <= {node.rsplit("/", 1)[-1] for node in self._nodes()}
+        return bool(nodes) and own >= {name for name, program in nodes.items() if program not in DEVICES | absent}
 
     def _nodes(self) -> set[str]:
+        """Returns the nodes on the master that are processes of this terminal."""
+        own = self._processes()
         master = xmlrpc.client.ServerProxy(self._environment["ROS_MASTER_URI"])
         try:
-            *_, state = master.getSystemState("/handbook")  # type: ignore[misc]
+            state = cast("list", master.getSystemState("/handbook"))[2]
+            for node in {node for kind in state for _, nodes in kind for node in nodes}:
+                uri = str(cast("list", master.lookupNode("/handbook", node))[2])
+                if uri not in self._pids:
+                    with contextlib.suppress(OSError):  # a node that ends
+                        self._pids[uri] = node, int(cast("list", xmlrpc.client.ServerProxy(uri).getPid("/handbook"))[2])
         except OSError:
             return set()
-        return {node for kind in state for _, nodes in kind for node in nodes} - {"/rosout"}  # type: ignore
+        return {node for node, pid in self._pids.values() if pid in own}
 
-    def _windows(self) -> set[str]:
-        command = ["xdotool", "search", "--onlyvisible", "--name", "."]
+    def _windows(self) -> bool:
+        """Whether a window of this terminal's processes is on the screen."""
+        command = ["xdotool", "search", "--onlyvisible", "--name", ".", "getwindowpid", "%@"]
         found = subprocess.run(command, env=self._environment, capture_output=True, text=True, timeout=LONG_S)
-        return set(found.stdout.split())
+        return not self._processes().keys().isdisjoint(int(pid) for pid in found.stdout.split() if pid.isdigit())
 
     def _show(self) -> None:
         with open(self.log, "wb") as log, contextlib.suppress(OSError):  # an error when the last process has ended
@@ -161,5 +176,5 @@ def _wait(condition: Callable[[], bool], seconds: float) -> bool:
     while not condition():
         if time.monotonic() > end:
             return False
-        time.sleep(0.2)
+        time.sleep(POLL_S)
     return True

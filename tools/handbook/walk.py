@@ -24,7 +24,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from tools.handbook.pages import BESIDE_RIG, ROOT, UNTIL_CTRL_C, Block, blocks
-from tools.handbook.terminal import Terminal
+from tools.handbook.terminal import ENDED, Terminal
 
 RIG = "make demo HEADLESS=1"
 RIG_CODES = (0, 1)
@@ -80,7 +80,7 @@ class Walk:
         if not fault:
             self._open.append((where, terminal))
 
-    def interrupt(self, codes: tuple[int, ...] = (0,)) -> None:
+    def interrupt(self, codes: tuple[int, ...] = ENDED) -> None:
         """Ends by Ctrl-C what was started last."""
         if self._open:
             where, terminal = self._open.pop()
@@ -97,8 +97,12 @@ class Walk:
 
 
 def folder_of(page: Path, folder: Path) -> Path:
-    """Returns a folder that looks like the project's and takes what the commands of a page write."""
-    found = folder / page.relative_to(ROOT).with_suffix("").as_posix().replace("/", "_")
+    """Returns a folder for what the commands of a page write, which looks like the project's."""
+    return project_in(folder / page.relative_to(ROOT).with_suffix("").as_posix().replace("/", "_"))
+
+
+def project_in(found: Path) -> Path:
+    """Makes a folder that looks like the project's, unless it is there, and returns it."""
     if not found.is_dir():
         found.mkdir(parents=True)
         for entry in ROOT.iterdir():
@@ -117,7 +121,7 @@ def walk(page: Path, folder: Path, environment: dict[str, str]) -> list[str]:
 
 def walk_beside_rig(pages: list[Path], folder: Path, environment: dict[str, str]) -> list[str]:
     """Runs what the pages show beside a running rig, on one demo; returns the faults."""
-    rig = Walk(folder_of(ROOT / "README.md", folder), environment)
+    rig = Walk(project_in(folder / "rig"), environment)
     rig.start("the rig", RIG)
     faults = []
     for page in pages if not rig.faults else ():
