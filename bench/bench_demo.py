@@ -50,7 +50,7 @@ def rows(quick: bool) -> list[Row]:
         if process.returncode != 0:
             raise BenchError(f"The demo found a fault: {_last_line(log)}")
         summary = json.loads(report.read_text())
-    return _delay_rows(summary) + _cpu_rows(shares, slices)
+    return _delay_rows(summary) + _cpu_rows(shares, slices) + _pace_rows(summary)
 
 
 def cpu_shares(pid: int, slices: int) -> dict[str, np.ndarray]:
@@ -111,6 +111,11 @@ def _delay_rows(summary: dict) -> list[Row]:
         Row(f"demo delay, {name}", delay["p50"], delay["p99"], "ms", f"{delay['samples']} frames of {length}")
         for name, delay in summary["delay_ms"].items()
     ]
+
+
+def _pace_rows(summary: dict) -> list[Row]:
+    how = "seconds of the simulated world in a second of the same demo; below 0.95 the machine is too slow for it"
+    return [Row("demo, real-time factor", summary["real_time_factor"], None, "", how)]
 
 
 def _cpu_rows(shares: dict[str, np.ndarray], slices: int) -> list[Row]:
