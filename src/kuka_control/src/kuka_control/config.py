@@ -48,7 +48,7 @@ class ArmConfig(ToolConfig):
         absent=0.0,
         doc="arm angle that the elbow slowly goes to while the tool moves; 0: up, positive: right",
     )
-    rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joints are published")
+    rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joint_states are published")
     rate_state: float = number("Hz", low=1.0, high=100.0, doc="how often torques, force, pose and flags are published")
 
     def faults(self) -> list[str]:
