@@ -1,6 +1,6 @@
-"""The page of the running graph: nodes, topics, services and frames, as they are while a launch file runs.
+"""The page of the running graph: nodes, topics, services and frames, as they are while launch files run.
 
-`python -m tools.interface` writes docs/reference/interface.md from the demo, with `--check` it compares the two, and
+`python -m tools.interface` writes docs/reference/interface.md, with `--check` it compares the page with the graphs, and
 `python -m tools.interface vision camera.launch` prints the page of any launch file with its arguments.
 """
 
@@ -9,35 +9,37 @@ from __future__ import annotations
 import argparse
 import contextlib
 import difflib
-import os
 import re
-import signal
-import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import rosgraph
 import rospy
 import rosservice
 from tf2_msgs.msg import TFMessage
 
-from common.ports import free_port
 from tools.reference import markdown
 from tools.reference.sources import REFERENCE
+from tools.running_parts import PARTS, Part, running
 
 PAGE = REFERENCE / "interface.md"
-DEMO = ("leap_rig", "demo.launch")
-START_S, STEADY_S, LIMIT_S = 25.0, 8.0, 120.0
+START_S, STEADY_S, LIMIT_S = 150.0, 20.0, 300.0
 """A graph is complete after the first time, if it did not change for the second; the third is the longest wait [s]."""
 
 NOISE = re.compile(r"/(rosout|rosout_agg|clock|tf2_.*)$|/(get_loggers|set_logger_level|tf2_frames)$")
 ANONYMOUS = re.compile(r"_\d+_\d+$|^/rosout$")
+HEAD = """# The running graph
+
+<!-- Made by `python -m tools.interface` from running launch files; changes here are lost. -->
+
+Nodes, topics, services and frames while these run with the simulated devices; a test compares them with this page.
+On the real rig the nodes `operator`, `camera_truth`, `simulation_*` and `world_*` are missing, and all else is the
+same. Definitions of the types: [messages and services](messages.md).
+"""
 
 
 @dataclass
@@ -54,51 +56,61 @@ class Graph:
     services: dict[str, tuple[str, str]] = field(default_factory=dict)
     frames: dict[str, tuple[str, str, bool]] = field(default_factory=dict)
 
-
-def demo_arguments() -> list[str]:
-    """Returns the demo's arguments for a run without a screen on ports of its own."""
-    tcp = ("robot_port", "robot_control_port", "hand_control_port", "leap_port", "leap_control_port", "world_port")
-    ports = {name: free_port() for name in tcp}
-    ports["hand_port"] = free_port(socket.SOCK_DGRAM)
-    return ["rviz:=false", "gui:=false", *(f"{name}:={port}" for name, port in ports.items())]
+    @property
+    def nodes(self) -> set[str]:
+        """All nodes."""
+        pairs = [*self.publishers.values(), *self.subscribers.values(), {node for _, node in self.services.values()}]
+        return {node for nodes in pairs for node in nodes}
 
 
-def page(graph: Graph, package: str, file: str) -> str:
-    """Returns the page of a graph."""
-    nodes = sorted({n for names in [*graph.publishers.values(), *graph.subscribers.values()] for n in names})
-    nodes = sorted({*nodes, *(node for _, node in graph.services.values())})
+def section(graph: Graph, part: Part, known: Collection[str] = ()) -> str:
+    """Returns a graph's section of the page.
+
+    Args:
+        graph: what runs.
+        part: what was started.
+        known: nodes and lines of tables that another section has; they are left out.
+    """
     topics = sorted({*graph.publishers, *graph.subscribers})
-    return "\n".join([
-        "# The running graph\n",
-        f"<!-- Made by `python -m tools.interface` from the running {package} {file}; changes here are lost. -->\n",
-        f"Nodes, topics, services and frames while `roslaunch {package} {file}` runs with the simulated devices, "
-        "without RViz and panel; a test compares them with this page. On the real rig the nodes `operator`, "
-        "`simulation_*` and `world_*` are missing, and all else is the same. Definitions of the types: "
-        "[messages and services](messages.md).\n",
-        "## Nodes\n",
-        ", ".join(f"`{node}`" for node in nodes) + "\n",
-        "## Topics\n",
-        markdown.table(
+    tables = {
+        "Topics": (
             ["topic", "type", "published by", "subscribed by"],
             [
                 [f"`{t}`", graph.types.get(t, ""), _nodes(graph.publishers, t), _nodes(graph.subscribers, t)]
                 for t in topics
             ],
         ),
-        "## Services\n",
-        markdown.table(
+        "Services": (
             ["service", "type", "offered by"],
             [[f"`{name}`", kind, node] for name, (kind, node) in sorted(graph.services.items())],
         ),
-        "## Frames\n",
-        markdown.table(
+        "Frames": (
             ["frame", "in", "published by"],
             [
                 [f"`{child}`", f"`{parent}`", node + (", static" if static else "")]
                 for child, (parent, node, static) in sorted(graph.frames.items())
             ],
         ),
-    ])  # fmt: skip
+    }
+    nodes = ", ".join(name for name in (f"`{node}`" for node in sorted(graph.nodes)) if name not in known)
+    parts = [f"## {part.title}\n", f"{part.says}\n", f"**Nodes:** {nodes}\n"]
+    for title, (head, rows) in tables.items():
+        new = [row for row in rows if markdown.table(head, [row]).splitlines()[-1] not in known]
+        if new:
+            parts += [f"### {title}\n", markdown.table(head, new)]
+    return "\n".join(parts)
+
+
+def known_from(section: str) -> set[str]:
+    """Returns what a section shows, for `section` to leave out."""
+    nodes = re.search(r"^\*\*Nodes:\*\* (.*)$", section, re.MULTILINE)
+    return {*section.splitlines(), *(nodes[1].split(", ") if nodes else ())}
+
+
+def sections(page: str) -> dict[str, str]:
+    """Returns the sections of the page by their titles."""
+    found = re.split(r"^(?=## )", page, flags=re.MULTILINE)[1:]
+    return {text.splitlines()[0][3:]: text.rstrip("\n") + "\n" for text in found}
 
 
 class Observer:
@@ -140,11 +152,11 @@ class Observer:
                 break
         return graph
 
-    def differences(self, package: str, file: str) -> str:
-        """Returns how the page in the handbook differs from the graph, once they agree or the graph is complete."""
-        expected, began = PAGE.read_text(), time.monotonic()
+    def differences(self, part: Part, expected: str, known: Collection[str]) -> str:
+        """Returns how a section of the page differs from the graph, once they agree or the graph is complete."""
+        began = time.monotonic()
         while time.monotonic() - began < LIMIT_S:
-            found = page(self.graph(), package, file)
+            found = section(self.graph(), part, known)
             if found == expected:
                 return ""
             time.sleep(1.0)
@@ -160,46 +172,41 @@ class Observer:
             self._frames[transform.child_frame_id] = (transform.header.frame_id, node, topic == "/tf_static")
 
 
-@contextlib.contextmanager
-def running(package: str, file: str, arguments: list[str]) -> Iterator[None]:
-    """Runs a launch file on a ROS master of its own, which this process then uses."""
-    port = free_port()
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ.update(ROS_MASTER_URI=f"http://localhost:{port}", ROS_HOSTNAME="localhost", ROS_LOG_DIR=folder)
-        with open(Path(folder) / "launch.log", "wb") as log:
-            launch = subprocess.Popen(
-                ["roslaunch", "-p", str(port), package, file, *arguments],
-                stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
-            )  # fmt: skip
-        try:
-            while not rosgraph.is_master_online():
-                if launch.poll() is not None:
-                    raise SystemExit((Path(folder) / "launch.log").read_text())
-                time.sleep(0.2)
-            yield
-        finally:
-            launch.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                launch.wait(30.0)
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(launch.pid, signal.SIGKILL)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tools.interface", description=__doc__.splitlines()[0])
-    parser.add_argument("launch", nargs="*", help="package, launch file and its arguments; none: the demo")
-    parser.add_argument("--check", action="store_true", help="compare the demo with the page in the handbook")
+    parser.add_argument("launch", nargs="*", help="package, launch file and its arguments; none: those of the page")
+    parser.add_argument("--check", action="store_true", help="compare the page in the handbook with the graphs")
+    parser.add_argument("--part", choices=PARTS, help="one part of the page alone: print it, or compare it")
     options = parser.parse_args()
-    package, file, *rest = options.launch or [*DEMO, *demo_arguments()]
-    with running(package, file, rest):
-        observer = Observer()
-        if options.check:
-            sys.exit(observer.differences(package, file) or 0)
-        text = page(observer.steady_graph(), package, file)
     if options.launch:
-        sys.stdout.write(text)
+        part = Part(" ".join(options.launch[:2]), "", lambda: [["roslaunch", *options.launch]])
+        with running(part):
+            sys.stdout.write(section(Observer().steady_graph(), part))
+    elif options.part:
+        sys.exit(_one(options.part, options.check))
+    elif options.check:
+        # A process can be a node of one master alone.
+        codes = [subprocess.call([sys.executable, "-m", "tools.interface", "--check", "--part", p]) for p in PARTS]
+        sys.exit(any(codes))
     else:
-        PAGE.write_text(text)
+        text = HEAD
+        for name in PARTS:
+            command = [sys.executable, "-m", "tools.interface", "--part", name]
+            text += "\n" + subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+            PAGE.write_text(text)
+
+
+def _one(name: str, check: bool) -> int | str:
+    """Prints a part of the page as it should be, or returns how it differs from that."""
+    part, page = PARTS[name], sections(PAGE.read_text())
+    first = next(iter(PARTS.values())).title
+    known = set() if part.title == first else known_from(page.get(first, ""))
+    with running(part):
+        observer = Observer()
+        if check:
+            return observer.differences(part, page.get(part.title, ""), known) or 0
+        sys.stdout.write(section(observer.steady_graph(), part, known))
+    return 0
 
 
 def _nodes(of: dict[str, set[str]], topic: str) -> str:

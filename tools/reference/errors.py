@@ -74,7 +74,8 @@ def page() -> str:
             "Error messages",
             "the source and docs/reference/errors.yaml",
             f"Every sentence with which a program tells that something is wrong; {messages_in_code.GAP} stands for "
-            "what is filled in. Search this page for a few words of what you see.",
+            "what is filled in. Search this page for a few words of what you see. How they are found, and what is not "
+            "here: [pages that stay true](../decisions/pages-that-stay-true.md).",
         )
     ]
     for package in entries:

@@ -1,0 +1,144 @@
+"""What is started for the page of the running graph: each part on a ROS master, ports and a screen of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import rosgraph
+
+from common.ports import free_port
+from tools.handbook.walk import screen
+
+TCP = ("robot_port", "robot_control_port", "hand_control_port", "leap_port", "leap_control_port", "world_port")
+END_S = 40.0
+"""How long programs have to end after Ctrl-C [s]."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the page.
+
+    Attributes:
+        title: its heading.
+        says: what runs, for the reader.
+        commands: returns what is started.
+    """
+
+    title: str
+    says: str
+    commands: Callable[[], list[list[str]]]
+
+
+def _ports() -> dict[str, int]:
+    return {**{name: free_port() for name in (*TCP, "camera_control_port")}, "hand_port": free_port(socket.SOCK_DGRAM)}
+
+
+def _given(ports: dict[str, int], *names: str) -> list[str]:
+    return [f"{name}:={ports[name]}" for name in names or ports]
+
+
+def _rig() -> list[list[str]]:
+    arguments = ["rviz:=false", "grasping:=true", *_given(_ports())]
+    return [["roslaunch", "leap_rig", "demo.launch", *arguments], ["roslaunch", "grasping", "collect.launch"]]
+
+
+def _ptp() -> list[list[str]]:
+    ports = _ports()
+    wire = ["robot_ip:=127.0.0.1", "leap_host:=127.0.0.1", "hand_interface:=lo"]
+    devices = _given(ports, *TCP, "hand_port", "camera_control_port")
+    return [
+        ["roslaunch", "leap_rig", "simulated_devices.launch", *devices],
+        [
+            "roslaunch",
+            "leap_rig",
+            "rig.launch",
+            "mode:=ptp",
+            *wire,
+            *_given(ports, "robot_port", "leap_port", "hand_port"),
+        ],
+        ["roslaunch", "kuka_control", "ptp_controller.launch", "ip:=127.0.0.1", f"port:={ports['robot_port']}"],
+    ]
+
+
+def _vision() -> list[list[str]]:
+    port, hand = str(free_port()), str(free_port(socket.SOCK_DGRAM))
+    any_free = [word for name in ("port", "control-port", "hand-control-port") for word in (f"--{name}", "0")]
+    any_free += ["--hand-port", hand, "--world-port", port]
+    return [
+        ["rosrun", "rig_simulation", "world.py", "--scene", "empty", "--panel", *any_free],
+        ["roslaunch", "vision", "camera_apriltag.launch", "description:=true", f"port:={port}", "control_port:=0"],
+        ["roslaunch", "vision", "register_rgbd.launch", "camera:=false", "rviz:=false", "nodelets:=false"],
+        ["roslaunch", "vision", "plane_pose.launch", "camera:=false"],
+        ["roslaunch", "vision", "camera_oculus.launch", "camera:=false", "web:=true", "web_port:=0"],
+    ]  # fmt: skip
+
+
+PARTS = {
+    "rig": Part(
+        "The rig",
+        "`roslaunch leap_rig demo.launch grasping:=true rviz:=false`, which has the panel, and "
+        "`roslaunch grasping collect.launch`. Without `grasping:=true` the nodes `camera/*`, `camera_truth`, "
+        "`ggcnn` and `grasp_execution` are missing.",
+        _rig,
+    ),
+    "ptp": Part(
+        "The PTP controller",
+        "`roslaunch leap_rig leap_rig_ptp_debug.launch` and `roslaunch kuka_control ptp_controller.launch`: "
+        "what differs from the rig above.",
+        _ptp,
+    ),
+    "vision": Part(
+        "Calibration, depth and headset",
+        "`roslaunch vision camera_apriltag.launch description:=true`, and with `camera:=false` beside it "
+        "`register_rgbd.launch`, `plane_pose.launch` and `camera_oculus.launch web:=true`: "
+        "what differs from the rig above.",
+        _vision,
+    ),
+}
+"""By the names that the command line has; the first one is the rig, from which the others show what differs."""
+
+
+@contextlib.contextmanager
+def running(part: Part) -> Iterator[None]:
+    """Runs a part on a ROS master of its own, which this process then uses.
+
+    Raises:
+        SystemExit: a command ended at once; with what it printed.
+    """
+    port = free_port()
+    with tempfile.TemporaryDirectory() as folder, screen() as display, contextlib.ExitStack() as started:
+        os.environ.update(
+            ROS_MASTER_URI=f"http://localhost:{port}", ROS_HOSTNAME="localhost", ROS_HOME=folder, DISPLAY=display
+        )
+        started.enter_context(_program(["roscore", "-p", str(port)], Path(folder) / "roscore.log"))
+        while not rosgraph.is_master_online():
+            time.sleep(0.2)
+        for number, command in enumerate(part.commands()):
+            started.enter_context(_program(command, Path(folder) / f"{number}.log"))
+        yield
+
+
+@contextlib.contextmanager
+def _program(command: list[str], log: Path) -> Iterator[None]:
+    with open(log, "wb") as output:
+        program = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
+    try:
+        time.sleep(1.0)
+        if program.poll() is not None:
+            raise SystemExit(f"{' '.join(command)} ended:\n{log.read_text(errors='replace')}")
+        yield
+    finally:
+        program.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            program.wait(END_S)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(program.pid, signal.SIGKILL)
