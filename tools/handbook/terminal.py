@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-POLL_S, LONG_S, SOON_S = 0.3, 240.0, 45.0
+POLL_S, LONG_S, SOON_S = 0.3, 300.0, 45.0
 """How often is looked, and the longest waits [s], on a busy machine: for a command, its start or its end; for what it
 started to end after it."""
 
