@@ -86,8 +86,8 @@ PARTS = {
     "rig": Part(
         "The rig",
         "`roslaunch leap_rig demo.launch grasping:=true rviz:=false`, which has the panel, and "
-        "`roslaunch grasping collect.launch`. Without `grasping:=true` the nodes `camera/*`, `camera_truth`, "
-        "`ggcnn` and `grasp_execution` are missing.",
+        "`roslaunch grasping collect.launch`. Without `grasping:=true` the nodes `ggcnn` and `grasp_execution` are "
+        "missing, and without RViz `camera/*` and `camera_truth` as well.",
         _rig,
     ),
     "ptp": Part(

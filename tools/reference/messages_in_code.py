@@ -26,7 +26,7 @@ SHELL = re.compile(r"""(?:echo|printf) (["'])(?P<said>.*)\1.*>&2|failed (")(?P<e
 SHELL_GAP = re.compile(r"\$\(.*?\)|\$\{.*?\}|\$\w+")
 NAMES = re.compile(
     r"fault|fail|refus|Refus|reason|because|sentence|trouble|problem|hindrance|complaint|contradiction|objection|silence"
-    r"|absent|give_up|latch|set_status|Health|NEVER|NOT_|NO_|_OFF$|CAUSE"
+    r"|absent|remark|slow|waits_for|give_up|latch|set_status|Health|NEVER|NOT_|NO_|_OFF$|CAUSE"
     r"|^(_?(why|lost|lose|lose_client|cause|again|none)|errors|limits|waited|skewed|broken|notes|tell|respond|__str__)$"
 )
 """Variables, constants, arguments, functions and records that hold, make or take such sentences."""
