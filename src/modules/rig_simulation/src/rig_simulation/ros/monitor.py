@@ -1,7 +1,7 @@
 """Publishes the truth about the simulated arm, which no real rig knows, and offers its keys.
 
-Topics: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status` (stops, goals, mode, speed of the
-tool: now, at most since the last status, at most since the controller started) [m/s].
+Topics: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status` (stops, goals, mode, speed of
+the tool: now, at most since the last status, at most since the controller started) [m/s].
 Services: `simulation/release`, the key "run" after a safety stop; `simulation/back_off`, the jog keys, which move an
 arm that presses on something back on the way it came.
 """
