@@ -45,8 +45,8 @@ def walk(tmp_path_factory):
                 if usual.connect_ex(("127.0.0.1", port)) == 0:
                     pytest.skip(f"port {port} is in use, and this machine allows no network of its own")
         done = subprocess.run(
-            [*network, sys.executable, "-m", "tools.handbook.walk", folder, *arguments],
-            cwd=pages.ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=1400.0,
+            ["timeout", "1400", *network, sys.executable, "-m", "tools.handbook.walk", folder, *arguments],
+            cwd=pages.ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout
 

@@ -162,6 +162,7 @@ def main() -> None:
     parser.add_argument("pages", type=Path, nargs="+")
     options = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # else what starts here may not hear Ctrl-C
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("interrupted"))  # so that the screen ends, too
     bring_loopback_up()
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
