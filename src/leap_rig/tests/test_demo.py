@@ -27,6 +27,7 @@ def demo(processes, free_port, tmp_path):
             "leap_control_port",
             "hand_control_port",
             "world_port",
+            "camera_control_port",
         )
         launch = {**{name: free_port() for name in ports}, "hand_port": free_port(socket.SOCK_DGRAM), **launch}
         process = processes.start(
