@@ -267,7 +267,7 @@ def test_the_spread_of_a_grasp():
     """Two places in one picture, three to one, the first drawn out along its fingers."""
     row, column = np.indices((SIDE, SIDE))
     first = 3.0 * np.exp(-((column - 20.0) ** 2 / 8.0 + (row - 20.0) ** 2 / 2.0))
-    second = 1.5 * np.exp(-((column - 55.0) ** 2 + (row - 50.0) ** 2) / 4.0)
+    second = 1.5 * np.exp(-((column - 20.0) ** 2 + (row - 32.0) ** 2) / 4.0)
     mass = first + second + 1e-9
     quality = np.kron(np.log(mass) / 20.0, np.ones((SHRINK, SHRINK))).astype(np.float32)
     output, picture, depth = scene()
