@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 import signal
 import socket
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -115,15 +117,27 @@ def test_ctrl_c_ends_everything_and_prints_the_report(demo, wait_until):
     wait_until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes), 20.0, "the end of all nodes")
 
 
+def started_by(folder) -> list[str]:
+    """Returns the programs that a demo of this folder started, whoever their parent is by now."""
+    programs = []
+    for entry in os.listdir("/proc"):
+        with contextlib.suppress(OSError):
+            if entry.isdigit() and f"ROS_LOG_DIR={folder}/".encode() in Path("/proc", entry, "environ").read_bytes():
+                programs.append(Path("/proc", entry, "cmdline").read_text().replace("\0", " "))
+    return programs
+
+
 @pytest.mark.timeout(300)
-def test_ctrl_c_while_the_rig_starts_ends_everything(demo, wait_until):
+@pytest.mark.parametrize("nodes", [3, 8, 14])
+def test_ctrl_c_while_the_rig_starts_ends_everything(demo, wait_until, tmp_path, nodes):
     process = demo()
-    wait_until(lambda: len(descendants(process.pid)) > 3, 60.0, "the first nodes")
+    wait_until(lambda: len(descendants(process.pid)) > nodes, 60.0, "the first nodes")
+    assert len(started_by(tmp_path)) > nodes
     process.send_signal(signal.SIGINT)
     assert process.wait(60) in (1, 2), process.log_path.read_text()
     log = process.log_path.read_text()
     assert "demo: interrupted" in log or "Leap Rig: " in log
-    assert not descendants(process.pid)
+    wait_until(lambda: not started_by(tmp_path), 10.0, "the end of all")
 
 
 IN_A_TERMINAL = (sys.executable, "-c", "import pty, sys; pty.spawn(sys.argv[1:])")

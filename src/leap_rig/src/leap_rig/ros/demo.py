@@ -181,31 +181,33 @@ def end_in_order(deaths: Deaths) -> None:
 
 
 class Interrupts:
-    """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt.
+    """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt, but not while nodes are started or ended.
 
     Left to itself roslaunch would end the nodes and swallow the interrupt, and the demo would go on without a rig; and
-    Python raises none in the background, where a shell has SIGINT ignored.
+    Python raises none in the background, where a shell has SIGINT ignored. One between the start of a process and
+    roslaunch's note of it would leave that process behind, so until `heed` is called it only waits.
     """
 
     def __init__(self) -> None:
-        self._came = self._ignored = False
+        self._came, self._waits = False, True
         roslib.set_interactive(True)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._interrupt)
 
     def _interrupt(self, _signal, _frame) -> None:
         self._came = True
-        if not self._ignored:
+        if not self._waits:
+            raise KeyboardInterrupt
+
+    def heed(self) -> None:
+        """Raises KeyboardInterrupt if there was one already, and from now on at once."""
+        self._waits = False
+        if self._came:
             raise KeyboardInterrupt
 
     def ignore(self) -> None:
         """Lets no further one disturb: a second Ctrl-C while the nodes end would leave some of them behind."""
-        self._ignored = True
-
-    def check(self) -> None:
-        """Raises KeyboardInterrupt if there was one already: while it starts nodes, roslaunch swallows it."""
-        if self._came:
-            raise KeyboardInterrupt
+        self._waits = True
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -234,7 +236,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     try:
         parent.start(auto_terminate=False)
-        interrupts.check()
+        interrupts.heed()
         deaths.take_early(parent.pm)
         rospy.init_node("demo", argv=[], disable_signals=True)  # name:=value is for the launch file
         listener = RigListener(recorder)
