@@ -215,7 +215,7 @@ def test_blocks_that_no_test_of_the_handbook_runs_are_counted():
     why_not = collections.Counter(block.why_not for page in pages.pages() for block in pages.blocks(page))
     ran = why_not.pop("")
     assert why_not == {"real hardware": 16, "run by": 23, "slow": 15}
-    assert ran == 60
+    assert ran == 59
 
 
 class TestChecker:

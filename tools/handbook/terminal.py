@@ -22,8 +22,11 @@ POLL_S, LONG_S, SOON_S = 0.3, 300.0, 45.0
 """How often is looked, and the longest waits [s], on a busy machine: for a command, its start or its end; for what it
 started to end after it."""
 
-ENDED = (0, 128 + signal.SIGINT)
-"""Exit codes of a clean end by Ctrl-C: its own, or the shell's for what the signal ended."""
+DRAINED_S = 1.0
+"""The longest wait for the rest of what an ended command printed; what it left behind may keep the terminal open."""
+
+ENDED = (0, 128 + signal.SIGINT, -signal.SIGINT)
+"""Exit codes of a clean end by Ctrl-C: the program's own, the shell's for what the signal ended, or make's."""
 
 CTRL_C = b"\x03"
 READY = re.compile(r"listening on|UDP port|^world: | s \| arm servo", re.MULTILINE)
@@ -102,6 +105,7 @@ class Terminal:
         return fault or (f"left behind: {', '.join(left)}" if left else "")
 
     def _fault(self, codes: tuple[int, ...] = (0,)) -> str:
+        self._shown.join(DRAINED_S)  # what it printed last is shown a moment later
         if self._process.returncode not in codes:
             return f"exit code {self._process.returncode}"
         return self._went_wrong()
@@ -111,6 +115,8 @@ class Terminal:
         return f"printed {found[0]!r}" if found else ""
 
     def _ready(self) -> bool:
+        if self.command.startswith("make "):
+            return bool(READY.search(self.output))
         own = {node.rsplit("/", 1)[-1] for node in self._nodes()}
         if not self.command.startswith("roslaunch"):
             return bool(READY.search(self.output) or own or self._windows())

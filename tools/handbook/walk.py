@@ -27,8 +27,8 @@ from tools.handbook.pages import BESIDE_RIG, ROOT, UNTIL_CTRL_C, Block, blocks
 from tools.handbook.terminal import ENDED, Terminal
 
 RIG = "make demo HEADLESS=1"
-RIG_CODES = (0, 1)
-"""The exit code is 1 where the commands left no chance that the arm follows."""
+RIG_CODES = (*ENDED, 1, 2)
+"""The exit code is 1, of make 2, where the commands left no chance that the arm follows."""
 
 MAKE, MADE = re.compile("^make ", re.MULTILINE), "make --old-file=build/.ready "
 """The workspace counts as set up: where a manifest is newer, this is not the place to install packages."""
