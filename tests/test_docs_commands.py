@@ -66,7 +66,10 @@ def test_beside_the_running_rig(walked_beside_the_rig):
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, marks=[pytest.mark.rig] if re.search("make demo|leap_rig ", "\n".join(texts)) else [])
+        pytest.param(
+            page,
+            marks=[pytest.mark.rig] if page in BESIDE or re.search("make demo|leap_rig ", "\n".join(texts)) else [],
+        )
         for page, texts in ALONE.items()
     ],
     ids=lambda page: str(page.relative_to(pages.ROOT)),
