@@ -348,8 +348,8 @@ def test_training_learns_an_attitude_that_depends_on_the_place():
         frame = frame_of(grasp_at(0.01, -0.02, 0.66 if high else 0.69, PEAK.angle + 0.6 * high, (0.3 * high, 0.0)))
         frame.depth[100:300, 100:300] = 660 if high else 690
         examples.append(example(frame, held=True))
-    trainer = Trainer(Settings(steps=250, count=2, rate=2e-2, hidden=8), NO_OFFSET)
-    for _ in range(250):
+    trainer = Trainer(Settings(steps=600, count=2, rate=2e-2, hidden=8), NO_OFFSET)
+    for _ in range(600):
         trainer.train(examples)
     for one, (turn, tilt) in zip(examples, ((0.6, 0.3), (0.0, 0.0))):
         seen, target = batch([one], NO_OFFSET)

@@ -515,7 +515,7 @@ def test_a_smooth_hand_never_counts_as_one_that_jumped(seed):
     world.run(8.0, wandering(seed, 8.0))
     counts = world.loop.counts
     assert counts["jumps"] == counts["flips"] == 0 and world.arm.told == [] and world.modes == ["servo"]
-    assert np.max(tool_speeds(world, first)) < 1.01 * 0.65
+    assert np.max(tool_speeds(world, first)) < 1.03 * 0.65
     assert np.max(np.abs(np.diff(world.arm.goals[first:], axis=0)) / DT / world.rig.model.max_speed) < 0.9 + 1e-6
 
 
