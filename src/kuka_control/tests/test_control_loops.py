@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from common.config import parse
@@ -508,6 +508,7 @@ def wandering(seed, seconds):
 
 @settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
+@example(40584)
 def test_a_smooth_hand_never_counts_as_one_that_jumped(seed):
     """Whatever it does no PTP motion comes of it, and the goals keep the limits of speed, when it is caught up with."""
     world = World().following()
@@ -515,7 +516,7 @@ def test_a_smooth_hand_never_counts_as_one_that_jumped(seed):
     world.run(8.0, wandering(seed, 8.0))
     counts = world.loop.counts
     assert counts["jumps"] == counts["flips"] == 0 and world.arm.told == [] and world.modes == ["servo"]
-    assert np.max(tool_speeds(world, first)) < 1.03 * 0.65
+    assert np.max(tool_speeds(world, first)) < 1.02 * 0.65
     assert np.max(np.abs(np.diff(world.arm.goals[first:], axis=0)) / DT / world.rig.model.max_speed) < 0.9 + 1e-6
 
 
