@@ -84,13 +84,13 @@ def test_the_same_grasp_does_not_wait_twice(disk, files, written, wait_until):
     wait_until(lambda: len(written) == 1, 10.0, "the file")
 
 
-def test_memory_is_bounded_and_the_end_names_what_is_lost(disk, files, monkeypatch, caplog, wait_until):
+def test_memory_is_bounded_and_the_end_names_what_is_lost(disk, files, monkeypatch, wait_until):
     one, other = some(2)
     monkeypatch.setattr(episode_files, "WAITING_BYTES", len(episode_files.encode(one)) + 10)
     files.put(one)
     wait_until(lambda: files.waiting == 1, 10.0, "that it waits")
     files.put(other)
     wait_until(lambda: files.lost == 1, 10.0, "the second one")
-    assert "fill the memory" in caplog.text
+    assert "fill the memory" in files.fault and "waits in memory" in files.fault
     files.close()
     assert files.lost == 2 and "could not be written until the end" in files.fault

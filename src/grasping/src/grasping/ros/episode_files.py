@@ -56,7 +56,8 @@ class EpisodeFiles:
         self._aside = False
         self._lock = threading.Lock()
         self._packed: list[_Packed] = []
-        self.lost, self.fault = 0, ""
+        self.lost = 0
+        self._loss = self._hindrance = ""
         for file in sorted(folder.glob(".*")):
             if unfinished(file.name):
                 rospy.logwarn("The episode in %s is lost: the process that wrote it died; the file can go.", file)
@@ -66,6 +67,10 @@ class EpisodeFiles:
     @property
     def waiting(self) -> int:
         return len(self._packed)
+
+    @property
+    def fault(self) -> str:
+        return " ".join(filter(None, (self._loss, self._hindrance)))
 
     def put(self, episode: Episode) -> None:
         """Hands an episode over; it is lost if the disk is too slow for those before it."""
@@ -136,13 +141,13 @@ class EpisodeFiles:
                     write_bytes_whole(file, content)
                     self._last, self._aside = file, False
             except OSError as error:
-                fault = f"An episode waits in memory: {file} cannot be written: {error.strerror}. Make room."
-                if fault != self.fault:
-                    rospy.logerr(fault)
-                self.fault = fault
+                hindrance = f"An episode waits in memory: {file} cannot be written: {error.strerror}. Make room."
+                if hindrance != self._hindrance:
+                    rospy.logerr(hindrance)
+                self._hindrance = hindrance
                 return
             del self._packed[0]
-            self.fault = ""
+            self._loss = self._hindrance = ""
             self._on_written(episode, file, len(content))
 
     def _same_grasp(self, t_grasp: float) -> Path | None:
@@ -156,5 +161,5 @@ class EpisodeFiles:
 
     def _lose(self, why: str) -> None:
         self.lost += 1
-        self.fault = f"An episode is lost: {why}"
-        rospy.logerr(self.fault)
+        self._loss = f"An episode is lost: {why}"
+        rospy.logerr(self._loss)
