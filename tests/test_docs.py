@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ast
-import collections
 import re
 import xml.etree.ElementTree as ElementTree
 
 import pytest
 
 from tools.handbook import commands, pages
-from tools.reference import errors, messages_in_code, nodes, parameters, sources
+from tools.reference import nodes, parameters, sources
 from tools.reference.pages import PAGES
 from tools.reference.syntax import dotted
 
@@ -93,91 +92,6 @@ def test_every_picture_says_where_it_comes_from():
     assert not [file.name for file in folder.iterdir() if f"`{file.name}`" not in said and file.suffix != ".md"]
 
 
-@pytest.mark.parametrize("kind", ["scripts/*.py", "launch/*.launch"])
-def test_every_program_and_launch_file_is_on_the_page_of_its_package(kind):
-    folder = pages.ROOT / "docs" / "handbook" / "packages"
-    missing = []
-    for file in sorted(pages.ROOT.glob(f"src/**/{kind}")):
-        package = file.relative_to(pages.ROOT / "src").parts[0]
-        if file.name not in (folder / f"{package}.md").read_text():
-            missing.append(f"{package}.md: {file.name}")
-    assert not missing
-
-
-class TestErrorMessages:
-    def test_each_has_a_cause_and_a_cure(self):
-        _, left = errors.sort(messages_in_code.sentences(), errors.read_entries(errors.CURES.read_text()))
-        assert not [f"{sources.inside(s.file)}: {s.text}" for s in left], "write them into docs/reference/errors.yaml"
-
-    def test_a_defect_says_that_it_is_one(self):
-        entry = errors.read_entries("kst:\n  - defects: [no such shape]\n")["kst"][0]
-        assert entry == errors.Entry(("no such shape",), *errors.DEFECT)
-
-    def test_each_entry_fits_one(self):
-        entries = errors.read_entries(errors.CURES.read_text())
-        fitting, _ = errors.sort(messages_in_code.sentences(), entries)
-        stale = [
-            f"{package}: {part}"
-            for package, of_package in entries.items()
-            for entry in of_package
-            for part in entry.parts
-            if not any(part in sentence.text for sentence in fitting[package].get(entry, ()))
-        ]
-        assert not stale
-
-    @pytest.mark.parametrize(
-        ("code", "found"),
-        [
-            ("raise DeviceError(f'No hand on {name}.')", "No hand on …."),
-            ("raise ConfigError([f'{key} is missing here.'])", "… is missing here."),
-            ("rospy.logwarn('Waiting for %s since %.1f s.', a, b)", "Waiting for … since … s."),
-            ("faults.append('the box is empty')", "the box is empty"),
-            ("def faults(self):\n    return [] if self.good else ['two and two']", "two and two"),
-            ("def f():\n    return False, 'it is closed'", "it is closed"),
-            ("return_ = Answer(False, 'not while it moves')", "not while it moves"),
-            ("print('no such file', file=sys.stderr)", "no such file"),
-            ("raise ValueError(f'The arm is {state}.')", "The arm is …."),
-            ("why = 'it is closed'", "it is closed"),
-            ("text = 'it is blocked'\nself.said(Note('error', text))", "it is blocked"),
-            ("return {'ok': False, 'error': 'no such request'}", "no such request"),
-            ("return Arrival.DROPPED, None, 'sent by others'", "sent by others"),
-            ("def hindrance() -> str | None:\n    return 'control is off'", "control is off"),
-            ("self._lose('the link has broken')", "the link has broken"),
-            ("return (x < 1, 'x is too large')", "x is too large"),
-        ],
-    )
-    def test_is_found_in(self, code, found, tmp_path):
-        file = tmp_path / "module.py"
-        file.write_text(code)
-        assert [sentence.text for sentence in messages_in_code.sentences([file])] == [found]
-
-    @pytest.mark.parametrize(
-        ("code", "found"),
-        [
-            ('echo "No service, or run $(basename "$0") --sim." >&2', "No service, or run … --sim."),
-            ('printf \'\\n%s The end of %s:\\n\' "$1" "$log" >&2', "… The end of …:"),
-            ('make || failed "The build failed."', "The build failed."),
-        ],
-    )
-    def test_is_found_in_a_script(self, code, found, tmp_path):
-        file = tmp_path / "script.sh"
-        file.write_text(code)
-        assert [sentence.text for sentence in messages_in_code.sentences([file])] == [found]
-
-    @pytest.mark.parametrize(
-        "code",
-        [
-            "rospy.loginfo('The arm is at home.')",
-            "raise rospy.ROSInterruptException('shut down while waiting')",
-            "print('The arm is at home.')",
-        ],
-    )
-    def test_is_not_found_in(self, code, tmp_path):
-        file = tmp_path / "module.py"
-        file.write_text(code)
-        assert not messages_in_code.sentences([file])
-
-
 @pytest.mark.parametrize("page", pages.pages(), ids=lambda page: str(page.relative_to(pages.ROOT)))
 class TestPage:
     def test_links_lead_somewhere(self, page):
@@ -208,14 +122,6 @@ class TestPage:
         for block in pages.blocks(page):
             real = commands.for_a_real_rig(block.text)
             assert not real or pages.REAL_HARDWARE in block.marks, f"{block.where}: {real} without the mark"
-
-
-def test_blocks_that_no_test_of_the_handbook_runs_are_counted():
-    """Who marks one more thinks of what it takes to run it."""
-    why_not = collections.Counter(block.why_not for page in pages.pages() for block in pages.blocks(page))
-    ran = why_not.pop("")
-    assert why_not == {"real hardware": 16, "run by": 24, "slow": 15}
-    assert ran == 58
 
 
 class TestChecker:

@@ -10,7 +10,6 @@ import pytest
 
 from tools import docs_hooks, pictures
 from tools.reference import launch_files, markdown, parameters
-from tools.reference.errors import read_entries
 from tools.reference.sources import ROOT
 
 
@@ -37,11 +36,6 @@ def test_a_fixed_argument_is_no_argument(tmp_path):
     assert list(launch_files.arguments(file)) == ["a", "c"]
     assert launch_files._comment(file) == "What it is."
     assert [launch_files._default(arg) for arg in launch_files.arguments(file).values()] == ["`1`", "must be given"]
-
-
-def test_a_state_has_no_cause():
-    entries = read_entries("kst:\n  - messages: [a b]\n    cause: c\n    cure: d\n  - states: [e f]\n")["kst"]
-    assert [(entry.parts, entry.cause) for entry in entries] == [(("a b",), "c"), (("e f",), "")]
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from tools.reference import commands, errors, launch_files, messages, modules, parameters
+from tools.reference import commands, launch_files, messages, parameters
 
 PAGES = {
     "commands.md": commands.page,
-    "errors.md": errors.page,
     "launch.md": launch_files.page,
     "messages.md": messages.page,
-    "modules.md": modules.page,
     "parameters.md": parameters.page,
 }
