@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bench.measure import Row, row
-from rig_simulation.sunrise.arm import Arm, ArmSettings
-from rig_simulation.sunrise.description import read_urdf
-from rig_simulation.sunrise.robot import Robot
-from rig_simulation.sunrise.servo import CYCLE_S
+from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.description import read_urdf
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.servo import CYCLE_S
 
 SPEEDS = (0.02, 0.1, 0.5)
 CYCLES_PER_GOAL = 4

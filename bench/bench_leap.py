@@ -23,9 +23,9 @@ from leap_kuka.ros import tracking as arm_tracking
 from leap_motion.codec import read_message
 from leap_motion.msg import Human
 from leap_motion.ros.human import human_from_frame
-from rig_simulation.leap.motion import Script
-from rig_simulation.leap.playback import Playback
-from rig_simulation.leap.sources import Person
+from rig_simulation.devices.leap.playback import Playback
+from rig_simulation.operator.motion import Script
+from rig_simulation.operator.sources import Person
 
 RECORDINGS = ("rollAndPitchWithEntry", "grab", "three-claps")
 CLOCK_S = 1.7e9

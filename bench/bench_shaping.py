@@ -11,10 +11,10 @@ from bench.measure import Row, number, row
 from bench.simulated import CYCLES_PER_GOAL, SimulatedRig
 from common.poses import pose
 from kuka_control.servo_law import LtsGoals
-from rig_simulation.sunrise.arm import Arm, ArmSettings
-from rig_simulation.sunrise.description import read_urdf
-from rig_simulation.sunrise.robot import Robot
-from rig_simulation.sunrise.servo import CYCLE_S
+from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.description import read_urdf
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.servo import CYCLE_S
 
 RAMPS_RAD_S = (0.02, 0.1, 0.5)
 RADIUS_M = 0.06

@@ -18,11 +18,11 @@ from kuka_control.config import RealTimeConfig
 from kuka_control.controller import Controller, Inputs
 from kuka_control.kinematics import DhDeviations
 from kuka_control.stream import Desired
-from rig_simulation.sunrise.arm import Arm as Joints
-from rig_simulation.sunrise.arm import ArmSettings
-from rig_simulation.sunrise.description import read_urdf
-from rig_simulation.sunrise.robot import Robot
-from rig_simulation.sunrise.servo import CYCLE_S
+from rig_simulation.devices.sunrise.arm import Arm as Joints
+from rig_simulation.devices.sunrise.arm import ArmSettings
+from rig_simulation.devices.sunrise.description import read_urdf
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.servo import CYCLE_S
 
 CLOCK_S = 1.7e9
 CYCLES_PER_GOAL = 4

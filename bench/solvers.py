@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from rig_simulation.sunrise.description import read_urdf
+from rig_simulation.devices.sunrise.description import read_urdf
 
 ARM = [f"kuka/joint_{k}" for k in range(1, 8)]
 FLANGE = "kuka/flange"

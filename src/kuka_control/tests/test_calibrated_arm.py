@@ -15,7 +15,7 @@ from common.rotations import rotation_about
 from kuka_control.kinematics import DhDeviations
 from kuka_control.kinematics.dh import nominal_table
 from kuka_control.robot_model import robot_model
-from rig_simulation.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.robot import Robot
 
 EXAMPLE = Path(__file__).parents[1] / "config" / "dh_parameters_example.yaml"
 JOINT = """

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kuka_control.tracking import MotionMonitor, TrackingMonitor
-from rig_simulation.sunrise.profiles import JointMove
+from rig_simulation.devices.sunrise.profiles import JointMove
 
 DT = 0.004
 

@@ -16,12 +16,12 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 
 from rig_simulation.control_port import ControlClient, ControlPort
-from rig_simulation.leap import wire
-from rig_simulation.leap.hand_model import HandModel, HandPose, extended, fingers_for, grab_strength, pinch_strength
-from rig_simulation.leap.playback import Playback
-from rig_simulation.leap.sensing import ReportedHand
-from rig_simulation.leap.server import LeapService
-from rig_simulation.leap.sources import PERIOD_S
+from rig_simulation.devices.leap import wire
+from rig_simulation.devices.leap.playback import Playback
+from rig_simulation.devices.leap.sensing import ReportedHand
+from rig_simulation.devices.leap.server import LeapService
+from rig_simulation.operator.hand_model import HandModel, HandPose, extended, fingers_for, grab_strength, pinch_strength
+from rig_simulation.operator.sources import PERIOD_S
 
 HOST = "127.0.0.1"
 

@@ -15,8 +15,8 @@ from reflex.calibration import offsets_from_text, zeros_from_text
 from reflex.hand import Hand
 from reflex.settings import Settings
 from rig_simulation.control_port import ControlClient
-from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
-from rig_simulation.reflex.wire import read_command
+from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
+from rig_simulation.devices.reflex.wire import read_command
 
 CONFIG = Path(__file__).parents[1] / "config"
 HAND = Path(__file__).parents[2] / "rig_simulation" / "scripts" / "reflex_hand.py"

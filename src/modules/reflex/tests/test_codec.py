@@ -14,7 +14,7 @@ from reflex.codec import (
     encode_target,
     is_command,
 )
-from rig_simulation.reflex.wire import ModeCommand, TargetCommand, pack_state, read_command
+from rig_simulation.devices.reflex.wire import ModeCommand, TargetCommand, pack_state, read_command
 
 u8, u16, u32 = st.integers(0, 255), st.integers(0, 65535), st.integers(0, 2**32 - 1)
 nine = st.lists(u16, min_size=9, max_size=9).map(tuple)

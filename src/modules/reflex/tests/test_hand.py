@@ -12,7 +12,7 @@ from reflex.codec import IDLE, POSITION, VELOCITY, decode_state, encode_mode, en
 from reflex.hand import State
 from reflex.reading import Reader, joint_positions
 from reflex.status import status
-from rig_simulation.reflex.hand import SimulatedHand
+from rig_simulation.devices.reflex.hand import SimulatedHand
 
 TRAVEL = (3.6, 3.6, 3.6, 1.75)
 once = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])

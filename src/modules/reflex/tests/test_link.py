@@ -3,7 +3,7 @@
 import pytest
 
 from reflex.link import Arrival, Link
-from rig_simulation.reflex.hand import SimulatedHand
+from rig_simulation.devices.reflex.hand import SimulatedHand
 
 HAND, OTHER = ("10.99.99.99", 11333), ("10.0.0.2", 40000)
 BODY = SimulatedHand().packet()[8:]

@@ -3,6 +3,6 @@
 
 import sys
 
-from rig_simulation.leap.program import main
+from rig_simulation.devices.leap.program import main
 
 sys.exit(main())

@@ -3,6 +3,6 @@
 
 import sys
 
-from rig_simulation.camera.panel_pictures import main
+from rig_simulation.devices.camera.board_images import main
 
 sys.exit(main())

@@ -6,6 +6,6 @@ import sys
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo reads it when it is imported
 
-from rig_simulation.view.record import main
+from rig_simulation.recording.record import main
 
 sys.exit(main())

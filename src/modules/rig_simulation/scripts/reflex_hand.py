@@ -3,7 +3,7 @@
 
 import sys
 
-from rig_simulation.reflex.program import main
+from rig_simulation.devices.reflex.program import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -3,6 +3,6 @@
 
 import sys
 
-from rig_simulation.sunrise.program import main
+from rig_simulation.devices.sunrise.program import main
 
 sys.exit(main())

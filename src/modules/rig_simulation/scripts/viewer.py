@@ -3,6 +3,6 @@
 
 import sys
 
-from rig_simulation.view.viewer import main
+from rig_simulation.recording.viewer import main
 
 sys.exit(main())

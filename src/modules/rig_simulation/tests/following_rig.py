@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rig_simulation.scenario.pick_and_place import Plan
+from rig_simulation.operator.pick_and_place import Plan
 
 PERIOD_S = 0.05
 PLAN = Plan()

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.rotations import rotation_about
-from rig_simulation.scenario.alignment import heading, turn_to, wrapped
-from rig_simulation.scenario.assisted_grasp import (
+from rig_simulation.operator.alignment import heading, turn_to, wrapped
+from rig_simulation.operator.assisted_grasp import (
     CANCEL,
     EXECUTE,
     HIDE,

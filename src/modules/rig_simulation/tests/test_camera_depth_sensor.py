@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from common.camera_model import pinhole
 from common.config import parse
 from common.errors import ConfigError
-from rig_simulation.camera.config import ColourConfig, DepthConfig
-from rig_simulation.camera.depth_sensor import SHADOW_TOLERANCE_PX, DepthSensor, axial_sigma, hidden
-from rig_simulation.camera.lens import Lens
+from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
+from rig_simulation.devices.camera.depth_sensor import SHADOW_TOLERANCE_PX, DepthSensor, axial_sigma, hidden
+from rig_simulation.devices.camera.lens import Lens
 
 F, BASELINE = 570.0, 0.075
 WIDTH, HEIGHT = 320, 240

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_simulation.camera.rgbd_camera import Pictures
-from rig_simulation.faults import Faults
-from rig_simulation.faults_camera import CAMERA_FAULTS, Exposure, Stream
+from rig_simulation.devices.camera.rgbd_camera import Pictures
+from rig_simulation.faults.camera import CAMERA_FAULTS, Exposure, Stream
+from rig_simulation.faults.injection import Faults
 
 BLANK = Pictures(None, np.full((2, 3), 7, np.uint16), np.full((2, 3), 8, np.uint16), {})
 

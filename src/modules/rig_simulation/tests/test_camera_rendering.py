@@ -11,11 +11,11 @@ import yaml
 from common.camera_model import CameraModel, pinhole
 from common.config import parse
 from common.errors import DeviceError
-from rig_simulation.camera.colour_sensor import ColourSensor
-from rig_simulation.camera.config import ColourConfig, DepthConfig
-from rig_simulation.camera.lens import Lens
-from rig_simulation.camera.rendering import Renderer
-from rig_simulation.camera.rgbd_camera import RgbdCamera
+from rig_simulation.devices.camera.colour_sensor import ColourSensor
+from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
+from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.rendering import Renderer
+from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
 
 WIDTH, HEIGHT = 320, 240
 K = [[272.9, 0.0, 163.1], [0.0, 273.6, 124.5], [0.0, 0.0, 1.0]]

@@ -11,8 +11,8 @@ pytestmark = pytest.mark.ros
 def leap():
     """A control port with the faults of the Leap service."""
     from rig_simulation.control_port import ControlPort
-    from rig_simulation.faults import Faults
-    from rig_simulation.faults_leap import LEAP_FAULTS
+    from rig_simulation.faults.injection import Faults
+    from rig_simulation.faults.leap import LEAP_FAULTS
 
     faults = Faults(LEAP_FAULTS)
     with ControlPort(faults.requests) as port:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_simulation.faults import Fault, Faults, Value, add_option, share_of, switch_all
-from rig_simulation.faults_table import FAULTS, table
+from rig_simulation.faults.injection import Fault, Faults, Value, add_option, share_of, switch_all
+from rig_simulation.faults.table import FAULTS, table
 
 HANDBOOK = Path(__file__).parents[4] / "docs" / "faults.md"
 

@@ -10,12 +10,12 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from rig_simulation.faults import Faults
-from rig_simulation.faults_hand import EFFECTS, HAND_FAULTS, Wire
-from rig_simulation.reflex.hand import SimulatedHand
-from rig_simulation.reflex.link import HandLink
-from rig_simulation.reflex.program import main, run
-from rig_simulation.reflex.wire import GROUP, IDLE, POSITION, STATE_BYTES
+from rig_simulation.devices.reflex.hand import SimulatedHand
+from rig_simulation.devices.reflex.link import HandLink
+from rig_simulation.devices.reflex.program import main, run
+from rig_simulation.devices.reflex.wire import GROUP, IDLE, POSITION, STATE_BYTES
+from rig_simulation.faults.hand import EFFECTS, HAND_FAULTS, Wire
+from rig_simulation.faults.injection import Faults
 
 SOON_S = 10.0
 TIME, ENCODERS, POSITIONS, LOADS = 4, 160, 170, 186

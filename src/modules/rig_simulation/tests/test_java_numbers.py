@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_simulation.sunrise import java_numbers
+from rig_simulation.devices.sunrise import java_numbers
 
 
 @pytest.mark.parametrize(

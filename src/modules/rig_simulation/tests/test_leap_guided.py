@@ -16,10 +16,10 @@ from websockets.sync.client import connect
 from common.errors import DeviceError
 from leap_motion.codec import read_message
 from rig_simulation.control_port import ControlClient
-from rig_simulation.leap.guided import FARTHEST_M, GuidedPerson, Reach
-from rig_simulation.leap.motion import Script
-from rig_simulation.leap.playback import Playback
-from rig_simulation.leap.sources import PERIOD_S, Person
+from rig_simulation.devices.leap.playback import Playback
+from rig_simulation.operator.guided import FARTHEST_M, GuidedPerson, Reach
+from rig_simulation.operator.motion import Script
+from rig_simulation.operator.sources import PERIOD_S, Person
 
 SCRIPT = Path(__file__).parent.parent / "scripts" / "leapd.py"
 CENTRE = np.array([0.0, 0.35, 0.0])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rig_simulation.leap.hand_model import (
+from rig_simulation.operator.hand_model import (
     BONE_LENGTHS_MM,
     HandModel,
     HandPose,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rig_simulation.leap.motion import CURL, FIGURES, PITCH, PLANES, ROLL, YAW, Script, Visit, _run
-from rig_simulation.leap.sensing import LowPassNoise
+from rig_simulation.devices.leap.sensing import LowPassNoise
+from rig_simulation.operator.motion import CURL, FIGURES, PITCH, PLANES, ROLL, YAW, Script, Visit, _run
 
 STEP_S = 0.002
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from common.camera_model import from_calibration
 from common.errors import DeviceError
-from rig_simulation.camera.lens import Lens
-from rig_simulation.camera.panel_pictures import INDEX, PanelScene, main, random_pose
-from rig_simulation.camera.rendering import Renderer
+from rig_simulation.devices.camera.board_images import INDEX, PanelScene, main, random_pose
+from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.rendering import Renderer
 from rig_simulation.world.files import read_panel
 
 CALIBRATIONS = Path(__file__).parents[3] / "vision" / "config"

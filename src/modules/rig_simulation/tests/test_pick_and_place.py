@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rig_simulation.scenario.pick_and_place import STEPS, PickAndPlace, View
+from rig_simulation.operator.pick_and_place import STEPS, PickAndPlace, View
 
 
 def work(rig, seconds=120.0, following=lambda now: True, wanted=None):

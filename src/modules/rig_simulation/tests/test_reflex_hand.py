@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
-from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
-from rig_simulation.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand
+from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
+from rig_simulation.devices.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "reflex_hand.py"
 PATHS = {"PYTHONPATH": os.pathsep.join(sys.path)}

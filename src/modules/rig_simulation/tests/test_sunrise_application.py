@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rig_simulation.sunrise.application import VERSIONS, Application, Panel
-from rig_simulation.sunrise.arm import Arm, ArmSettings
-from rig_simulation.sunrise.description import read_urdf
-from rig_simulation.sunrise.robot import Robot
-from rig_simulation.sunrise.servo import Drives
+from rig_simulation.devices.sunrise.application import VERSIONS, Application, Panel
+from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.description import read_urdf
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.servo import Drives
 
 ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
 HOME_LINE = "jp_-0.78540_0.52360_0.00000_-1.39626_0.00000_1.22173_0.00000_"

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.rotations import rotation_about, rotation_from_zyx, zyx_from_rotation
-from rig_simulation.sunrise.arm import Arm, ArmSettings
-from rig_simulation.sunrise.description import read_urdf
-from rig_simulation.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.description import read_urdf
+from rig_simulation.devices.sunrise.robot import Robot
 
 URDF = read_urdf("LBR7R800", "MF_elektrisch")
 FLOOR = Robot(URDF)

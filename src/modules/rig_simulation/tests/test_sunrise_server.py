@@ -17,11 +17,11 @@ import pytest
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
-from rig_simulation.sunrise.arm import Arm, ArmSettings
-from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
-from rig_simulation.sunrise.lines import MAX_LINE_BYTES, LineSplitter
-from rig_simulation.sunrise.robot import Robot
-from rig_simulation.sunrise.server import Server, ServerSettings
+from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
+from rig_simulation.devices.sunrise.lines import MAX_LINE_BYTES, LineSplitter
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.server import Server, ServerSettings
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "sunrise_controller.py"
 ROBOT_URDF = read_urdf("LBR7R800", "MF_elektrisch")

@@ -21,12 +21,12 @@ from hypothesis import strategies as st
 from common.errors import DeviceError
 from common.poses import inverse
 from rig_simulation.control_port import ControlClient
-from rig_simulation.view import record
-from rig_simulation.view.films import ContactSheet, FilmError, Mp4, film_for, with_lines
-from rig_simulation.view.following import TIMEOUT_S
-from rig_simulation.view.forces import LONGEST_M, METRES_PER_NEWTON, Arrow, arrows, pair_forces
-from rig_simulation.view.scene_forces import add_arrows
-from rig_simulation.view.shapes import base_pose, beyond, shapes
+from rig_simulation.recording import record
+from rig_simulation.recording.films import ContactSheet, FilmError, Mp4, film_for, with_lines
+from rig_simulation.recording.following import TIMEOUT_S
+from rig_simulation.recording.forces import LONGEST_M, METRES_PER_NEWTON, Arrow, arrows, pair_forces
+from rig_simulation.recording.scene_forces import add_arrows
+from rig_simulation.recording.shapes import base_pose, beyond, shapes
 from rig_simulation.world.files import read_scene
 from rig_simulation.world.model import WorldDescription, build_model
 
@@ -191,7 +191,7 @@ def test_a_film_that_a_full_disk_cut_off_is_named(tmp_path):
     program = f"""
 import resource, numpy as np
 from pathlib import Path
-from rig_simulation.view.films import Mp4
+from rig_simulation.recording.films import Mp4
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
 film = Mp4(Path({str(film)!r}), 10.0)
 for i in range(20):

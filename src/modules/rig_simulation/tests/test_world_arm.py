@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from common.rotations import rotation_from_zyx
-from rig_simulation.reflex.wire import POSITION, ModeCommand, TargetCommand
-from rig_simulation.sunrise.arm import Arm, ArmSettings
-from rig_simulation.sunrise.description import read_urdf
-from rig_simulation.sunrise.profiles import JointMove
-from rig_simulation.sunrise.robot import Robot
+from rig_simulation.devices.reflex.wire import POSITION, ModeCommand, TargetCommand
+from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.description import read_urdf
+from rig_simulation.devices.sunrise.profiles import JointMove
+from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.world.arm import ArmJoints
 from rig_simulation.world.files import read_scene
 from rig_simulation.world.hand import HandPart

@@ -10,10 +10,10 @@ import pytest
 
 from common.poses import pose
 from leap_hand.force_limit import ForceLimit, HandState
-from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
-from rig_simulation.reflex.servo import OVERLOAD_BIT
-from rig_simulation.reflex.wire import POSITION, ModeCommand, TargetCommand
-from rig_simulation.sunrise.description import read_urdf
+from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
+from rig_simulation.devices.reflex.servo import OVERLOAD_BIT
+from rig_simulation.devices.reflex.wire import POSITION, ModeCommand, TargetCommand
+from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.world.hand import COUNTS_PER_N, PhysicalMechanics
 from rig_simulation.world.hand_model import FLEXURE_SHARE, prepare_hand
 from rig_simulation.world.mjcf import numbers, quaternion

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 from common.tag36h11 import CODES, black_cells
-from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
-from rig_simulation.sunrise.robot import JOINTS, Robot
+from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
+from rig_simulation.devices.sunrise.robot import JOINTS, Robot
 from rig_simulation.world.files import read_panel, read_scene
 from rig_simulation.world.model import R_FLANGE_PANEL, WorldDescription, build_model, camera_link_pose
 from rig_simulation.world.scene import scene_from

@@ -16,9 +16,8 @@ from common.ros.conversions import array
 from common.rotations import rotation_from_quaternion
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from rig_simulation.control_port import ControlClient
-from rig_simulation.ros.scenario import AT_HOME, FOLLOWING, PERIOD_S, Eyes, Story
-from rig_simulation.scenario.alignment import heading, turn_to
-from rig_simulation.scenario.assisted_grasp import (
+from rig_simulation.operator.alignment import heading, turn_to
+from rig_simulation.operator.assisted_grasp import (
     CANCEL,
     EXECUTE,
     HIDE,
@@ -33,7 +32,8 @@ from rig_simulation.scenario.assisted_grasp import (
     Scene,
     SeenObject,
 )
-from rig_simulation.scenario.pick_and_place import Plan
+from rig_simulation.operator.pick_and_place import Plan
+from rig_simulation.ros.scenario import AT_HOME, FOLLOWING, PERIOD_S, Eyes, Story
 
 FRESH_S = 2.0
 """Proposals in an older picture are not looked at."""

@@ -18,12 +18,12 @@ from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.params import private_config, private_values
 from common.ros.rgbd_topics import FRAMES, Outgoing, RgbdTopics
-from rig_simulation.camera.config import ColourConfig, DepthConfig
-from rig_simulation.camera.rgbd_camera import Pictures, RgbdCamera
-from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient, ControlPort
-from rig_simulation.faults import Faults, parameter, switch_all
-from rig_simulation.faults_camera import CAMERA_FAULTS, Exposure, Stream
+from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
+from rig_simulation.devices.camera.rgbd_camera import Pictures, RgbdCamera
+from rig_simulation.devices.camera.world_copy import WorldCopy
+from rig_simulation.faults.camera import CAMERA_FAULTS, Exposure, Stream
+from rig_simulation.faults.injection import Faults, parameter, switch_all
 from rig_simulation.node_parameters import LOOPBACK, CameraConfig
 
 RETRY_PERIOD_S = 0.5

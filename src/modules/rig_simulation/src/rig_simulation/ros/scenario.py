@@ -20,7 +20,7 @@ from common.errors import RigError
 from common.ros.conversions import pose_from_message
 from common.tool import ToolConfig
 from rig_simulation.control_port import ControlClient
-from rig_simulation.scenario.pick_and_place import PickAndPlace, Plan, Result, View
+from rig_simulation.operator.pick_and_place import PickAndPlace, Plan, Result, View
 from rig_simulation.world.scene import scene_from
 
 PERIOD_S = 0.1

@@ -15,12 +15,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common.poses import inverse
 from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation
-from rig_simulation.camera.world_copy import WorldCopy
 from rig_simulation.control_port import ControlClient
+from rig_simulation.devices.camera.world_copy import WorldCopy
 from rig_simulation.node_parameters import WorldViewConfig
+from rig_simulation.recording.forces import Arrow, PairForce, arrows, pair_forces, short
+from rig_simulation.recording.shapes import BALL, BOX, CYLINDER, Shape, base_pose, beyond, shapes
 from rig_simulation.ros.polling import poll
-from rig_simulation.view.forces import Arrow, PairForce, arrows, pair_forces, short
-from rig_simulation.view.shapes import BALL, BOX, CYLINDER, Shape, base_pose, beyond, shapes
 
 NAME = "world_view"
 FRAME = "kuka/base_frame"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from rig_simulation.sunrise.robot import JOINTS
+from rig_simulation.devices.sunrise.robot import JOINTS
 from rig_simulation.world.physics import Part, World
 from rig_simulation.world.robot import ARM_DAMPING, ARM_STIFFNESS
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any
 
-from rig_simulation.sunrise.server import Server
+from rig_simulation.devices.sunrise.server import Server
 from rig_simulation.world.clock import Clock
 from rig_simulation.world.files import read_scene
 from rig_simulation.world.physics import World

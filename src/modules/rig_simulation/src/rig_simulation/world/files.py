@@ -8,9 +8,9 @@ from typing import Any
 import yaml
 
 from common.errors import ConfigError
-from rig_simulation.sunrise.description import PACKAGE as DESCRIPTION
-from rig_simulation.sunrise.description import SOURCE_TREE as DESCRIPTION_TREE
-from rig_simulation.sunrise.description import package_folders
+from rig_simulation.devices.sunrise.description import PACKAGE as DESCRIPTION
+from rig_simulation.devices.sunrise.description import SOURCE_TREE as DESCRIPTION_TREE
+from rig_simulation.devices.sunrise.description import package_folders
 
 PACKAGE = "rig_simulation"
 SOURCE_TREE = Path(__file__).resolve().parents[3]

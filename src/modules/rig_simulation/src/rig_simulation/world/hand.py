@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from rig_simulation.reflex.hand import SimulatedHand
-from rig_simulation.reflex.mechanics import CELLS, FINGERS
-from rig_simulation.reflex.servo import MAX_EFFORT, MAX_TORQUE_NM
+from rig_simulation.devices.reflex.hand import SimulatedHand
+from rig_simulation.devices.reflex.mechanics import CELLS, FINGERS
+from rig_simulation.devices.reflex.servo import MAX_EFFORT, MAX_TORQUE_NM
 from rig_simulation.world.hand_model import PARTS, pad_name, tendon_name
 from rig_simulation.world.physics import Part, World
 
@@ -39,7 +39,7 @@ _CELL_NORMALS = {
 
 
 class PhysicalMechanics:
-    """The moving parts of the hand in a MuJoCo model; see `rig_simulation.reflex.mechanics`."""
+    """The moving parts of the hand in a MuJoCo model; see `rig_simulation.devices.reflex.mechanics`."""
 
     def __init__(self) -> None:
         self._ends: list[float | None] = [None] * FINGERS

@@ -20,7 +20,7 @@ import numpy as np
 
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_zyx, unit
-from rig_simulation.sunrise.description import FLANGES, ROBOTS, read_urdf
+from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.world.elements import child
 from rig_simulation.world.files import read_mesh
 from rig_simulation.world.hand_model import prepare_hand

@@ -17,13 +17,13 @@ import mujoco
 from common.errors import RigError
 from rig_simulation.command_line import parse_options, port, positive
 from rig_simulation.control_port import ControlPort
-from rig_simulation.faults import add_option, switch_all
-from rig_simulation.faults_hand import HAND_FAULTS
-from rig_simulation.reflex.hand import PERIOD_S, SimulatedHand
-from rig_simulation.reflex.link import HandLink
-from rig_simulation.reflex.program import exchange, handlers
-from rig_simulation.sunrise import program as sunrise
-from rig_simulation.sunrise.server import AT_ONCE_S
+from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
+from rig_simulation.devices.reflex.link import HandLink
+from rig_simulation.devices.reflex.program import exchange, handlers
+from rig_simulation.devices.sunrise import program as sunrise
+from rig_simulation.devices.sunrise.server import AT_ONCE_S
+from rig_simulation.faults.hand import HAND_FAULTS
+from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.world.arm import ArmJoints
 from rig_simulation.world.clock import Clock
 from rig_simulation.world.control import WorldRequests

@@ -12,7 +12,7 @@ import numpy as np
 
 from common.poses import pose
 from common.rotations import rotation_from_zyx
-from rig_simulation.sunrise.robot import JOINTS
+from rig_simulation.devices.sunrise.robot import JOINTS
 from rig_simulation.world.elements import attribute, child
 from rig_simulation.world.meshes import Surface
 from rig_simulation.world.mjcf import ROBOT, SEEN, Touch, body, geom, numbers

@@ -1,0 +1,196 @@
+"""The program `panel_pictures.py`: colour and depth pictures of the marker panel with the truth beside them.
+
+The arm holds the panel face up, and the camera is put round it: at each distance and tilt, in front of several units of
+the sensor, each with errors of its own. Pictures are PNG files; `pictures.json` says what they show. Whoever measures
+with the pictures needs nothing else of the simulation.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+import yaml
+
+from common.camera_model import DEPTH_FRAME, RGB_FRAME, CameraModel, from_calibration
+from common.config import parse
+from common.errors import ConfigError, DeviceError, RigError
+from common.poses import inverse, pose
+from common.rotations import quaternion_from_rotation, rotation_about, unit
+from rig_simulation.command_line import finite, not_negative, positive
+from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
+from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
+from rig_simulation.world.files import SOURCE_TREE, read_panel, read_scene
+from rig_simulation.world.model import WorldDescription, build_model
+
+NAME = "panel_pictures"
+INDEX = "pictures.json"
+HOLDING_DEG = (0.0, 30.0, 0.0, -60.0, 0.0, 0.0, 90.0)
+"""Joints of the arm: the forearm level, the panel on top of the hand's flange, face up, well above the table."""
+TURN_OVER = rotation_about(0, np.pi)
+"""From MuJoCo's cameras, which look along -z with y up, to optical frames; and from a panel to who faces it."""
+HALF_VIEW = np.array([0.50, 0.38])
+"""Tangents of half the angles that both cameras see."""
+
+
+class PanelScene:
+    """The world with the panel, and a camera that can be put anywhere round it.
+
+    Args:
+        panel: mapping as in the panel's yaml.
+    """
+
+    def __init__(self, panel: dict) -> None:
+        self.model = build_model(WorldDescription("LBR7R800", "MF_elektrisch", (0, 0, 0), read_scene("empty"), panel))
+        self.data = mujoco.MjData(self.model)
+        for number, angle in enumerate(np.radians(HOLDING_DEG), start=1):
+            self.data.qpos[self.model.joint(f"kuka/joint_{number}").qposadr[0]] = angle
+        self._refresh()
+        body = self.data.body("panel")
+        self._T_world_panel = pose(body.xmat.reshape(3, 3), body.xpos)
+        link = self.data.body("camera_link")
+        self._T_rgb_link = inverse(self.optical(RGB_FRAME)) @ pose(link.xmat.reshape(3, 3), link.xpos)
+        self.T_rgb_depth = inverse(self.optical(RGB_FRAME)) @ self.optical(DEPTH_FRAME)
+
+    def look(self, T_rgb_panel: np.ndarray) -> None:
+        """Puts the camera where it sees the panel at the pose, shape (4, 4) [m]."""
+        T = self._T_world_panel @ inverse(T_rgb_panel) @ self._T_rgb_link
+        link = self.model.body("camera_link")
+        link.pos, link.quat = T[:3, 3], quaternion_from_rotation(T[:3, :3])[[3, 0, 1, 2]]
+        self._refresh()
+
+    def optical(self, name: str) -> np.ndarray:
+        """Returns the pose of a camera's optical frame in the world, shape (4, 4) [m]."""
+        camera = self.data.camera(name)
+        return pose(camera.xmat.reshape(3, 3) @ TURN_OVER, camera.xpos)
+
+    def _refresh(self) -> None:
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+
+def random_pose(distance: float, tilt: float, size: float, rng: np.random.Generator) -> np.ndarray:
+    """Returns a pose of the panel in the colour camera, shape (4, 4) [m]: anywhere in the picture, turned anyhow.
+
+    Args:
+        distance: of its centre from the camera [m].
+        tilt: between its normal and the line of sight [rad].
+        size: edge of the panel [m], which is to be in the picture wholly.
+        rng: source of what is left open.
+    """
+    room = np.clip(HALF_VIEW - size / np.sqrt(2.0) / distance, 0.0, None)
+    sight = unit([*(room * rng.uniform(-1.0, 1.0, 2)), 1.0])
+    right = unit(np.cross((0.0, 1.0, 0.0), sight))
+    R_look = np.column_stack((right, np.cross(sight, right), sight))
+    towards, roll = rng.uniform(-np.pi, np.pi, 2)
+    lean = rotation_about(2, towards) @ rotation_about(0, tilt) @ rotation_about(2, -towards)
+    return pose(R_look @ lean @ TURN_OVER @ rotation_about(2, roll), distance * sight)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Takes the pictures; returns the exit code."""
+    options = _options(arguments)
+    try:
+        count = _take(options)
+    except (RigError, OSError) as error:
+        print(f"{NAME}: {error}", file=sys.stderr)
+        return 1
+    print(f"{NAME}: {count} pairs of pictures in {options.folder}", flush=True)
+    return 0
+
+
+def _take(options: argparse.Namespace) -> int:
+    panel = read_panel(options.panel)
+    scene = PanelScene(panel)
+    calibrations = {name: _yaml(getattr(options, name)) for name in ("rgb", "depth")}
+    rgb, depth = (from_calibration(values) for values in calibrations.values())
+    rng = np.random.default_rng(options.seed)
+    options.folder.mkdir(parents=True, exist_ok=True)
+    entries: list[dict[str, Any]] = []
+    for number in range(options.units):
+        camera = _camera(options.config, rgb, depth, seed=options.seed + 1 + number)
+        try:
+            camera.attach(scene.model)
+            for distance in options.distances:
+                for tilt in options.tilts:
+                    for _ in range(options.pictures):
+                        T = random_pose(distance, np.radians(tilt), float(max(panel["size"])), rng)
+                        scene.look(T)
+                        taken = camera.take(scene.data, colour=True, depth=True, registered=False)
+                        files = [f"{len(entries):04d}_{name}.png" for name in ("colour", "depth")]
+                        assert taken.colour is not None and taken.depth is not None  # both were asked for
+                        for file, picture in zip(files, (taken.colour[..., ::-1], taken.depth)):
+                            if not cv2.imwrite(str(options.folder / file), picture):
+                                raise DeviceError(f"The picture {options.folder / file} cannot be written.")
+                        entries.append(
+                            {
+                                "colour": files[0],
+                                "depth": files[1],
+                                "unit": number,
+                                "distance": distance,
+                                "tilt": tilt,
+                                "T_rgb_panel": T.tolist(),
+                            }
+                        )
+        finally:
+            camera.close()
+    index = {"panel": panel, **calibrations, "T_rgb_depth": scene.T_rgb_depth.tolist(), "pictures": entries}
+    (options.folder / INDEX).write_text(json.dumps(index), encoding="utf-8")
+    return len(entries)
+
+
+def _camera(config: dict, rgb: CameraModel, depth: CameraModel, seed: int) -> RgbdCamera:
+    sections: dict[str, Any] = {name: config.get(name) for name in ("colour", "depth")}
+    colour_config = parse(ColourConfig, sections["colour"], prefix="colour/")
+    depth_config = parse(DepthConfig, sections["depth"], prefix="depth/")
+    return RgbdCamera(rgb, depth, colour_config, depth_config, int(config.get("samples", 0)), seed)
+
+
+def _yaml(path: Path) -> dict:
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError([f"The file {path} cannot be read: {str(error).splitlines()[0]}."]) from None
+    if not isinstance(values, dict):
+        raise ConfigError([f"The file {path} holds no mapping."])
+    return values
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 0 < int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 1000")
+    return int(text)
+
+
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog=NAME, description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, help="where the pictures go")
+    parser.add_argument("--rgb", type=Path, required=True, help="calibration file of the colour camera")
+    parser.add_argument("--depth", type=Path, required=True, help="calibration file of the depth camera")
+    parser.add_argument("--panel", default="bundle", help="a panel of this package by its name, or a yaml file")
+    parser.add_argument(
+        "--config", type=Path, default=SOURCE_TREE / "config" / "camera.yaml", help="the sensors' errors"
+    )
+    parser.add_argument("--distances", type=positive, nargs="+", default=[0.5, 1.0, 1.5, 2.0], help="[m]")
+    parser.add_argument("--tilts", type=not_negative, nargs="+", default=[0.0, 20.0, 40.0, 60.0], help="[deg]")
+    parser.add_argument("--units", type=_count, default=5, help="sensors with errors of their own")
+    parser.add_argument("--pictures", type=_count, default=2, help="of each unit at each distance and tilt")
+    parser.add_argument("--seed", type=lambda text: int(finite(text)), default=0, help="of poses, units and noise")
+    options = parser.parse_args(arguments)
+    if max(options.tilts) > 80.0:
+        parser.error(f"a tilt of {max(options.tilts):g} deg is more than 80")
+    options.config = _yaml_option(parser, options.config)
+    return options
+
+
+def _yaml_option(parser: argparse.ArgumentParser, path: Path) -> dict:
+    try:
+        return _yaml(path)
+    except ConfigError as error:
+        parser.error(str(error))

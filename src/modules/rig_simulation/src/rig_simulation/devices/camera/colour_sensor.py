@@ -1,0 +1,43 @@
+"""The colour picture: lens, exposure, point spread and noise."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from rig_simulation.devices.camera.config import ColourConfig
+from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.noise import NoiseField
+
+
+class ColourSensor:
+    """Takes colour pictures.
+
+    Args:
+        lens: of the colour camera.
+        config: what the sensor adds.
+        rng: source of the noise.
+    """
+
+    def __init__(self, lens: Lens, config: ColourConfig, rng: np.random.Generator) -> None:
+        self._lens = lens
+        self._config = config
+        self._noise = None
+        if config.noise > 0.0:
+            field = NoiseField(lens.camera.height, lens.camera.width, 3, 0.0, rng)
+            self._noise = field.scaled(config.noise, np.int8)
+
+    def take(self, rendered: np.ndarray) -> np.ndarray:
+        """Returns the camera's picture, shape (height, width, 3), uint8, red first.
+
+        Args:
+            rendered: the lens's window, shape (window.height, window.width, 3), uint8, rows from the bottom.
+        """
+        picture = self._lens.look(rendered)
+        if self._config.exposure != 1.0:
+            picture = cv2.convertScaleAbs(picture, alpha=self._config.exposure)
+        if self._config.blur > 0.0:
+            picture = cv2.GaussianBlur(picture, (0, 0), self._config.blur)
+        if self._noise is not None:
+            picture = cv2.add(picture, self._noise.cut(), dtype=cv2.CV_8U)
+        return picture

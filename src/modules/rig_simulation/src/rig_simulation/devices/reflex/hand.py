@@ -1,0 +1,192 @@
+"""The simulated ReFlex TakkTile hand: four servos, three fingers, and the firmware's handling of modes and targets."""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import Any
+
+from rig_simulation.devices.reflex.finger import Finger
+from rig_simulation.devices.reflex.mechanics import CELLS, FINGERS, FreeMechanics, Mechanics
+from rig_simulation.devices.reflex.servo import TICK_RAD, TURN_TICKS, Servo
+from rig_simulation.devices.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand, pack_state
+
+PERIOD_S = 0.025
+LEAST_SLACK_RAD = 0.04
+MOST_SLACK_RAD = 0.14
+PRESHAPE_STOPS_RAD = (-0.3, 2.0)
+LOOSEST_SPOOL_RAD = -20.0
+MAX_SPOOL_RAD = 4.0
+
+_NAMES = ("f1", "f2", "f3", "preshape")
+_CLOSING = (1, -1, 1, -1)
+_RATIOS = (1.42, 1.42, 1.42, 1.5)
+_PRESHAPE = 3
+
+
+class SimulatedHand:
+    """State of the hand; angles are spool angles at the joint [rad], 0 = open with the tendon just tight.
+
+    Args:
+        seed: of its individual values (slack, zeros, rest counts of cells) and of its noise.
+        mechanics: what the motors move; None: a hand with nothing to touch.
+    """
+
+    def __init__(self, seed: int = 0, mechanics: Mechanics | None = None) -> None:
+        self._rng = random.Random(seed)
+        self._mechanics = mechanics or FreeMechanics()
+        self._fingers = [Finger(self._rng) for _ in range(FINGERS)]
+        # Shaft position of each motor where its angle is 0.
+        self._open = [float(self._rng.randrange(TURN_TICKS)) for _ in _NAMES]
+        self.servos = []
+        for i in range(4):
+            slack = self._rng.uniform(LEAST_SLACK_RAD, MOST_SLACK_RAD) if i != _PRESHAPE else 0.0
+            self.servos.append(Servo(self._shaft(i, -slack)))
+        self._forced_loads: list[float | None] = [None] * 4
+        self._target_mode = POSITION
+        self.modes = [IDLE] * 4
+        self._clock = 0.0
+        self.silent = False
+        self.targets_received = 0
+        self.modes_received = 0
+        self.power_cycles = 0
+
+    def step(self, dt: float) -> None:
+        """Lets `dt` [s] pass."""
+        self._clock += dt
+        for i, servo in enumerate(self.servos):
+            stops = PRESHAPE_STOPS_RAD if i == _PRESHAPE else (LOOSEST_SPOOL_RAD, MAX_SPOOL_RAD)
+            low, high = sorted(self._shaft(i, stop) for stop in stops)
+            resistance = self._mechanics.resistance(i)
+            if i != _PRESHAPE:
+                resistance += self._fingers[i].resistance(self.angle(i))
+            servo.step(dt, low, high, _CLOSING[i] * resistance)
+        self._mechanics.pull([self.angle(i) for i in range(4)])
+
+    def angle(self, motor: int) -> float:
+        """Returns a motor's spool angle [rad]."""
+        return _CLOSING[motor] * (self.servos[motor].shaft - self._open[motor]) * TICK_RAD / _RATIOS[motor]
+
+    def handle(self, command: ModeCommand | TargetCommand) -> None:
+        """Follows a command; the mode of the last motor decides how targets are read."""
+        if isinstance(command, ModeCommand):
+            self.modes_received += 1
+            self._target_mode = command.modes[_PRESHAPE]
+            for i, mode in enumerate(command.modes):
+                if mode in (IDLE, VELOCITY, POSITION):
+                    self.modes[i] = mode
+                    self.servos[i].switch(mode == POSITION)
+            return
+        self.targets_received += 1
+        for servo, value in zip(self.servos, command.values):
+            if self._target_mode == VELOCITY:
+                servo.speed_setting = value
+            else:
+                servo.goal = value
+
+    def packet(self) -> bytes:
+        """Returns the state packet of now."""
+        servos = self.servos
+        return pack_state(
+            device_time=int(self._clock * 1e6) % 2**32,
+            pressures=[finger.pressures(self._mechanics.touch(i)) for i, finger in enumerate(self._fingers)],
+            encoders=[finger.encoder(self._mechanics.proximal(i)) for i, finger in enumerate(self._fingers)],
+            errors=[servo.error for servo in servos],
+            positions=[servo.position % 65536 if servo.present else 0 for servo in servos],
+            speeds=[servo.speed_register() for servo in servos],
+            loads=[self._load_register(i) for i in range(4)],
+            voltages=[self._rng.randint(120, 122) for _ in servos],
+            temperatures=[servo.temperature for servo in servos],
+        )
+
+    def power_cycle(self) -> None:
+        """Is switched off and on: the servos forget their turns, the clock begins again."""
+        self._clock = 0.0
+        self.modes = [IDLE] * 4
+        self._target_mode = POSITION
+        self.power_cycles += 1
+        for servo in self.servos:
+            servo.power_up()
+
+    def set_load(self, motor: int, value: float | None) -> None:
+        """Lets a motor report a closing load [0.1 %], whatever it does; None lets it report its own again."""
+        if value is not None and not -1000 <= value <= 1000:
+            raise ValueError(f"A load lies in -1000..1000, not {value}.")
+        self._forced_loads[_motor(motor)] = value
+
+    def press(self, finger: int, value: int, cell: int | None = None) -> None:
+        """Presses a cell of finger 0, 1 or 2, or all its cells, by `value` counts."""
+        if cell is not None and not 0 <= cell < CELLS:
+            raise ValueError(f"Cells are 0..{CELLS - 1}, not {cell}.")
+        self._fingers[_finger(finger)].press(cell, int(value))
+
+    def block(self, finger: int, proximal: float | None, stiffness: float = 400.0) -> None:
+        """Puts an obstacle at a proximal angle [rad], None takes it away; `stiffness` in 0.1 % of load per rad."""
+        if proximal is not None and not 0 <= proximal <= math.pi:
+            raise ValueError(f"A proximal angle lies in 0..pi, not {proximal}.")
+        self._fingers[_finger(finger)].block(proximal, stiffness)
+        self._mechanics.block(finger, proximal)
+
+    def stick_encoder(self, finger: int, on: bool) -> None:
+        """Lets a knuckle encoder stick."""
+        self._fingers[_finger(finger)].stick(bool(on), self._mechanics.proximal(finger))
+
+    def unplug_servo(self, motor: int, on: bool) -> None:
+        """Lets a servo fall silent: its position is 0."""
+        self.servos[_motor(motor)].present = not on
+
+    def jump(self, motor: int, turns: int) -> None:
+        """Lets a servo count from another turn."""
+        self.servos[_motor(motor)].jump(int(turns))
+
+    def set_servo(self, motor: int, temperature: int | None = None, error: int | None = None) -> None:
+        """Sets what a servo reports as temperature [degrees Celsius] and error bits."""
+        servo = self.servos[_motor(motor)]
+        for name, value in (("temperature", temperature), ("error", error)):
+            if value is not None:
+                if not 0 <= value <= 255:
+                    raise ValueError(f"The {name} of a servo is a byte, not {value}.")
+                setattr(servo, name, int(value))
+
+    def set_silent(self, on: bool) -> None:
+        """Pulls the cable, in both directions, or puts it in again."""
+        self.silent = bool(on)
+
+    def state(self) -> dict[str, Any]:
+        """Returns the truth, for the control port."""
+        return {
+            "angles": [self.angle(i) for i in range(4)],
+            "proximal": [self._mechanics.proximal(i) for i in range(FINGERS)],
+            "distal": [self._mechanics.distal(i) for i in range(FINGERS)],
+            "touch": [list(self._mechanics.touch(i)) for i in range(FINGERS)],
+            "positions": [servo.position for servo in self.servos],
+            "goals": [servo.goal for servo in self.servos],
+            "speed_settings": [servo.speed_setting for servo in self.servos],
+            "efforts": [servo.effort for servo in self.servos],
+            "torque": [servo.torque for servo in self.servos],
+            "mode": list(self.modes),
+            "targets_received": self.targets_received,
+            "modes_received": self.modes_received,
+            "power_cycles": self.power_cycles,
+            "silent": self.silent,
+            "time": self._clock,
+        }
+
+    def _shaft(self, motor: int, angle: float) -> float:
+        return self._open[motor] + _CLOSING[motor] * angle * _RATIOS[motor] / TICK_RAD
+
+    def _load_register(self, motor: int) -> int:
+        servo, forced = self.servos[motor], self._forced_loads[motor]
+        return servo.load_register(servo.effort if forced is None else _CLOSING[motor] * forced)
+
+
+def _motor(motor: int) -> int:
+    if motor not in range(4):
+        raise ValueError(f"Motors are 0..3 (f1, f2, f3, preshape), not {motor}.")
+    return motor
+
+
+def _finger(finger: int) -> int:
+    if finger not in range(FINGERS):
+        raise ValueError(f"Fingers are 0..2 (f1, f2, f3), not {finger}.")
+    return finger

@@ -1,0 +1,398 @@
+"""The toolbox server's application: one start of it, from its tool to `end`. No sockets; time is handed in.
+
+The real program has two threads that share one command word. The reader answers goals, joint positions and outputs at
+any time; the main thread answers the rest, one after the other, and wipes the word when it has done so: what reaches it
+while it moves the arm is lost. Here both are rules of one object (reference: kst, 0, 2 and 3).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from rig_simulation.devices.sunrise import java_numbers, motions
+from rig_simulation.devices.sunrise.arm import Arm
+from rig_simulation.devices.sunrise.goals import Goals, finite, frame_from_pose, overwritten, pose_from_frame
+from rig_simulation.devices.sunrise.profiles import Motion
+
+DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
+SERVO_START_S = 0.1
+"""From the answer to a start until the mode runs and takes the present joints as goal; goals before that are lost."""
+IMPEDANCE_SHARE = 0.1
+IMPEDANCE_MAX_TORQUE_NM = 10.0
+MAX_STIFFNESS = (5000.0, 300.0)
+INPUT_PINS = (3, 4, 10, 13, 16)
+OUTPUT_PINS = (1, 2, 11, 12)
+VERSIONS = ("1.7", "2019-03", "2019-05")
+"""Of the toolbox's server, the newest last: 1.7 of 2018, and the two states of its LTS that differ on the wire."""
+
+
+@dataclasses.dataclass
+class Panel:
+    """What outlives a client: outputs of the flange, and how many servo goals came."""
+
+    outputs: dict[str, bool] = dataclasses.field(default_factory=dict)
+    goals: int = 0
+
+
+class Application:
+    """Answers lines.
+
+    Args:
+        arm: moved by this application alone; its tool is taken off.
+        panel: outputs and counters.
+        wiped_window: for so long after an answer of the main thread the next word for it is lost [s].
+        encoders: joint angles as they are told, from the true ones, both shape (7,) [rad].
+        version: one of VERSIONS.
+
+    Attributes:
+        mode: idle, ptp, servo, cartesian_servo, velocity_servo or impedance_servo; a servo mode counts from the answer
+            to its start until the arm stands again.
+        ended: whether `end` came; nothing is answered any more.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        panel: Panel,
+        wiped_window: float = 0.0,
+        encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,
+        version: str = VERSIONS[-1],
+    ) -> None:
+        self.mode = "idle"
+        self.ended = False
+        self._arm = arm
+        self._panel = panel
+        self._wiped_window = wiped_window
+        self._encoders = encoders
+        self._version = version
+        self._replies: list[str] = []
+        self._reader_alive = self._main_alive = True
+        self._main_answered = -np.inf
+        self._now = -np.inf
+        self._goals = Goals()
+        self._arrived: Callable[[Arm], bool] = lambda _: True
+        self._servo_starts: float | None = None
+        self._servo_stopping = False
+        self._reader = self._reader_commands()
+        self._main = self._main_commands()
+        arm.attach(np.eye(4))
+
+    @property
+    def busy(self) -> bool:
+        """Whether the main thread moves the arm."""
+        return self.mode != "idle"
+
+    def receive(self, line: str, now: float) -> str:
+        """Takes one line without its end at the time `now` [s]; returns the text that goes out because of it."""
+        self._advance(now)
+        if self._reader_alive and not self.ended and line:
+            self._answer(line)
+        return self._take_replies()
+
+    def advance(self, now: float) -> str:
+        """Moves on to the time `now` [s]; returns the text that goes out by then."""
+        self._advance(now)
+        return self._take_replies()
+
+    def abandon(self) -> None:
+        """Ends what moves the arm, because the client is gone; the arm brakes."""
+        self._arm.break_motion()
+        self._stop_servo()
+
+    def _take_replies(self) -> str:
+        text = "".join(self._replies)
+        self._replies.clear()
+        return "" if self.ended else text
+
+    def _answer(self, line: str) -> None:
+        words = [word for word in line.split("_") if word]
+        for prefix, command in self._reader:
+            if line.startswith(prefix):
+                command(words[1:])
+                return
+        for prefix, command in self._main:
+            if line == prefix if prefix.startswith("Eef_") else line.startswith(prefix):
+                if self._main_alive and not self.busy and self._now >= self._main_answered + self._wiped_window:
+                    self._main_answered = self._now
+                    self._run_main(command, words[1:])
+                return
+
+    def _run_main(self, command: Callable[[list[str]], None], words: list[str]) -> None:
+        try:
+            command(words)
+        except (ValueError, IndexError):
+            self._refuse()
+
+    def _refuse(self) -> None:
+        self._arm.attach(np.eye(4))
+        self._replies.append(NAK)
+
+    def _advance(self, now: float) -> None:
+        self._now = now
+        if self._servo_starts is not None and now >= self._servo_starts:
+            self._arm.advance(self._servo_starts)
+            self._begin_servo()
+        self._arm.advance(now)
+        if self.mode == "ptp" and not self._arm.in_motion:
+            self._finish(DONE if self._arrived(self._arm) else INTERRUPTED)
+        elif self.mode.endswith("servo") and self._servo_starts is None and not self._arm.in_servo:
+            if self.mode == "impedance_servo" and not self._servo_stopping:
+                self._replies.append(DONE)
+            self._servo_stopping = True
+            if self._arm.resting:
+                self._finish(None)
+
+    def _finish(self, word: str | None) -> None:
+        self.mode = "idle"
+        if word is not None:
+            self._replies.append(word)
+
+    def _reader_commands(self) -> list[tuple[str, Callable[[list[str]], None]]]:
+        arm = self._arm
+        feedback = {
+            "ExT_": lambda: f"{java_numbers.vector(arm.external_torques)}\n",
+            "MT_": lambda: f"{java_numbers.vector(arm.measured_torques)}\n",
+            "JP_": self._joints_text,
+            **self._tool_feedback(),
+        }
+        take_pose = self._refuse_goal if self._version == "1.7" else self._take_pose
+        commands = [
+            ("end", self._end),
+            *((f"jp{suffix}", self._goal(self._take_joints, answer)) for suffix, answer in feedback.items()),
+            ("jp_", self._goal(self._take_joints, lambda: DONE)),
+            ("jf_", self._goal(self._take_joints, lambda: "")),
+            *((f"DcSeCar{suffix}", self._goal(take_pose, answer)) for suffix, answer in feedback.items()),
+            ("DcSeCar_", self._goal(self._take_pose, lambda: "")),
+            *((f"velJDC{s}", self._goal(self._take_speeds, feedback[s])) for s in ("ExT_", "MT_", "JP_", "EEfP_")),
+            ("velJDC_", self._goal(self._take_speeds, lambda: DONE)),
+            ("cArtixanPositionCirc1_", self._keep_pose("via")),
+            ("cArtixanPositionCirc2_", self._keep_pose("end")),
+            ("cArtixanPosition_", self._keep_pose("target")),
+            ("stopDirectServoJoints", self._stop),
+            ("getJointsPositions", lambda _: self._replies.append(self._joints_text())),
+            ("blueOn", self._output("blue", True)),
+            ("blueOff", self._output("blue", False)),
+        ]
+        commands += [(f"getPin{n}", lambda _: self._replies.append("1\n\n")) for n in INPUT_PINS]
+        for n in OUTPUT_PINS:
+            commands += [(f"pin{n}on", self._output(f"pin{n}", True)), (f"pin{n}off", self._output(f"pin{n}", False))]
+        return commands
+
+    def _tool_feedback(self) -> dict[str, Callable[[], str]]:
+        if self._version == VERSIONS[-1]:
+            return {"EEfP_": self._tool_text, "EEfFrelEEF_": self._force_text}
+        return {"EEfP_": self._force_text}
+
+    def _main_commands(self) -> list[tuple[str, Callable[[list[str]], None]]]:
+        def answer(text: Callable[[], str]) -> Callable[[list[str]], None]:
+            return lambda _: self._replies.append(text())
+
+        arm = self._arm
+        return [
+            ("TFtrans", self._attach),
+            ("jRelVel_", self._set_speed),
+            ("doPTPinJS", lambda _: self._move(motions.joint_motion)),
+            ("doPTPinCSRelBase", lambda _: self._move(motions.line_along_base)),
+            ("doPTPinCSRelEEF", lambda _: self._move(motions.line_along_tool)),
+            ("doPTPinCSCircle1", lambda _: self._move(motions.circle)),
+            ("doPTPinCS", lambda _: self._move(motions.line)),
+            ("doPTP!inJS", self._guarded_joint_motion),
+            ("doPTP!inCS", self._guarded_line),
+            ("doPTP!CSCircle1", self._guarded_joint_motion),
+            ("startDirectServoJoints", lambda _: self._start_servo("servo")),
+            ("stDcEEf_", lambda _: self._start_servo("cartesian_servo")),
+            ("stVelDcJoint_", lambda _: self._start_servo("velocity_servo")),
+            ("startSmartImpedneceJoints", self._start_impedance),
+            ("Torques_ext_J", answer(lambda: f"{java_numbers.vector(arm.external_torques)}\n")),
+            ("Torques_m_J", answer(lambda: f"{java_numbers.vector(arm.measured_torques)}\n")),
+            ("Eef_pos", answer(self._tool_text)),
+            ("Eef_force", answer(self._force_text)),
+            ("Eef_moment", answer(lambda: f"{java_numbers.vector(arm.tool_moment)}\n")),
+            ("handGuiding", answer(lambda: DONE)),
+            ("preciseHandGuiding1", answer(lambda: DONE)),
+            ("preciseHandGuiding2", answer(lambda: DONE)),
+        ]
+
+    def _joints_text(self) -> str:
+        return f"{java_numbers.vector(self._encoders(self._arm.q))}\n"
+
+    def _tool_text(self) -> str:
+        return f"{java_numbers.vector(frame_from_pose(self._arm.tool))}\n"
+
+    def _force_text(self) -> str:
+        return f"{java_numbers.vector(self._arm.tool_force)}\n"
+
+    def _goal(self, take: Callable[[list[str]], bool], answer: Callable[[], str]) -> Callable[[list[str]], None]:
+        def command(words: list[str]) -> None:
+            reply = answer()
+            if not take(words):
+                self._reader_alive = False
+                return
+            if self._arm.in_servo:
+                self._panel.goals += 1
+            self._replies.append(reply)
+
+        return command
+
+    def _take_joints(self, words: list[str]) -> bool:
+        try:
+            goal = overwritten(self._goals.joints, words)
+        except ValueError:
+            return False
+        self._goals.joints = goal
+        if self._arm.in_servo and self.mode in ("servo", "impedance_servo"):
+            self._arm.goal = goal
+        return True
+
+    def _take_speeds(self, words: list[str]) -> bool:
+        if len(words) > 7:
+            return False
+        try:
+            self._goals.speeds = overwritten(self._goals.speeds, words)
+        except ValueError:
+            self._stop_servo()
+            return True
+        if self._arm.in_servo and self.mode == "velocity_servo":
+            self._arm.goal_speed = self._goals.speeds
+        return True
+
+    def _take_pose(self, words: list[str]) -> bool:
+        if len(words) > 6:
+            return False
+        try:
+            self._goals.servo = overwritten(self._goals.servo, words)
+        except ValueError:
+            self._stop_servo()
+            return True
+        if self._arm.in_servo and self.mode == "cartesian_servo":
+            goal = None
+            if np.all(np.isfinite(self._goals.servo)):
+                target = pose_from_frame(self._goals.servo)
+                goal = self._arm.robot.solve(target, self._arm.T_flange_tool, self._arm.goal)
+            if goal is None:
+                self._stop_servo()
+            else:
+                self._arm.goal = goal
+        return True
+
+    def _refuse_goal(self, _: list[str]) -> bool:
+        """Does what 1.7 does with Cartesian goals that ask for an answer: its parser of joints ends the mode."""
+        self._stop_servo()
+        return True
+
+    def _keep_pose(self, name: str) -> Callable[[list[str]], None]:
+        def command(words: list[str]) -> None:
+            try:
+                setattr(self._goals, name, overwritten(getattr(self._goals, name), words))
+            except ValueError:
+                self._reader_alive = False
+                return
+            self._replies.append(DONE)
+
+        return command
+
+    def _stop(self, _: list[str]) -> None:
+        self._stop_servo()
+        self._replies.append(DONE)
+
+    def _stop_servo(self) -> None:
+        self._servo_starts = None
+        self._arm.stop_servo()
+
+    def _end(self, _: list[str]) -> None:
+        self._stop_servo()
+        self.ended = True
+
+    def _output(self, name: str, on: bool) -> Callable[[list[str]], None]:
+        def command(_: list[str]) -> None:
+            self._panel.outputs[name] = on
+            self._replies.append(DONE)
+
+        return command
+
+    def _attach(self, words: list[str]) -> None:
+        if len(words) < 6:
+            self._main_alive = False
+        if len(words) != 6:
+            raise ValueError
+        self._arm.attach(pose_from_frame(finite(words)))
+        self._replies.append(DONE)
+
+    def _set_speed(self, words: list[str]) -> None:
+        self._goals.speed = java_numbers.number(words[0])
+        self._replies.append(DONE)
+
+    def _move(
+        self,
+        make: Callable[[Arm, Goals], Motion | None],
+        break_when: Callable[[Arm], bool] | None = None,
+        arrived: Callable[[Arm], bool] = lambda _: True,
+    ) -> None:
+        self._replies.append(DONE)
+        motion = make(self._arm, self._goals)
+        if motion is None:
+            self._replies.append(DONE)
+            return
+        self.mode = "ptp"
+        self._arrived = arrived
+        self._arm.start_motion(motion, break_when)
+
+    def _guarded_joint_motion(self, words: list[str]) -> None:
+        target = self._goals.joints
+        self._guarded(words, motions.joint_motion, lambda arm: motions.arrived_at_joints(arm, target))
+
+    def _guarded_line(self, words: list[str]) -> None:
+        target = self._goals.target
+        self._guarded(words, motions.line, lambda arm: motions.arrived_at_pose(arm, pose_from_frame(target)))
+
+    def _guarded(
+        self, words: list[str], make: Callable[[Arm, Goals], Motion | None], arrived: Callable[[Arm], bool]
+    ) -> None:
+        ranges = finite(words[: len(words) // 3 * 3]).reshape(-1, 3)
+        if len(ranges) == 0:
+            self._replies += [DONE, DONE]
+            return
+        try:
+            break_when = motions.leaves_torque_ranges(ranges)
+        except ValueError:
+            self._replies.append(DONE)
+            raise
+        self._move(make, break_when, arrived)
+
+    def _start_servo(self, mode: str) -> None:
+        self._replies.append(DONE)
+        self.mode = mode
+        self._servo_stopping = False
+        self._servo_starts = self._now + SERVO_START_S
+
+    def _start_impedance(self, words: list[str]) -> None:
+        numbers = finite(words)
+        if len(numbers) < 7:
+            raise ValueError
+        mass, stiffness = numbers[0], numbers[4:7]
+        refused = mass < 0.0 or np.any(stiffness < 0.0) or np.any(stiffness[:2] > MAX_STIFFNESS)
+        if refused or np.max(np.abs(self._arm.external_torques)) > IMPEDANCE_MAX_TORQUE_NM:
+            self._replies += [DONE, DONE]
+        else:
+            self._start_servo("impedance_servo")
+
+    def _begin_servo(self) -> None:
+        self._servo_starts = None
+        arm = self._arm
+        if self.mode == "servo":
+            arm.start_servo()
+            self._goals.joints = arm.goal
+        elif self.mode == "cartesian_servo":
+            arm.start_servo(law="none")
+            self._goals.servo = frame_from_pose(arm.tool)
+        elif self.mode == "velocity_servo":
+            arm.start_servo(integrates=True)
+            self._goals.speeds = arm.goal_speed
+        else:
+            # The published server forgets joint 1 here: its goal stays what was sent last.
+            arm.start_servo(law="none", share=IMPEDANCE_SHARE)
+            self._goals.joints = np.array([self._goals.joints[0], *arm.q[1:]])
+            arm.goal = self._goals.joints

@@ -1,0 +1,358 @@
+"""The arm of the simulated controller: joints that move, a safety stop, torques. No threads; time is handed in.
+
+Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torques in Nm.
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from common.poses import read_only
+from rig_simulation.devices.sunrise.profiles import Motion
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.servo import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Law, plain_law
+
+FULL_SPEED_TIME_S = 0.1
+"""Time in which a joint at its acceleration limit comes to full speed; the data sheet names no acceleration."""
+MOTION_SHARE = 0.4
+"""Share of the acceleration limit for planned motions; the rest is left for braking on the way."""
+PAUSE_TIME_S = 0.25
+"""A planned motion is brought to a stop, and to its speed again, in this time."""
+SAFETY_PERIOD_STEPS = 4
+MAX_CATCH_UP_S = 1.0
+MAX_CATCH_UP_AMONG_THINGS_S = 0.05
+"""Steps among things take longer, and whoever asks waits until they are made up for: rather lose time than lag."""
+BACK_OFF_SPEED_RAD_S = 0.05
+BACK_OFF_SHARE = 0.1
+"""A planned motion is backed off at this share of its speed."""
+FREE_SHARE = 0.5
+"""The arm is backed off until no external torque is above this share of the limit."""
+WAY_STEP_RAD = 1e-3
+WAY_STEPS = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmSettings:
+    """What can be set about the arm.
+
+    Attributes:
+        torque_limit: safety stop above this external torque of any joint [Nm].
+        speed_limit: safety stop above this speed of the tool point [m/s].
+        servo_law: "lts" or "none".
+        trajectory_time: minimum trajectory time of DirectServo [s].
+    """
+
+    torque_limit: float = 25.0
+    speed_limit: float = 0.8
+    servo_law: str = "lts"
+    trajectory_time: float = MIN_TRAJECTORY_TIME_S
+
+
+class Surroundings(Protocol):
+    """What the arm moves in and touches."""
+
+    def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
+        """Lets dt [s] pass, at whose end the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,).
+
+        Returns:
+            torques of touch and load on the joints, shape (7,) [Nm].
+        """
+
+
+@dataclasses.dataclass
+class _Servo:
+    law: Law
+    drives: Drives
+    integrates: bool
+
+
+class Arm:
+    """The arm, at rest at the zero position when made.
+
+    Args:
+        robot: kinematics, limits, dynamics.
+        settings: limits of the safety stop, law of the servo.
+        surroundings: in which it moves; None: it touches nothing.
+
+    Attributes:
+        time: up to which the arm has moved [s].
+        q, v, a: joint angles [rad], speeds, accelerations, shape (7,).
+        T_flange_tool: the attached tool, shape (4, 4).
+        goal: last goal of a servo mode, shape (7,) [rad].
+        goal_speed: last goal of the velocity servo, shape (7,) [rad/s].
+        safety_stop: why the arm is stopped, or None.
+        stops: how many safety stops there were.
+        max_tool_speed: highest speed of the tool point so far [m/s].
+    """
+
+    def __init__(self, robot: Robot, settings: ArmSettings, surroundings: Surroundings | None = None) -> None:
+        self.robot = robot
+        self.settings = settings
+        self._surroundings = surroundings
+        self.time: float | None = None
+        self.q = np.zeros(7)
+        self.v = np.zeros(7)
+        self.a = np.zeros(7)
+        self.T_flange_tool = np.eye(4)
+        self.goal = np.zeros(7)
+        self.goal_speed = np.zeros(7)
+        self.safety_stop: str | None = None
+        self.stops = 0
+        self.tool_speed = 0.0
+        self.max_tool_speed = 0.0
+        self.acceleration = read_only(robot.max_speed / FULL_SPEED_TIME_S)
+        self.motion_acceleration = read_only(MOTION_SHARE * self.acceleration)
+        self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
+        self._servo: _Servo | None = None
+        self._last_goal_speed = np.zeros(7)
+        self._motion: Motion | None = None
+        self._break_when: Callable[[Arm], bool] | None = None
+        self._motion_time = 0.0
+        self._motion_rate = 1.0
+        self._breaking = False
+        self._joint_torque = np.zeros(7)
+        self._tool_force = np.zeros(3)
+        self._touch_torque = np.zeros(7)
+        self._way: collections.deque[np.ndarray] = collections.deque(maxlen=WAY_STEPS)
+        self._backing_off = False
+        self._back_drives = Drives(np.full(7, BACK_OFF_SPEED_RAD_S), self.acceleration, settings.trajectory_time)
+        self._steps = 0
+
+    def advance(self, now: float) -> None:
+        """Moves the arm up to the time `now` [s].
+
+        A program that was held up for longer than `MAX_CATCH_UP_S`, or among things `MAX_CATCH_UP_AMONG_THINGS_S`,
+        catches up no more than that.
+        """
+        longest = MAX_CATCH_UP_S if self._surroundings is None else MAX_CATCH_UP_AMONG_THINGS_S
+        if self.time is None or now - self.time > longest + CYCLE_S:
+            self.time = now if self.time is None else now - longest
+        if self.asleep:
+            self.time = max(self.time, now)
+            return
+        for _ in range(int((now - self.time) / CYCLE_S + 1e-6)):
+            self.step(CYCLE_S)
+
+    def step(self, dt: float) -> None:
+        """Moves the arm by one step of dt [s]."""
+        v_before = self.v
+        if self._motion is not None:
+            self._step_motion(self._motion, dt)
+        elif self._backing_off:
+            self._step_back(dt)
+        elif self._servo is not None and self.safety_stop is None:
+            self._step_servo(self._servo, dt)
+        else:
+            self._move(self._drives.brake(self.v, dt), dt)
+        self.a = (self.v - v_before) / dt
+        if self.time is not None:
+            self.time += dt
+        if self._surroundings is not None:
+            self._touch_torque = self._surroundings.follow(self.q, self.v, dt)
+        self._steps += 1
+        comes_to_rest = self.resting and v_before.any()
+        if self._steps % SAFETY_PERIOD_STEPS == 0 or comes_to_rest:
+            self._check_safety()
+
+    @property
+    def resting(self) -> bool:
+        """Whether nothing moves and nothing will by itself."""
+        moved = self._motion is not None or (self._servo is not None and self.safety_stop is None) or self._backing_off
+        return not moved and not self.v.any()
+
+    @property
+    def asleep(self) -> bool:
+        """Whether time may pass unseen: the arm rests and there is nothing around it that could move."""
+        return self.resting and self._surroundings is None
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether a planned motion is under way, also while a safety stop pauses it."""
+        return self._motion is not None
+
+    @property
+    def in_servo(self) -> bool:
+        """Whether a servo mode runs."""
+        return self._servo is not None
+
+    def start_motion(self, motion: Motion, break_when: Callable[[Arm], bool] | None = None) -> None:
+        """Starts a planned motion from the present joint angles; it brakes and ends where `break_when` becomes true."""
+        self._motion, self._break_when = motion, break_when
+        self._motion_time, self._breaking = 0.0, False
+        self._motion_rate = 1.0 if self.safety_stop is None else 0.0
+        self._check_safety()
+
+    def break_motion(self) -> None:
+        """Brakes a planned motion on its way; it ends there."""
+        self._breaking = True
+
+    def start_servo(self, law: str | None = None, share: float = 1.0, integrates: bool = False) -> None:
+        """Starts a servo mode with the present joint angles as goal.
+
+        Args:
+            law: name of the law; None = that of the settings.
+            share: of the speed and acceleration limits that the mode uses.
+            integrates: the goal follows `goal_speed`, which starts at zero.
+        """
+        drives = self._drives
+        if share != 1.0:
+            limits = share * self.robot.max_speed, share * self.acceleration
+            drives = Drives(*limits, self.settings.trajectory_time)
+        chosen = LAWS[self.settings.servo_law if law is None else law] if not integrates else plain_law
+        self._servo = _Servo(chosen, drives, integrates)
+        self.goal = self.q.copy()
+        self.goal_speed = np.zeros(7)
+        self._last_goal_speed = np.zeros(7)
+
+    def stop_servo(self) -> None:
+        """Ends a servo mode; the arm brakes."""
+        self._servo = None
+
+    def attach(self, T_flange_tool: np.ndarray) -> None:
+        """Attaches a tool without mass, shape (4, 4), in place of the last one."""
+        self.T_flange_tool = read_only(T_flange_tool)
+        self._check_safety()
+
+    def set_external_torque(self, torque: np.ndarray) -> None:
+        """Sets the torques that act on the joints from outside, shape (7,) [Nm], besides those of the tool force."""
+        self._joint_torque = read_only(torque)
+        self._check_safety()
+
+    def set_tool_force(self, force: np.ndarray) -> None:
+        """Sets the force that acts on the tool point, shape (3,) [N], along the tool's axes."""
+        self._tool_force = read_only(force)
+        self._check_safety()
+
+    def release(self) -> None:
+        """Ends a safety stop, as the key "run" does; a planned motion goes on.
+
+        Raises:
+            ValueError: no stop is active, its cause is still there, or the arm is not yet at rest; with the reason.
+        """
+        if self.safety_stop is None:
+            raise ValueError("No safety stop is active.")
+        cause = self._torque_fault()
+        if cause:
+            raise ValueError(f"The cause of the safety stop persists: {cause}")
+        if self.v.any():
+            raise ValueError("The arm is still braking.")
+        self.safety_stop = None
+        self._backing_off = False
+
+    def back_off(self) -> None:
+        """Moves an arm that stands in a safety stop slowly back on the way it came, as a person does with the jog keys.
+
+        It ends where no joint bears more than FREE_SHARE of the limit from outside.
+
+        Raises:
+            ValueError: no stop is active.
+        """
+        if self.safety_stop is None:
+            raise ValueError("No safety stop is active, so there is nothing to back off from.")
+        self._backing_off = True
+
+    @property
+    def tool(self) -> np.ndarray:
+        """Pose of the tool in the base, shape (4, 4)."""
+        return self.robot.flange(self.q) @ self.T_flange_tool
+
+    @property
+    def tool_force(self) -> np.ndarray:
+        """Force on the tool point, shape (3,) [N], along the tool's axes."""
+        return self._tool_force + self._touch_wrench[:3]
+
+    @property
+    def tool_moment(self) -> np.ndarray:
+        """Moment on the tool point, shape (3,) [Nm], about the tool's axes."""
+        return self._touch_wrench[3:]
+
+    @property
+    def external_torques(self) -> np.ndarray:
+        """Torques on the joints from outside, shape (7,) [Nm]."""
+        torque = self._joint_torque + self._touch_torque
+        if not self._tool_force.any():
+            return torque
+        return torque + self.robot.jacobian(self.q, self.T_flange_tool)[:3].T @ self._tool_force
+
+    @property
+    def measured_torques(self) -> np.ndarray:
+        """Torques that the drives bear, of gravity and motion less what is borne from outside, shape (7,) [Nm]."""
+        return self.robot.torques(self.q, self.v, self.a) - self.external_torques
+
+    @property
+    def _touch_wrench(self) -> np.ndarray:
+        """Force and moment on the tool point that explain the torques of touch best, shape (6,)."""
+        if not self._touch_torque.any():
+            return np.zeros(6)
+        return self.robot.wrench(self.q, self.T_flange_tool, self._touch_torque)
+
+    def _step_motion(self, motion: Motion, dt: float) -> None:
+        if self._break_when is not None and self._break_when(self):
+            self._breaking = True
+        wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
+        if self._still_backing_off(self._motion_time > 0.0):
+            wanted = -BACK_OFF_SHARE
+        change = dt / PAUSE_TIME_S
+        rate = self._motion_rate + min(max(wanted - self._motion_rate, -change), change)
+        self._motion_time += 0.5 * (rate + self._motion_rate) * dt
+        self._motion_rate = rate
+        q = motion.at(self._motion_time)
+        self.v, self.q = (q - self.q) / dt, q
+        if self._motion_time >= motion.duration or (self._breaking and rate == 0.0):
+            self._motion = None
+            self.v = np.zeros(7)
+        elif rate == 0.0:
+            self.v = np.zeros(7)
+
+    def _step_back(self, dt: float) -> None:
+        if self._way and np.max(np.abs(self._way[-1] - self.q)) < WAY_STEP_RAD:
+            self._way.pop()
+        if self._still_backing_off(bool(self._way)):
+            self._move(self._back_drives.towards(self._way[-1] - self.q, self.v, dt), dt)
+        else:
+            self._move(self._drives.brake(self.v, dt), dt)
+
+    def _still_backing_off(self, way_left: bool) -> bool:
+        free = np.max(np.abs(self.external_torques)) <= FREE_SHARE * self.settings.torque_limit
+        self._backing_off = self._backing_off and way_left and not free
+        return self._backing_off
+
+    def _step_servo(self, servo: _Servo, dt: float) -> None:
+        if servo.integrates:
+            self.goal = self.goal + dt * 0.5 * (self.goal_speed + self._last_goal_speed)
+            self._last_goal_speed = self.goal_speed
+        if not self.robot.within_range(self.goal):
+            self._servo = None
+            return
+        self._move(servo.drives.towards(servo.law(self.goal - self.q), self.v, dt), dt)
+
+    def _move(self, v: np.ndarray, dt: float) -> None:
+        self.q = self.q + v * dt
+        self.v = v
+
+    def _check_safety(self) -> None:
+        self.tool_speed = self.robot.tool_speed(self.q, self.v, self.T_flange_tool)
+        self.max_tool_speed = max(self.max_tool_speed, self.tool_speed)
+        if self.safety_stop is not None:
+            return
+        if not self._way or np.max(np.abs(self._way[-1] - self.q)) > WAY_STEP_RAD:
+            self._way.append(self.q)
+        cause = self._torque_fault()
+        if not cause and self.tool_speed > self.settings.speed_limit:
+            cause = f"The tool moves at {self.tool_speed:.3f} m/s (limit {self.settings.speed_limit:g})."
+        if cause:
+            self.safety_stop = cause
+            self.stops += 1
+
+    def _torque_fault(self) -> str | None:
+        torque = np.abs(self.external_torques)
+        joint = int(np.argmax(torque))
+        if torque[joint] > self.settings.torque_limit:
+            limit = self.settings.torque_limit
+            return f"The external torque of joint {joint + 1} is {torque[joint]:.1f} Nm (limit {limit:g})."
+        return None

@@ -1,0 +1,75 @@
+"""What the commands have left for the motions and servo modes to come, in the server's units."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from common.poses import pose
+from common.rotations import rotation_from_zyx, zyx_from_rotation
+from rig_simulation.devices.sunrise import java_numbers
+from rig_simulation.devices.sunrise.paths import Unreachable
+
+MM_PER_M = 1000.0
+FIRST_RELATIVE_SPEED = 0.1
+
+
+@dataclasses.dataclass
+class Goals:
+    """The server's stored goals.
+
+    Attributes:
+        joints: of `jp_` and its sisters, shape (7,) [rad]; target of a joint motion and goal of a joint servo.
+        speeds: of the velocity servo, shape (7,) [rad/s].
+        target, via, end, servo: poses X, Y, Z [mm], A, B, C [rad], shape (6,), of lines, circles and Cartesian servo.
+        speed: relative speed of joint motions, or mm/s of the tool.
+    """
+
+    joints: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(7))
+    speeds: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(7))
+    target: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    via: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    end: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    servo: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
+    speed: float = FIRST_RELATIVE_SPEED
+
+
+def overwritten(values: np.ndarray, words: list[str]) -> np.ndarray:
+    """Returns the values with the first ones replaced by the numbers of the words; further words are ignored.
+
+    Raises:
+        ValueError: a word is no number.
+    """
+    result = values.copy()
+    for k, word in enumerate(words[: len(values)]):
+        result[k] = java_numbers.number(word)
+    return result
+
+
+def finite(words: list[str]) -> np.ndarray:
+    """Returns the numbers of the words, shape (n,).
+
+    Raises:
+        ValueError: a word is no finite number.
+    """
+    numbers = np.array([java_numbers.number(word) for word in words])
+    if not np.all(np.isfinite(numbers)):
+        raise ValueError(f"{words} are not all finite numbers")
+    return numbers
+
+
+def pose_from_frame(frame: np.ndarray) -> np.ndarray:
+    """Returns the pose, shape (4, 4) [m], of X, Y, Z [mm], A, B, C [rad], shape (6,).
+
+    Raises:
+        Unreachable: a number is not finite.
+    """
+    if not np.all(np.isfinite(frame)):
+        raise Unreachable(f"the pose {frame.tolist()} is not finite")
+    return pose(rotation_from_zyx(*frame[3:]), frame[:3] / MM_PER_M)
+
+
+def frame_from_pose(T: np.ndarray) -> np.ndarray:
+    """Returns X, Y, Z [mm], A, B, C [rad], shape (6,), of a pose, shape (4, 4) [m]."""
+    return np.array([*(MM_PER_M * T[:3, 3]), *zyx_from_rotation(T[:3, :3])])

@@ -1,0 +1,101 @@
+"""The motions that the main thread can be told to make, planned from where the arm stands.
+
+Each planner returns the motion, or None where the arm is there already.
+"""
+
+from __future__ import annotations
+
+from typing import Callable
+
+import numpy as np
+
+from rig_simulation.devices.sunrise.arm import Arm
+from rig_simulation.devices.sunrise.goals import MM_PER_M, Goals, pose_from_frame
+from rig_simulation.devices.sunrise.paths import Circle, Line, Unreachable, plan, shifted
+from rig_simulation.devices.sunrise.profiles import JointMove, PathMove
+
+ARRIVED_JOINT_RAD = np.radians(0.1)
+ARRIVED_TOOL_M = 2e-4
+
+
+def joint_motion(arm: Arm, goals: Goals) -> JointMove | None:
+    """Plans the way to the joint goal at the relative speed.
+
+    Raises:
+        Unreachable: the speed is not in (0, 1], or the goal is outside the joint range.
+    """
+    if not 0.0 < goals.speed <= 1.0 or not arm.robot.within_range(goals.joints):
+        raise Unreachable(f"the speed {goals.speed} or the goal {goals.joints.tolist()} is out of range")
+    if np.array_equal(arm.q, goals.joints):
+        return None
+    return JointMove(arm.q, goals.joints, goals.speed * arm.robot.max_speed, arm.motion_acceleration)
+
+
+def line(arm: Arm, goals: Goals) -> PathMove | None:
+    """Plans the straight way of the tool to the target pose.
+
+    Raises:
+        Unreachable: see `paths.plan`.
+    """
+    return _follow(arm, goals, Line(arm.tool, pose_from_frame(goals.target)))
+
+
+def line_along_base(arm: Arm, goals: Goals) -> PathMove | None:
+    """Plans the straight way by the target's X, Y, Z along the axes of the base.
+
+    Raises:
+        Unreachable: see `paths.plan`.
+    """
+    return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool=False)))
+
+
+def line_along_tool(arm: Arm, goals: Goals) -> PathMove | None:
+    """Plans the straight way by the target's X, Y, Z along the axes of the tool.
+
+    Raises:
+        Unreachable: see `paths.plan`.
+    """
+    return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool=True)))
+
+
+def circle(arm: Arm, goals: Goals) -> PathMove | None:
+    """Plans the arc of the tool through the via pose to the end pose.
+
+    Raises:
+        Unreachable: the three positions lie on one line, or see `paths.plan`.
+    """
+    return _follow(arm, goals, Circle(arm.tool, pose_from_frame(goals.via), pose_from_frame(goals.end)))
+
+
+def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[Arm], bool]:
+    """Returns the condition that breaks a guarded motion.
+
+    Args:
+        ranges: rows of joint index from 0, lowest, highest external torque, shape (n, 3) [Nm].
+
+    Raises:
+        ValueError: there is no such joint.
+    """
+    joints, low, high = ranges[:, 0].astype(int), ranges[:, 1], ranges[:, 2]
+    if np.any((joints < 0) | (joints > 6)):
+        raise ValueError(f"the joint indices {joints.tolist()} are not all 0 to 6")
+
+    def condition(arm: Arm) -> bool:
+        torque = arm.external_torques[joints]
+        return bool(np.any((torque < low) | (torque > high)))
+
+    return condition
+
+
+def arrived_at_joints(arm: Arm, q: np.ndarray) -> bool:
+    """Says whether a guarded joint motion counts as arrived at the angles q, shape (7,) [rad]."""
+    return bool(np.max(np.abs(arm.q - q)) <= ARRIVED_JOINT_RAD)
+
+
+def arrived_at_pose(arm: Arm, T_base_tool: np.ndarray) -> bool:
+    """Says whether a guarded line counts as arrived at the pose, shape (4, 4)."""
+    return bool(np.max(np.abs((arm.tool - T_base_tool)[:3, 3])) <= ARRIVED_TOOL_M)
+
+
+def _follow(arm: Arm, goals: Goals, path: Line | Circle) -> PathMove | None:
+    return plan(path, goals.speed / MM_PER_M, arm.robot, arm.T_flange_tool, arm.q, arm.motion_acceleration)

@@ -1,0 +1,373 @@
+"""The simulated controller on the network: one client of the toolbox port, and the control port beside it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import selectors
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from common.errors import DeviceError
+from rig_simulation.control_port import ControlPort, listen
+from rig_simulation.devices.sunrise.application import VERSIONS, Application, Panel
+from rig_simulation.devices.sunrise.arm import Arm
+from rig_simulation.devices.sunrise.lines import LineSplitter
+from rig_simulation.faults.arm import ARM_FAULTS, Answers, Encoders
+from rig_simulation.faults.injection import Faults
+
+BACKLOG = 50
+MOVING_TICK_S = 0.002
+RESTING_TICK_S = 0.02
+SEND_TIMEOUT_S = 1.0
+AT_ONCE_S = 0.02
+"""So much the arm catches up before its client is looked after again."""
+LONGEST_LAG_S = 0.2
+"""Time that a machine is behind by more than this is lost: the arm moves in slow motion, but the server answers."""
+MOTION = "doPTP"
+RESET_ON_CLOSE = struct.pack("ii", 1, 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class ServerSettings:
+    """How faithfully the inconvenient sides of the real server are kept.
+
+    Attributes:
+        wiped_window: for so long after an answer of the main thread the next word for it is lost [s].
+        wait_for_client: the program ends when no client came for so long [s].
+        deaf_after_lost_client: a client that vanishes without `end` leaves the port bound but deaf and the servo
+            running; otherwise the arm stops and the next client is served.
+        end_exits: `end` ends the program; otherwise the application is started again.
+        version: of the toolbox's server, one of VERSIONS.
+    """
+
+    wiped_window: float = 0.0
+    wait_for_client: float = math.inf
+    deaf_after_lost_client: bool = False
+    end_exits: bool = False
+    version: str = VERSIONS[-1]
+
+
+class Server:
+    """Serves the arm until `stop` or until the settings end it.
+
+    Args:
+        arm: the arm.
+        settings: switches.
+        host: a loopback address.
+        port: of the toolbox server; 0 takes any free port, see `port`.
+        control_port: likewise.
+        log: takes one sentence about each change of state.
+        clock: time that the arm lives in [s]; it may run faster, slower or in steps.
+        at_once: longest time that the arm moves on in one go [s]; infinite for a clock that waits for it.
+
+    Attributes:
+        lock: held while anything of the arm or its surroundings changes.
+        faults: those of ARM_FAULTS, to be switched at any time.
+
+    Raises:
+        DeviceError: a port is not to be had.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: ServerSettings,
+        host: str,
+        port: int,
+        control_port: int,
+        log: Callable[[str], None] = lambda _: None,
+        clock: Callable[[], float] = time.monotonic,
+        at_once: float = AT_ONCE_S,
+    ) -> None:
+        self._arm = arm
+        self._settings = settings
+        self._log = log
+        self._clock, self._at_once = clock, at_once
+        self._behind = False
+        self._panel = Panel()
+        self.faults = Faults(ARM_FAULTS)
+        self._answers = Answers(self.faults)
+        self._encoders = Encoders(self.faults)
+        self.lock = threading.RLock()
+        self._stop = threading.Event()
+        self._client: socket.socket | None = None
+        self._lines = LineSplitter()
+        self._deaf = False
+        self._selector = selectors.DefaultSelector()
+        self._listener: socket.socket | None = listen(host, port, "the toolbox port", BACKLOG)
+        self._listener.setblocking(False)
+        self.host, self.port = self._listener.getsockname()[:2]
+        handlers: dict[str, Callable[..., Any]] = {
+            "state": self._state,
+            "release": self._release,
+            "back_off": self._back_off,
+            "set_external_torque": self._set_external_torque,
+            "set_tcp_force": self._set_tcp_force,
+            **self.faults.requests,
+        }
+        self._start_application()
+        try:
+            self._control = ControlPort(handlers, host, control_port)
+        except DeviceError:
+            self._listener.close()
+            raise
+        self.control_port = self._control.port
+
+    def run(self) -> None:
+        """Serves until it is to stop; closes everything then."""
+        try:
+            while not self._stop.is_set():
+                self._wait()
+                with self.lock:
+                    self._follow_faults()
+                    self.advance()
+                    self._take_turns()
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Closes everything; may be called twice."""
+        self._control.close()
+        if self._listener is not None:
+            self._listener.close()
+        if self._client is not None:
+            self._client.close()
+        self._selector.close()
+
+    def advance(self) -> None:
+        """Moves on to the time that the clock shows now, and sends the answers that are due."""
+        with self.lock:
+            self._advance()
+            self._send()
+
+    def stop(self) -> None:
+        """Makes `run` return soon; may be called from a signal handler."""
+        self._stop.set()
+
+    def _start_application(self) -> None:
+        assert self._listener is not None  # where it is closed, nothing is started
+        self._application = Application(
+            self._arm, self._panel, self._settings.wiped_window, self._encoders.read, self._settings.version
+        )
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._waiting_since = time.monotonic()
+
+    def _wait(self) -> None:
+        calm = self._arm.asleep and not self._application.busy
+        tick = RESTING_TICK_S if calm else MOVING_TICK_S
+        if self.faults.is_on("half_open"):
+            self._stop.wait(tick)
+            return
+        with self.lock:
+            until_answer = max(0.0, self._answers.next_due() - time.monotonic())
+        for key, _ in self._selector.select(0.0 if self._behind else min(tick, until_answer)):
+            if key.fileobj is self._listener:
+                self._accept()
+            else:
+                self._receive()
+
+    def _accept(self) -> None:
+        assert self._listener is not None  # it has somebody waiting
+        try:
+            self._client, address = self._listener.accept()
+        except OSError:
+            return
+        self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._client.settimeout(SEND_TIMEOUT_S)
+        self._lines = LineSplitter()
+        self._selector.unregister(self._listener)
+        self._selector.register(self._client, selectors.EVENT_READ)
+        self._log(f"client {address[0]}:{address[1]} connected")
+
+    def _receive(self) -> None:
+        assert self._client is not None  # it has sent something
+        try:
+            data = self._client.recv(65536)
+            lines = self._lines.feed(data)
+        except (OSError, ValueError) as error:
+            self._lose_client(str(error))
+            return
+        if not data:
+            self._lose_client("it closed the connection without `end`")
+        for line in lines:
+            with self.lock:
+                self._take_line(line)
+                self._send()
+                if self._application.ended:
+                    self._end()
+            if self._client is None:
+                return
+
+    def _take_line(self, line: str) -> None:
+        now = time.monotonic()
+        if line.startswith(MOTION) and not self._application.busy and self.faults.is_on("refused"):
+            self._arm.attach(np.eye(4))
+            self._answers.put("done\nnak\n", now)
+        else:
+            self._answers.put(self._application.receive(line, self._next_time()), now)
+
+    def _send(self) -> None:
+        for piece in self._answers.take(time.monotonic()):
+            if self._client is None:
+                return
+            try:
+                self._client.sendall(piece)
+            except OSError as error:
+                self._lose_client(str(error))
+
+    def _follow_faults(self) -> None:
+        for name, value in self.faults.changes().items():
+            self._log(f"the fault {name} {'ends' if value is None else 'begins'}")
+        cut, restarted = self.faults.is_on("cut"), self.faults.is_on("restarted")
+        if cut or restarted:
+            if self._client is not None and cut:
+                self._client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
+            self._lose_client("its connection is cut" if cut else "the application ends")
+        if restarted:
+            self._close_port()
+        elif self._listener is None:
+            self._open_port()
+        elif cut:
+            self._reset_waiting_clients()
+
+    def _close_port(self) -> None:
+        if self._listener is None:
+            return
+        self._application.abandon()
+        if self._listener in self._selector.get_map():
+            self._selector.unregister(self._listener)
+        self._listener.close()
+        self._listener, self._deaf = None, False
+
+    def _open_port(self) -> None:
+        try:
+            self._listener = listen(self.host, self.port, "the toolbox port", BACKLOG)
+        except DeviceError:  # for a moment the port may belong to another program
+            return
+        self._listener.setblocking(False)
+
+    def _close_client(self) -> None:
+        self._answers.drop()
+        if self._client is None:  # lost while it was answered
+            return
+        self._selector.unregister(self._client)
+        self._client.close()
+        self._client = None
+
+    def _lose_client(self, reason: str) -> None:
+        if self._client is None:
+            return
+        self._close_client()
+        if self._settings.deaf_after_lost_client:
+            self._deaf = True
+            self._log(f"lost the client: {reason}; the port is deaf from now on")
+            return
+        with self.lock:
+            self._application.abandon()
+        self._log(f"lost the client: {reason}; the arm stops")
+
+    def _end(self) -> None:
+        self._log("the client ended the application")
+        self._reset_waiting_clients()
+        self._close_client()
+
+    def _reset_waiting_clients(self) -> None:
+        assert self._listener is not None  # it is closed only while there is no client
+        with contextlib.suppress(OSError):
+            while True:
+                waiting, _ = self._listener.accept()
+                waiting.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
+                waiting.close()
+
+    def _take_turns(self) -> None:
+        if self._client is not None or self._deaf or self._listener is None:
+            return
+        if self._listener in self._selector.get_map():
+            if time.monotonic() - self._waiting_since > self._settings.wait_for_client:
+                self._log(f"no client came within {self._settings.wait_for_client:g} s")
+                self._stop.set()
+        elif self._application.ended and self._settings.end_exits:
+            if not self._arm.in_motion:
+                self._stop.set()
+        elif not self._arm.in_motion and not self._arm.v.any():
+            self._start_application()
+
+    def _state(self) -> dict[str, Any]:
+        with self.lock:
+            self._advance()
+            arm = self._arm
+            assert arm.time is not None  # it has just moved on
+            return {
+                "time": arm.time,
+                "age": self._clock() - arm.time,
+                "joints": arm.q.tolist(),
+                "velocities": arm.v.tolist(),
+                "flange": arm.robot.flange(arm.q).tolist(),
+                "tcp_speed": arm.tool_speed,
+                "max_tcp_speed": arm.max_tool_speed,
+                "mode": self._application.mode,
+                "safety_stop": arm.safety_stop,
+                "stops": arm.stops,
+                "goals": self._panel.goals,
+                "connected": self._client is not None,
+                "outputs": dict(self._panel.outputs),
+            }
+
+    def _release(self) -> None:
+        with self.lock:
+            self._advance()
+            self._arm.release()
+            self._log("released")
+
+    def _back_off(self) -> None:
+        with self.lock:
+            self._advance()
+            self._arm.back_off()
+            self._log("the arm backs off")
+
+    def _set_external_torque(self, value: list[float]) -> None:
+        with self.lock:
+            self._advance()
+            self._arm.set_external_torque(_numbers(value, 7))
+
+    def _set_tcp_force(self, value: list[float]) -> None:
+        with self.lock:
+            self._advance()
+            self._arm.set_tool_force(_numbers(value, 3))
+
+    def _next_time(self) -> float:
+        """Returns the time that the arm moves on to: the clock's, or a part of the way where the arm is behind."""
+        now, arm = self._clock(), self._arm
+        if arm.time is None or arm.asleep or math.isinf(self._at_once):
+            self._behind = False
+            return now
+        arm.time = max(arm.time, now - LONGEST_LAG_S)
+        reached = min(now, arm.time + self._at_once)
+        self._behind = reached < now
+        return reached
+
+    def _advance(self) -> None:
+        self._answers.put(self._application.advance(self._next_time()), time.monotonic())
+
+
+def _numbers(value: Any, count: int) -> np.ndarray:
+    """Returns a list of finite numbers from a request as an array.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if (
+        not isinstance(value, list)
+        or len(value) != count
+        or not all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value)
+    ):
+        raise ValueError(f"The value must be {count} finite numbers, not {value!r}.")
+    return np.array(value, dtype=float)

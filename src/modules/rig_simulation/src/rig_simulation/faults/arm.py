@@ -1,0 +1,86 @@
+"""Faults of the simulated Sunrise controller on its TCP wire, and what they do to the answers that go out."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+
+from rig_simulation.faults.delay_line import DelayLine
+from rig_simulation.faults.garbage import garbled
+from rig_simulation.faults.injection import Fault, Faults, Value, share_of
+
+ARM_FAULTS = (
+    Fault("cut", "the connection is reset, and so is every new one; the arm brakes"),
+    Fault("half_open", "cable out: nothing is read or answered, the connection stays, the arm goes on"),
+    Fault("silent", "commands are followed, but answers are lost", share_of("answers")),
+    Fault("slow", "every answer comes late", Value("delay [s]", 0.2, 0.001, 60.0)),
+    Fault("garbled", "answers are garbage with a line's end", share_of("answers")),
+    Fault("torn", "answers come byte by byte", Value("time between two bytes [s]", 0.0005, 0.0001, 1.0)),
+    Fault("restarted", "the application ends on the pad and the port is closed; switched off it starts again"),
+    Fault("refused", "motions are answered `done`, `nak`: the arm stays, the tool is taken off"),
+    Fault("frozen", "the joint angles in answers stand still while the arm moves"),
+    Fault("shifted", "the joint angles in answers are wrong", Value("by so much at every joint [rad]", 0.1, -1.0, 1.0)),
+)
+
+
+class Answers:
+    """What becomes of the answers on their way out. Time is handed in.
+
+    Args:
+        faults: those of ARM_FAULTS.
+    """
+
+    def __init__(self, faults: Faults) -> None:
+        self._faults = faults
+        self._random = random.Random(0)
+        self._waiting: DelayLine[bytes] = DelayLine()
+
+    def put(self, text: str, now: float) -> None:
+        """Takes answers, each with its line's end, that the application gives at the time `now` [s]."""
+        faults = self._faults.active()
+        due = now + faults.get("slow", 0.0)
+        for answer in text.encode("ascii").splitlines(keepends=True):
+            if self._random.random() < faults.get("silent", 0.0):
+                continue
+            if self._random.random() < faults.get("garbled", 0.0):
+                answer = garbled(answer[:-1], self._random).replace(b"\n", b"\r") + b"\n"
+            if "torn" in faults:
+                for i, byte in enumerate(answer):
+                    self._waiting.put(bytes([byte]), due + i * faults["torn"])
+            else:
+                self._waiting.put(answer, due)
+
+    def take(self, now: float) -> list[bytes]:
+        """Returns what is to be sent by the time `now` [s], in pieces that are sent one by one."""
+        if self._faults.is_on("half_open"):
+            return []
+        pieces = self._waiting.take(now)
+        return pieces if self._faults.is_on("torn") else [b"".join(pieces)] if pieces else []
+
+    def next_due(self) -> float:
+        """Returns when the next answer is to be sent [s]; infinity if none waits."""
+        return self._waiting.next_due()
+
+    def drop(self) -> None:
+        """Forgets what waits, since its connection is gone."""
+        self._waiting.clear()
+
+
+class Encoders:
+    """The joint angles that answers tell, shape (7,) [rad].
+
+    Args:
+        faults: those of ARM_FAULTS.
+    """
+
+    def __init__(self, faults: Faults) -> None:
+        self._faults = faults
+        self._frozen: np.ndarray | None = None
+
+    def read(self, q: np.ndarray) -> np.ndarray:
+        """Returns what is told where the true angles are `q`; the first after the fault began is what stays."""
+        faults = self._faults.active()
+        if "frozen" not in faults or self._frozen is None:
+            self._frozen = q
+        return self._frozen + faults.get("shifted", 0.0)

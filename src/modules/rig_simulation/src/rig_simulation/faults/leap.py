@@ -1,0 +1,158 @@
+"""Faults of the simulated Leap service, and what those of its frames do to the stream."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable
+
+from rig_simulation.devices.leap import wire
+from rig_simulation.faults.delay_line import DelayLine
+from rig_simulation.faults.garbage import garbled
+from rig_simulation.faults.injection import Fault, Faults, Value, share_of
+
+LEAP_FAULTS = (
+    Fault("cut", "connections are reset, and so is every new one"),
+    Fault("half_open", "cable out: nothing is read or sent, not even pongs; connections stay"),
+    Fault("silent", "connections stay, but no frames come", share_of("frames")),
+    Fault("slow", "every frame comes late", Value("delay [s]", 0.3, 0.001, 60.0)),
+    Fault(
+        "bursts",
+        "frames are held back and then come all at once",
+        Value("time between two bursts [s]", 0.1, 0.01, 10.0),
+    ),
+    Fault("low_rate", "most frames are left out", Value("frames that are left [Hz]", 10.0, 0.1, 100.0)),
+    Fault("garbled", "frames are torn, no JSON, without hands' keys, or hold NaN", share_of("frames")),
+    Fault("restarted", "the service ends and its port is closed; switched off it starts with ids and clock anew"),
+    Fault("unplugged", "the device is not there, which clients are told; no frames"),
+    Fault("frozen", "the same frame comes again and again"),
+    Fault("hand_lost", "frames hold no hand"),
+    Fault("hand_swapped", "the hand counts as the other one, left or right, with a new id"),
+    Fault(
+        "hand_moved",
+        "the hand is lost and found elsewhere with a new id",
+        Value("to the right [mm]", 100.0, -500.0, 500.0),
+    ),
+    Fault("second_hand", "a second hand stands beside the first", Value("to the right [mm]", 250.0, -500.0, 500.0)),
+    Fault(
+        "outliers", "one hand in forty is elsewhere for a single frame", Value("higher by [mm]", 200.0, -1000.0, 1000.0)
+    ),
+    Fault("low_confidence", "the hand is badly seen", Value("its confidence", 0.02, 0.0, 1.0)),
+)
+OF_HANDS = {"hand_lost", "hand_swapped", "hand_moved", "second_hand", "outliers", "low_confidence"}
+NEW_ID, SECOND_ID = 1000, 500
+"""How far ids of hands are moved: the service never gives an id twice."""
+
+OUTLIER_PERIOD = 40
+
+
+class Stream:
+    """What becomes of the frames on their way out. Time is handed in.
+
+    Args:
+        faults: those of LEAP_FAULTS.
+    """
+
+    def __init__(self, faults: Faults) -> None:
+        self._faults = faults
+        self._random = random.Random(0)
+        self._waiting: DelayLine[str] = DelayLine()
+        self._frozen: str | None = None
+        self._next = self._burst = float("-inf")
+        self._hands = Hands()
+
+    def pass_on(self, frame: str, now: float) -> list[str]:
+        """Takes the frame of the time `now` [s] and returns those that are to be sent now, oldest first."""
+        faults = self._faults.active()
+        if "silent" in faults and self._random.random() < faults["silent"]:
+            return []
+        if "low_rate" in faults:
+            if now < self._next:
+                return []
+            self._next = max(self._next + 1.0 / faults["low_rate"], now)
+        frame = self._hands.change(frame, faults)
+        self._frozen = (self._frozen or frame) if "frozen" in faults else None
+        frame = self._frozen or frame
+        if "garbled" in faults and self._random.random() < faults["garbled"]:
+            frame = broken(frame, self._random)
+        self._waiting.put(frame, now + faults.get("slow", 0.0))
+        if "bursts" in faults:
+            if now < self._burst + faults["bursts"]:
+                return []
+            self._burst = now
+        return self._waiting.take(now)
+
+
+class Hands:
+    """Changes the hands of frames; remembers how often ids were to be new, and counts frames for outliers."""
+
+    def __init__(self) -> None:
+        self._renamed = 0
+        self._moved: set[str] = set()
+        self._frames = 0
+
+    def change(self, frame: str, faults: dict[str, float]) -> str:
+        """Returns the frame with the faults of OF_HANDS among these in it."""
+        moved = {"hand_swapped", "hand_moved"} & faults.keys()
+        self._renamed += moved != self._moved
+        self._moved = moved
+        if not OF_HANDS & faults.keys() and not self._renamed:
+            return frame
+        self._frames += 1
+        message = _with_ids(json.loads(frame), NEW_ID * self._renamed)
+        if "hand_lost" in faults:
+            message = {**message, "hands": [], "pointables": []}
+        if "hand_swapped" in faults:
+            message = _mirrored(message)
+        if "hand_moved" in faults:
+            message = wire.shifted(message, (faults["hand_moved"], 0.0, 0.0))
+        if "low_confidence" in faults:
+            message["hands"] = [{**hand, "confidence": faults["low_confidence"]} for hand in message["hands"]]
+        if "outliers" in faults and self._frames % OUTLIER_PERIOD == 0:
+            message = wire.shifted(message, (0.0, faults["outliers"], 0.0))
+        if "second_hand" in faults:
+            other = _with_ids(wire.shifted(message, (faults["second_hand"], 0.0, 0.0)), SECOND_ID)
+            message.update({key: message[key] + other[key] for key in ("hands", "pointables")})
+        return wire.text(message)
+
+
+def broken(frame: str, rng: random.Random) -> str:
+    """Returns a message that is no frame, in one of several ways."""
+    message = json.loads(frame)
+    ways: list[Callable[[], str]] = [
+        lambda: frame[: rng.randrange(len(frame))],
+        lambda: garbled(frame.encode("ascii"), rng).decode("latin-1"),
+        lambda: wire.text({key: value for key, value in message.items() if key != "hands"}),
+        lambda: wire.text({**message, "hands": [{"id": "none", "palmPosition": [0, 0]}]}),
+        lambda: json.dumps({**message, "timestamp": float("nan")}),
+    ]
+    return rng.choice(ways)()
+
+
+def _with_ids(message: dict, added: int) -> dict:
+    return {
+        **message,
+        "hands": [{**hand, "id": hand["id"] + added} for hand in message["hands"]],
+        "pointables": [
+            {**finger, "handId": finger["handId"] + added, "id": finger["id"] + 10 * added}
+            for finger in message["pointables"]
+        ],
+    }
+
+
+def _mirrored(message: dict) -> dict:
+    """Returns the hands as the other side's: bases of left hands are left-handed."""
+    other = {"left": "right", "right": "left"}
+
+    def turned(basis: list) -> list:
+        return [[-v for v in basis[0]], *basis[1:]]
+
+    hands = [{**hand, "type": other[hand["type"]]} for hand in message["hands"]]
+    for hand in hands:
+        if "armBasis" in hand:
+            hand["armBasis"] = turned(hand["armBasis"])
+    fingers = [
+        {**finger, "bases": [turned(basis) for basis in finger["bases"]]} if "bases" in finger else finger
+        for finger in message["pointables"]
+    ]
+    return {**message, "hands": hands, "pointables": fingers}

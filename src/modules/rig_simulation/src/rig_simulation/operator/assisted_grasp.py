@@ -1,0 +1,328 @@
+"""A person lets the arm go above a proposed grasp, takes over there, corrects by hand, and picks the object up.
+
+The person looks at the proposals, asks for the best one to be executed as soon as it lies on an object, brings the hand
+in when the arm stands above it, picks up and puts down as in pick_and_place.py, and leaves. What failed is tried again.
+Positions in metres in `kuka/base_frame`, angles in radians, times in seconds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from common.rotations import rotation_about
+from rig_simulation.operator.alignment import wrapped
+from rig_simulation.operator.pick_and_place import Move, PickAndPlace, Plan, View
+
+EXECUTE, CANCEL, SHOW, HIDE = "execute", "cancel", "show", "hide"
+"""What the person asks for besides moves: of the execution, and of the own hand."""
+IDLE, WAITING_FOR_HAND, OVER = "idle", "waiting_for_hand", "over"
+"""States of the execution that matter here."""
+
+
+@dataclass(frozen=True)
+class Habits:
+    """How the person works with proposals.
+
+    Attributes:
+        rounds: how many grasps there are to be.
+        attempts: how often one is tried.
+        look: how long the arm has been at home before a proposal is trusted, and the time between two tries [s].
+        reach: farthest a proposal may lie from the middle of an object's top, level [m].
+        least_lift: an object that is not lifted so far was not lifted [m].
+        lost: how long the arm may follow no more before the person gives up a try [s].
+        patience: longest time for one step [s].
+    """
+
+    rounds: int = 1
+    attempts: int = 3
+    look: float = 2.0
+    reach: float = 0.05
+    least_lift: float = 0.1
+    lost: float = 2.0
+    patience: float = 60.0
+
+
+@dataclass(frozen=True)
+class SeenObject:
+    """An object.
+
+    Attributes:
+        top: centre of its upper side, shape (3,) [m].
+        clearance: height of its lowest point above the table [m].
+        turn: how far the tool has to turn for it, see View.
+    """
+
+    top: np.ndarray
+    clearance: float
+    turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The best grasp that is proposed.
+
+    Attributes:
+        id: its number.
+        place: surface between the fingers, shape (3,) [m].
+    """
+
+    id: int
+    place: np.ndarray
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the execution says became of a grasp."""
+
+    episode: int
+    held: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the person sees.
+
+    Attributes:
+        grip: point of the tool that grips, shape (3,) [m].
+        heading: of the tool [rad].
+        following: whether the arm follows the hand.
+        at_home: whether the arm stands at home.
+        objects: by name.
+        proposal: the newest best one that the arm reaches; None: there is none.
+        complaint: why there is none.
+        execution: state of the execution.
+        reason: why it is in that state.
+        outcome: the newest one.
+    """
+
+    grip: np.ndarray
+    heading: float
+    following: bool
+    at_home: bool
+    objects: Mapping[str, SeenObject]
+    proposal: Proposal | None = None
+    complaint: str = ""
+    execution: str = IDLE
+    reason: str = ""
+    outcome: Outcome | None = None
+
+
+@dataclass(frozen=True)
+class Round:
+    """What came of one grasp.
+
+    Attributes:
+        number: from 1 on.
+        object: its name, empty while none was chosen.
+        proposals: how many different best proposals were seen.
+        executed: how often the execution went above one.
+        refused: why the execution refused, one sentence each time.
+        failed: why a try failed, one sentence each.
+        correction: how far the person moved the grip level between taking over and closing the fingers [m].
+        turn: how far the tool was turned meanwhile [rad].
+        lifted: height above the table at which it was held up [m].
+        held: whether the execution says so; None before it says anything.
+        reason: what it says.
+    """
+
+    number: int
+    object: str = ""
+    proposals: int = 0
+    executed: int = 0
+    refused: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+    correction: float | None = None
+    turn: float | None = None
+    lifted: float = 0.0
+    held: bool | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a step brought: a request or a move to make, or nothing; `failure` says why the person gave up."""
+
+    step: str
+    round: Round
+    request: str = ""
+    move: Move | None = None
+    failure: str = ""
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.step == "done" or bool(self.failure)
+
+
+@dataclass
+class _Try:
+    """One try of a round: the hand's work and where it began."""
+
+    work: PickAndPlace
+    grip: np.ndarray
+    heading: float
+    followed: float | None = None
+    name: str = field(default="wait")
+
+
+class AssistedGrasp:
+    """The person at work; `step` is called some ten times a second, and after EXECUTE `answer` with what was said.
+
+    Args:
+        habits: how the person works with proposals.
+        plan: how the person works by hand.
+        center_line: direction of the workspace, shape (3,), z = 0.
+    """
+
+    def __init__(self, habits: Habits, plan: Plan, center_line: np.ndarray) -> None:
+        self._habits, self._plan = habits, plan
+        self._center_line = np.asarray(center_line, dtype=float)
+        self._round = Round(1)
+        self._seen: set[int] = set()
+        self._home_heading = 0.0
+        self._episode: int | None = None
+        self._try: _Try | None = None
+        self._step = "look"
+        self._since: float | None = None
+        self._ready_since: float | None = None
+
+    def answer(self, success: bool, message: str, now: float) -> None:
+        """Takes the answer to EXECUTE."""
+        if success:
+            self._change(executed=self._round.executed + 1)
+            self._go("approach", now)
+        else:
+            self._change(refused=(*self._round.refused, message))
+            self._ready_since = now
+
+    def step(self, scene: Scene, now: float) -> Result:
+        """Looks, and says what to do now."""
+        if self._since is None:
+            self._since = now
+        if self._step == "done":
+            return self._result()
+        if self._try is None and now - self._since > self._habits.patience:
+            request = CANCEL if self._step == "approach" else ""
+            return self._result(request=request, failure=self._complaint(scene))
+        return getattr(self, f"_{self._step}")(scene, now)
+
+    def _look(self, scene: Scene, now: float) -> Result:
+        """Waits at home for a proposal that lies on an object."""
+        if not scene.at_home or scene.following:
+            self._ready_since = None
+            return self._result()
+        self._home_heading = scene.heading
+        if self._ready_since is None:
+            self._ready_since = now
+        if now - self._ready_since < self._habits.look or scene.proposal is None:
+            return self._result()
+        if scene.proposal.id not in self._seen:
+            self._seen.add(scene.proposal.id)
+            self._change(proposals=self._round.proposals + 1)
+        name, distance = self._nearest(scene, scene.proposal)
+        if distance > self._habits.reach:
+            return self._result()
+        self._change(object=name, correction=None, turn=None, lifted=0.0, held=None, reason="")
+        self._episode = None if scene.outcome is None else scene.outcome.episode
+        return self._result(request=EXECUTE)
+
+    def _approach(self, scene: Scene, now: float) -> Result:
+        """Waits until the arm stands above the proposal, and brings the hand in."""
+        assert self._since is not None  # `step` sets it
+        if scene.execution in (IDLE, OVER) and now - self._since > self._habits.look:
+            return self._again(f"it ended before the hand came in: {scene.reason}", now)
+        if scene.execution != WAITING_FOR_HAND:
+            return self._result()
+        turned = rotation_about(2, wrapped(scene.heading - self._home_heading))
+        work = PickAndPlace(self._plan, turned @ self._center_line)
+        self._try = _Try(work, scene.grip, scene.heading)
+        self._go("work", now)
+        return self._result(request=SHOW)
+
+    def _work(self, scene: Scene, now: float) -> Result:
+        """Takes over, corrects, picks up, puts down."""
+        seen, attempt = scene.objects[self._round.object], self._try
+        assert attempt is not None  # `_approach` begins one
+        if scene.following:
+            attempt.followed = now
+        elif attempt.followed is not None and now - attempt.followed > self._habits.lost:
+            return self._again(f"the arm followed the hand no more: {scene.reason}", now, HIDE)
+        result = attempt.work.step(View(scene.grip, seen.top, seen.clearance, scene.following, seen.turn), now)
+        if result.step == "close" and attempt.name != "close":
+            shift = float(np.linalg.norm((scene.grip - attempt.grip)[:2]))
+            self._change(correction=shift, turn=wrapped(scene.heading - attempt.heading))
+        if result.step == "hold":
+            self._change(lifted=max(self._round.lifted, seen.clearance))
+        attempt.name = result.step
+        if result.failure:
+            return self._again(result.failure, now, HIDE)
+        if result.over:
+            self._try = None
+            self._go("leave", now)
+            return self._result(request=HIDE)
+        return self._result(move=result.move)
+
+    def _leave(self, scene: Scene, now: float) -> Result:
+        """Waits at home for the outcome."""
+        outcome = scene.outcome
+        if outcome is None or outcome.episode == self._episode or not scene.at_home:
+            return self._result()
+        self._change(held=outcome.held, reason=outcome.reason)
+        if not outcome.held:
+            return self._again(f"it was not held: {outcome.reason}", now)
+        if self._round.lifted < self._habits.least_lift:
+            return self._again(f"it was lifted by {1e3 * self._round.lifted:.0f} mm only", now)
+        if self._round.number == self._habits.rounds:
+            self._go("done", now)
+            return self._result()
+        ended = self._result()
+        self._round = Round(self._round.number + 1)
+        self._go("look", now)
+        return ended
+
+    def _again(self, why: str, now: float, request: str = "") -> Result:
+        """Notes why a try failed; the next one begins, or the person gives up."""
+        why = why.rstrip(".")
+        self._change(failed=(*self._round.failed, why))
+        if len(self._round.failed) >= self._habits.attempts:
+            result = self._result(request=request, failure=f"after {self._habits.attempts} tries: {why}")
+        else:
+            result = self._result(request=request)
+            self._go("look", now)
+        self._try = None
+        return result
+
+    def _nearest(self, scene: Scene, proposal: Proposal) -> tuple[str, float]:
+        """Returns the object whose top is nearest to the proposal, and how far that is [m], seen from above."""
+        place = proposal.place[:2]
+        away = {name: float(np.linalg.norm(seen.top[:2] - place)) for name, seen in scene.objects.items()}
+        return min(away.items(), key=lambda item: item[1])
+
+    def _complaint(self, scene: Scene) -> str:
+        waited = f"waited {self._habits.patience:g} s in vain (step {self._step!r})"
+        if self._step != "look":
+            return f"{waited}: the execution is {scene.execution}: {scene.reason}"
+        if not scene.at_home:
+            return f"{waited}: the arm did not come home"
+        if scene.proposal is None:
+            return f"{waited}: no grasp is proposed: {scene.complaint}"
+        if self._round.refused:
+            return f"{waited}: {self._round.refused[-1]}"
+        name, distance = self._nearest(scene, scene.proposal)
+        return f"{waited}: the best grasp lies {1e3 * distance:.0f} mm from {name}, the nearest object"
+
+    def _change(self, **values: Any) -> None:
+        self._round = dataclasses.replace(self._round, **values)
+
+    def _go(self, step: str, now: float) -> None:
+        self._step, self._since, self._ready_since = step, now, None
+
+    def _result(self, **what: Any) -> Result:
+        name = self._try.name if self._try is not None else self._step
+        return Result(name, self._round, **what)

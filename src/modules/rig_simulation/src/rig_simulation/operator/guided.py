@@ -1,0 +1,162 @@
+"""A person who is told where to hold the hand: it comes into view, reaches from pose to pose, and leaves.
+
+Reaching follows the minimum-jerk law of human arm movements (Flash and Hogan 1985). What the service reports of the
+hand has the noise and the signs of entry and exit of a real one.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig_simulation.devices.leap import wire
+from rig_simulation.devices.leap.sensing import SETTLE_S, Tracker
+from rig_simulation.operator import motion
+from rig_simulation.operator.hand_model import HandModel
+from rig_simulation.operator.sources import PERIOD_S, Person, next_interval
+
+LONGEST_REACH_S = 60.0
+FARTHEST_M = 0.5
+LARGEST_ANGLE = np.radians(90.0)
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Where the hand is to be, and when.
+
+    Attributes:
+        right, up, back: of the palm from the centre of the work [m], from the user's view.
+        pitch, yaw, roll: [rad].
+        curl: 0 open, 1 fist.
+        seconds: how long the movement takes.
+    """
+
+    right: float = 0.0
+    up: float = 0.0
+    back: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    roll: float = 0.0
+    curl: float = 0.0
+    seconds: float = 1.0
+
+    def __post_init__(self) -> None:
+        limits = {
+            **dict.fromkeys(("right", "up", "back"), (-FARTHEST_M, FARTHEST_M, "m")),
+            **dict.fromkeys(("pitch", "yaw", "roll"), (-LARGEST_ANGLE, LARGEST_ANGLE, "rad")),
+            "curl": (0.0, 1.0, ""),
+            "seconds": (0.0, LONGEST_REACH_S, "s"),
+        }
+        for name, (low, high, unit) in limits.items():
+            value = getattr(self, name)
+            if not (isinstance(value, (int, float)) and low <= value <= high):
+                raise ValueError(f"{name} of a reach is {value!r} and must lie in {low:g} to {high:g} {unit}".rstrip())
+
+    @property
+    def state(self) -> np.ndarray:
+        """The same as a state of motion.py, shape (7,): mm and rad."""
+        palm = 1e3 * np.array([self.right, self.up, self.back])
+        return np.array([*palm, self.pitch, self.yaw, self.roll, self.curl])
+
+
+class GuidedPerson:
+    """A source whose hand goes where the calls below send it; they may come from another thread.
+
+    Args:
+        person: size and side of the hand, centre of the work.
+    """
+
+    def __init__(self, person: Person) -> None:
+        self._person = person
+        self._lock = threading.Lock()
+        self._state: np.ndarray | None = None
+        self._shown = 0
+        self._path = (np.zeros(motion.STATE_SIZE), np.zeros(motion.STATE_SIZE), 0.0)
+        self._elapsed = 0.0
+        self._leaves_in: float | None = None
+
+    def show(self, **at: float) -> None:
+        """Brings a hand into view at a `Reach`, with a new id, in place of the one before.
+
+        Raises:
+            ValueError: the reach has unknown names or is out of its range.
+        """
+        state = _reach(at).state
+        with self._lock:
+            self._state, self._path, self._elapsed = state, (state, state, 0.0), 0.0
+            self._shown += 1
+            self._leaves_in = None
+
+    def reach(self, **to: float) -> None:
+        """Moves the hand to a `Reach`; a movement under way is left where it is.
+
+        Raises:
+            ValueError: no hand is in view, or the reach has unknown names or is out of its range.
+        """
+        wish = _reach(to)
+        with self._lock:
+            if self._state is None:
+                raise ValueError("no hand is in view: show it first")
+            self._path, self._elapsed = (self._state, wish.state, wish.seconds), 0.0
+
+    def hide(self) -> None:
+        """Takes the hand out of view; its confidence falls before."""
+        with self._lock:
+            if self._state is not None:
+                self._leaves_in = SETTLE_S
+
+    def hand(self) -> dict:
+        """Returns whether a hand is in view, whether it moves, and where it is: right, up, back [m], curl."""
+        with self._lock:
+            if self._state is None:
+                return {"in_view": False, "moving": False}
+            right, up, back = (1e-3 * self._state[:3]).tolist()
+            moving = self._elapsed < self._path[2]
+            curl = float(self._state[motion.CURL])
+            return {"in_view": True, "moving": moving, "right": right, "up": up, "back": back, "curl": curl}
+
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+        """Yields frames for ever: empty ones while no hand is in view."""
+        model = HandModel(self._person.side, self._person.scale, ends_at_tip=self._person.fields == "new")
+        tracker, shown, age = None, 0, 0.0
+        order = rng.permutation(5).tolist()
+        while True:
+            interval = next_interval(rng)
+            state, speed, left, count = self._advance(interval)
+            hands = []
+            if state is not None:
+                if tracker is None or count != shown:
+                    tracker, shown, age = Tracker(model, first_id + count - 1, rng), count, 0.0
+                curl = float(state[motion.CURL])
+                hands = [tracker.report(self._person.pose(state), curl, speed, age, left)]
+                age += interval
+            else:
+                tracker = None
+            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self._person.fields, order)
+
+    def _advance(self, dt: float) -> tuple[np.ndarray | None, float, float, int]:
+        """Lets dt [s] pass; returns the state, the palm's speed [mm/s], the time left in view [s], the hands so far."""
+        with self._lock:
+            if self._leaves_in is not None:
+                self._leaves_in -= dt
+                if self._leaves_in <= 0.0:
+                    self._state = self._leaves_in = None
+            if self._state is None:
+                return None, 0.0, 0.0, self._shown
+            before = self._state
+            start, end, seconds = self._path
+            self._elapsed = min(self._elapsed + dt, seconds)
+            part = self._elapsed / seconds if seconds > 0.0 else 1.0
+            self._state = start + motion.min_jerk(part) * (end - start)
+            speed = float(np.linalg.norm(self._state[:3] - before[:3])) / dt
+            return self._state, speed, 1e3 if self._leaves_in is None else self._leaves_in, self._shown
+
+
+def _reach(fields: dict) -> Reach:
+    unknown = sorted(set(fields) - set(Reach.__dataclass_fields__))
+    if unknown:
+        raise ValueError(f"a reach has no {', '.join(unknown)}; it has {', '.join(Reach.__dataclass_fields__)}")
+    return Reach(**fields)

@@ -1,0 +1,209 @@
+"""A person picks an object up and puts it down again: a state machine from what is seen to where the hand goes.
+
+The person looks at the tool and at the object and moves and turns the hand by the difference, as often as it takes;
+nothing is known of the controller but that the tool follows the hand. Positions in metres in `kuka/base_frame`, times
+in seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig_simulation.operator.motion import MIN_JERK_PEAK
+
+UP = np.array([0.0, 0.0, 1.0])
+SHORTEST_MOVE_S, SETTLE_S = 0.4, 0.3
+FINGER_SHARE = 0.6
+"""Part of the fingers' time in which the person's own fingers move."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the person works.
+
+    Attributes:
+        clearance: of the grip above the object before it is grasped [m].
+        grasp_height: of the grip above the object's top while it is grasped [m].
+        lift: how high it is lifted [m].
+        speed: highest of the palm [m/s].
+        turn_speed: highest of the hand about the vertical [rad/s].
+        tolerance: distance of the tool from where it should be that is good enough [m].
+        turn_tolerance: angle of the tool about the vertical that is good enough [rad].
+        most_turn: how far the hand is turned at most, as the arm follows no further [rad].
+        at_rest: speed below which the tool stands [m/s].
+        closing, opening: how long the fingers are given [s].
+        hold: how long the object is held up [s].
+        patience: longest time for one step [s].
+    """
+
+    clearance: float = 0.12
+    grasp_height: float = 0.07
+    lift: float = 0.215
+    speed: float = 0.1
+    turn_speed: float = 0.5
+    tolerance: float = 0.004
+    turn_tolerance: float = 0.05
+    most_turn: float = 0.4
+    at_rest: float = 0.005
+    closing: float = 2.5
+    opening: float = 1.5
+    hold: float = 1.0
+    patience: float = 30.0
+
+
+@dataclass(frozen=True)
+class View:
+    """What the person sees.
+
+    Attributes:
+        grip: point of the tool that grips, shape (3,) [m].
+        top: centre of the object's upper side, shape (3,) [m].
+        clearance: height of the object's lowest point above the table [m].
+        following: whether the arm follows the hand.
+        turn: how far the tool has to turn so that the fingers fit the object, anticlockwise from above [rad].
+    """
+
+    grip: np.ndarray
+    top: np.ndarray
+    clearance: float
+    following: bool = True
+    turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Move:
+    """Where the hand goes: right, up and back from where it came in [m], yaw to the right [rad], curl 0 to 1, in s."""
+
+    palm: np.ndarray
+    yaw: float
+    curl: float
+    seconds: float
+
+    @property
+    def fields(self) -> dict[str, float]:
+        """The same as the request `reach` of the simulated Leap service."""
+        right, up, back = self.palm.tolist()
+        return {"right": right, "up": up, "back": back, "yaw": self.yaw, "curl": self.curl, "seconds": self.seconds}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a step brought: a move to make or None; `step` names the present step; `failure` says why it gave up."""
+
+    step: str
+    move: Move | None = None
+    failure: str = ""
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.step == "done" or bool(self.failure)
+
+
+STEPS = ("wait", "above", "down", "close", "lift", "hold", "lower", "open", "away", "done")
+
+
+class PickAndPlace:
+    """The person at work; `step` is called some ten times a second.
+
+    Args:
+        plan: how the person works.
+        center_line: direction of the workspace, shape (3,), z = 0: the hand comes in pointing along it.
+    """
+
+    def __init__(self, plan: Plan, center_line: np.ndarray) -> None:
+        forward = np.asarray(center_line, dtype=float) / np.linalg.norm(center_line)
+        self._plan = plan
+        self._R_leap_base = np.array([np.cross(forward, UP), UP, -forward])
+        self._palm, self._yaw, self._curl = np.zeros(3), 0.0, 0.0
+        self._step = 0
+        self._since: float | None = None
+        self._busy_until = 0.0
+        self._target: np.ndarray | None = None
+        self._before: tuple[float, np.ndarray] | None = None
+
+    def step(self, view: View, now: float) -> Result:
+        """Looks, and says what to do now."""
+        at_rest = self._at_rest(view.grip, now)
+        if STEPS[self._step] == "done":
+            return Result("done")
+        if self._since is None:
+            self._since = now
+        if now - self._since > self._plan.patience:
+            return Result(STEPS[self._step], failure=self._complaint(view))
+        if now < self._busy_until or not at_rest or not view.following:
+            return Result(STEPS[self._step])
+        return self._look(view, now)
+
+    def _look(self, view: View, now: float) -> Result:
+        """The last movement is over and the tool stands: corrects it, or goes on to the next step."""
+        name = STEPS[self._step]
+        if self._target is not None:
+            error, turn = self._target - view.grip, self._turn(name, view)
+            if np.linalg.norm(error) > self._plan.tolerance or abs(turn) > self._plan.turn_tolerance:
+                return Result(name, self._shift(error, now, turn))
+        self._step += 1
+        self._since, self._target = now, None
+        return self._begin(STEPS[self._step], view, now)
+
+    def _begin(self, name: str, view: View, now: float) -> Result:
+        plan = self._plan
+        if name == "above":
+            self._target = view.top + plan.clearance * UP
+        elif name == "down":
+            self._target = view.top + plan.grasp_height * UP
+        elif name == "close":
+            return Result(name, self._bend(1.0, plan.closing, now))
+        elif name == "lift":
+            self._target = view.grip + plan.lift * UP
+        elif name == "hold":
+            self._busy_until = now + plan.hold
+            return Result(name)
+        elif name == "lower":
+            self._target = view.grip - view.clearance * UP
+        elif name == "open":
+            return Result(name, self._bend(0.0, plan.opening, now))
+        elif name == "away":
+            self._target = view.grip + plan.clearance * UP
+        else:
+            return Result(name)
+        return Result(name, self._shift(self._target - view.grip, now, self._turn(name, view)))
+
+    def _turn(self, name: str, view: View) -> float:
+        """Returns the turn that is still to be made [rad]: over the object, and no further than the arm follows."""
+        if name != "above":
+            return 0.0
+        most = self._plan.most_turn
+        return float(np.clip(view.turn, self._yaw - most, self._yaw + most))
+
+    def _shift(self, way: np.ndarray, now: float, turn: float) -> Move:
+        """Returns the hand's move that shifts the tool by `way`, shape (3,) [m], in the base and turns it [rad]."""
+        self._palm = self._palm + self._R_leap_base @ way
+        self._yaw -= turn
+        fastest = max(float(np.linalg.norm(way) / self._plan.speed), abs(turn) / self._plan.turn_speed)
+        seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * fastest)
+        self._busy_until = now + seconds + SETTLE_S
+        return Move(self._palm, self._yaw, self._curl, seconds)
+
+    def _bend(self, curl: float, seconds: float, now: float) -> Move:
+        """Returns the fingers' move; the robot's fingers, which are slower, are given `seconds` in all."""
+        self._curl = curl
+        self._busy_until = now + seconds
+        return Move(self._palm, self._yaw, curl, FINGER_SHARE * seconds)
+
+    def _at_rest(self, grip: np.ndarray, now: float) -> bool:
+        before, self._before = self._before, (now, grip)
+        if before is None or now <= before[0]:
+            return False
+        return float(np.linalg.norm(grip - before[1])) / (now - before[0]) < self._plan.at_rest
+
+    def _complaint(self, view: View) -> str:
+        name = STEPS[self._step]
+        if not view.following:
+            return f"the arm did not follow within {self._plan.patience:g} s (step {name!r})"
+        if self._target is not None:
+            off = 1e3 * np.linalg.norm(self._target - view.grip)
+            return f"the tool stayed {off:.0f} mm away from where step {name!r} wants it"
+        return f"step {name!r} did not end within {self._plan.patience:g} s"

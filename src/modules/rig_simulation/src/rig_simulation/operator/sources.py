@@ -1,0 +1,175 @@
+"""Where frames come from: nobody, a person who follows a script, or a recording.
+
+A source yields (interval, frame): the time since the frame before [s], and a frame that still needs the service's own
+`id` and `timestamp`. Hand ids are counted by the service, so a source is told the first one that is free.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from common.errors import RigError
+from rig_simulation.devices.leap import wire
+from rig_simulation.devices.leap.sensing import Tracker
+from rig_simulation.operator import motion
+from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
+
+PERIOD_S = 1.0 / 115.3
+JITTER_S = 0.08e-3
+LOST_FRAME = 0.005
+"""Probability that the camera loses a frame: the interval is double, the id counts on."""
+
+PAUSE_S = 1.5
+"""Empty frames between two rounds of a recording."""
+
+
+class RecordingError(RigError):
+    """A recording that cannot be played."""
+
+
+def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float, dict]]:
+    """Yields frames without hands for ever, at the rate of the device with its jitter."""
+    while True:
+        yield next_interval(rng), wire.frame([], 1.0 / PERIOD_S, fields)
+
+
+@dataclass(frozen=True)
+class Person:
+    """Who moves what over the Leap.
+
+    Attributes:
+        script: what the person does.
+        side: of the hand, "right" or "left".
+        scale: size of the hand against the template.
+        centre: of the work, in Leap axes [mm].
+        fields: field set of the frames.
+    """
+
+    script: motion.Script
+    side: str = "right"
+    scale: float = 1.05
+    centre: tuple[float, float, float] = (0.0, 350.0, 0.0)
+    fields: str = "2.x"
+
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+        """Yields visit after visit for ever, each with a hand id of its own and a pause after it."""
+        model = HandModel(self.side, self.scale, ends_at_tip=self.fields == "new")
+        hand_id = first_id
+        while True:
+            visit = motion.Visit(self.script, rng)
+            yield from self._visit(visit, model, hand_id, rng)
+            hand_id += 1
+
+    def _visit(
+        self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator
+    ) -> Iterator[tuple[float, dict]]:
+        tracker, order = Tracker(model, hand_id, rng), rng.permutation(5).tolist()
+        t, interval = visit.appears, next_interval(rng)
+        while t < visit.vanishes + self.script.away:
+            hands = []
+            if visit.visible(t):
+                state, before = visit.state(t), visit.state(t - PERIOD_S)
+                speed = float(np.linalg.norm(state[:3] - before[:3])) / PERIOD_S
+                pose, curl = self.pose(state), float(state[motion.CURL])
+                hands = [tracker.report(pose, curl, speed, t - visit.appears, visit.vanishes - t)]
+            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self.fields, order)
+            interval = next_interval(rng)
+            t += interval
+
+    def pose(self, state: np.ndarray) -> HandPose:
+        """Returns where the hand is in a state of motion.py, shape (7,)."""
+        flexion, spread = fingers_for(state[motion.CURL])
+        pitch, yaw, roll = state[[motion.PITCH, motion.YAW, motion.ROLL]]
+        mirror = -1.0 if self.side == "left" else 1.0
+        palm = np.array(self.centre) + state[:3]
+        return HandPose(palm, pitch, mirror * yaw, mirror * roll, flexion, spread)
+
+
+class Recording:
+    """A file of recorded frames, one JSON object a line, as text or compressed by gzip.
+
+    Args:
+        path: the file.
+        rate: how much faster than recorded it is played.
+        offset: added to every position [mm].
+        loop: whether it starts again, after a pause, with new hand ids.
+
+    Raises:
+        RecordingError: the file is not there, or a line of it is no frame.
+    """
+
+    def __init__(self, path: Path, rate: float = 1.0, offset: Sequence[float] = (0, 0, 0), loop: bool = False) -> None:
+        self._lines = _read(path)
+        self._rate, self._offset, self._loop = rate, tuple(offset), loop
+        frames = [self._check(path, number, line) for number, line in enumerate(self._lines, 1)]
+        self._times = [frame["timestamp"] for frame in frames]
+        if any(b < a for a, b in zip(self._times, self._times[1:])):
+            raise RecordingError(f"The time stamps of the recording {path} go back.")
+        self._highest_hand = max((hand["id"] for frame in frames for hand in frame["hands"]), default=0)
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+        """Yields the recorded frames; after them empty ones, for a while or for ever."""
+        shift = 0 if first_id <= 1 else first_id
+        while True:
+            interval = PERIOD_S
+            for i, line in enumerate(self._lines):
+                if i:
+                    interval = (self._times[i] - self._times[i - 1]) * 1e-6 / self._rate
+                yield interval, self._frame(line, shift)
+            shift += self._highest_hand + 1
+            pause = 0.0
+            for interval, empty in empty_frames(rng, "2.x"):
+                if self._loop and pause > PAUSE_S:
+                    break
+                pause += interval
+                yield interval, empty
+
+    def _frame(self, line: str, shift: int) -> dict:
+        frame = json.loads(line)
+        if any(self._offset):
+            frame = wire.shifted(frame, self._offset)
+        if shift:
+            for hand in frame["hands"]:
+                hand["id"] += shift
+            for pointable in frame["pointables"]:
+                pointable["handId"] += shift
+                pointable["id"] += 10 * shift
+        return frame
+
+    @staticmethod
+    def _check(path: Path, number: int, line: str) -> dict:
+        try:
+            frame = json.loads(line)
+            if all(isinstance(hand["id"], int) for hand in frame["hands"]) and isinstance(frame["timestamp"], int):
+                wire.shifted(frame, (0, 0, 0))
+                return frame
+        except (ValueError, KeyError, TypeError):
+            pass
+        raise RecordingError(f"Line {number} of the recording {path} is no frame of the Leap service.")
+
+
+def _read(path: Path) -> list[str]:
+    opener = gzip.open if path.suffix == ".gz" else open
+    try:
+        with opener(path, "rt", encoding="utf-8") as file:
+            lines = [line for line in file.read().splitlines() if line.strip()]
+    except (OSError, EOFError, UnicodeDecodeError) as error:
+        raise RecordingError(f"The recording {path} cannot be read: {error}.") from error
+    if not lines:
+        raise RecordingError(f"The recording {path} holds no frames.")
+    return lines
+
+
+def next_interval(rng: np.random.Generator) -> float:
+    """Returns the time to the next frame [s]: the device's period with its jitter, twice as long if one is lost."""
+    frames = 2 if rng.random() < LOST_FRAME else 1
+    return frames * PERIOD_S + JITTER_S * float(np.clip(rng.standard_normal(), -3.0, 3.0))

@@ -1,0 +1,180 @@
+"""The program `record.py`: films the simulated world from outside of its process, without a screen.
+
+It follows the world through its control port, so that the world keeps its real time; the film runs in the world's time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from common.errors import DeviceError, RigError
+from rig_simulation.command_line import parse_options, positive
+from rig_simulation.control_port import ControlClient, NobodyListens
+from rig_simulation.devices.camera.world_copy import WorldCopy
+from rig_simulation.recording.films import Film, film_for, with_lines
+from rig_simulation.recording.following import (
+    HOST,
+    NICENESS,
+    PATIENCE_S,
+    RETRY_S,
+    TIMEOUT_S,
+    add_options,
+    aim,
+    stop_when_interrupted,
+    wait_for_world,
+)
+from rig_simulation.recording.forces import arrows, pair_forces, short
+from rig_simulation.recording.scene_forces import add_arrows
+
+NAME = "record"
+MAX_GEOMS = 5000
+SHOWN_FORCES = 6
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Films until it is interrupted, the world ends, or the time is over; returns the exit code."""
+    options = _options(arguments)
+    stop = stop_when_interrupted()
+    os.nice(NICENESS)
+    try:
+        films = [film_for(path, options.rate) for path in options.files]
+        with ControlClient(HOST, options.port, TIMEOUT_S) as client:
+            wait_for_world(client, options.wait, stop)
+            pictures = record(client, films, options, stop)
+    except RigError as error:
+        print(f"{NAME}: {error}", file=sys.stderr)
+        return 1
+    print(f"{NAME}: {pictures} pictures in {', '.join(map(str, options.files))}", flush=True)
+    return 0
+
+
+def record(client: ControlClient, films: list[Film], options: argparse.Namespace, stop: threading.Event) -> int:
+    """Puts pictures of the world into the films and closes these; returns how many pictures there were.
+
+    Raises:
+        RigError: a film cannot be written, this machine cannot render, or the world hangs.
+    """
+    count, start, due = 0, None, time.monotonic()
+    view = View(client, tuple(options.size), tuple(options.view))
+    try:
+        while not stop.wait(max(0.0, due - time.monotonic())):
+            due = max(due + 1.0 / options.rate, time.monotonic())
+            if not _follow(view, stop):
+                break
+            picture = view.picture()
+            start = view.time if start is None else start
+            if options.duration is not None and view.time - start > options.duration:
+                break
+            for film in films:
+                film.add(picture, view.time)
+            count += 1
+    finally:
+        view.close()
+        for film in films:
+            film.close()
+    return count
+
+
+def _follow(view: View, stop: threading.Event) -> bool:
+    """Lets the view follow the world, with patience; returns False if the world has ended, or `stop` is set.
+
+    Raises:
+        DeviceError: the world is there and does not answer.
+    """
+    deadline = time.monotonic() + PATIENCE_S
+    while not stop.is_set():
+        try:
+            view.follow()
+            return True
+        except NobodyListens:
+            return False
+        except DeviceError as error:
+            if time.monotonic() > deadline:
+                raise DeviceError(f"The film ends at {view.time:.1f} s of the world: {error}") from None
+        stop.wait(RETRY_S)
+    return False
+
+
+class View:
+    """Looks at a copy of the world.
+
+    Args:
+        client: of the world's control port.
+        size: width and height of a picture [px].
+        view: from where it looks, see following.aim.
+
+    Attributes:
+        time: of the world, when it was last followed [s].
+    """
+
+    def __init__(self, client: ControlClient, size: tuple[int, int], view: tuple[float, float, float]) -> None:
+        self._client = client
+        self._world = WorldCopy(client)
+        self._size, self._view = size, view
+        self._camera = mujoco.MjvCamera()
+        self._renderer: mujoco.Renderer | None = None
+        self._contacts: list[dict] = []
+        self._is_new = False
+        self.time = 0.0
+
+    def follow(self) -> None:
+        """Takes the present state of the world over.
+
+        Raises:
+            DeviceError: the world does not answer.
+        """
+        self._is_new |= self._world.follow()
+        self._contacts = self._client.ask("contacts")["contacts"]
+        self.time = self._client.ask("state")["time"]
+
+    def picture(self) -> np.ndarray:
+        """Returns a picture of what was followed last, shape (height, width, 3), RGB.
+
+        Raises:
+            DeviceError: this machine cannot render.
+        """
+        if self._is_new:
+            self._attach()
+            self._is_new = False
+        assert self._renderer is not None  # the first state is of a new model
+        self._renderer.update_scene(self._world.data, self._camera)
+        pairs = pair_forces(self._contacts)
+        add_arrows(self._renderer.scene, arrows(pairs))
+        grasp = [pair for pair in pairs if pair.by_robot][:SHOWN_FORCES]
+        lines = [f"{self.time:.1f} s"]
+        lines += [f"{short(pair.bodies[1])} on {short(pair.bodies[0])}: {pair.newtons:.1f} N" for pair in grasp]
+        return with_lines(self._renderer.render(), lines)
+
+    def close(self) -> None:
+        """Gives the renderer's memory back."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _attach(self) -> None:
+        self.close()
+        model, (width, height) = self._world.model, self._size
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        try:
+            self._renderer = mujoco.Renderer(model, height, width, max_geom=MAX_GEOMS)
+        except (RuntimeError, AttributeError, ImportError, mujoco.FatalError) as error:
+            raise DeviceError(f"Cannot render without a screen; install libegl1 and libegl-mesa0: {error}.") from None
+        aim(self._camera, self._view, self._world.data)
+
+
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog=f"{NAME}.py", description="Films the simulated world.")
+    add_options(parser)
+    add = parser.add_argument
+    add("files", type=Path, nargs="+", metavar="FILE", help="a film (.mp4) or a contact sheet (.png)")
+    add("--size", type=int, nargs=2, default=(960, 540), metavar=("WIDTH", "HEIGHT"), help="of a picture, px")
+    add("--duration", type=positive, metavar="S", help="seconds of the world; without it until it is interrupted")
+    return parse_options(parser, arguments)

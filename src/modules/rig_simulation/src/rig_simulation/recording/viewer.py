@@ -1,0 +1,137 @@
+"""The program `viewer.py`: the simulated world in MuJoCo's own window, in a process apart, so that it keeps its time.
+
+What is dragged or pressed in the window has no effect on the world.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+import time
+import warnings
+from typing import Any
+
+from common.errors import DeviceError
+from rig_simulation.command_line import parse_options
+from rig_simulation.control_port import ControlClient, NobodyListens
+from rig_simulation.devices.camera.world_copy import WorldCopy
+from rig_simulation.recording.following import (
+    HOST,
+    NICENESS,
+    PATIENCE_S,
+    TIMEOUT_S,
+    add_options,
+    aim,
+    stop_when_interrupted,
+    wait_for_world,
+)
+from rig_simulation.recording.forces import arrows, pair_forces
+from rig_simulation.recording.scene_forces import add_arrows
+
+NAME = "viewer"
+CLOSING_S = 30.0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Shows the world until the window is closed, it is interrupted, or the world ends; returns the exit code."""
+    parser = argparse.ArgumentParser(prog=f"{NAME}.py", description="Shows the simulated world in a window.")
+    add_options(parser)
+    options = parse_options(parser, arguments)
+    stop = stop_when_interrupted()
+    os.nice(NICENESS)
+    try:
+        _check_screen()
+        with ControlClient(HOST, options.port, TIMEOUT_S) as client:
+            wait_for_world(client, options.wait, stop)
+            _show(client, options, stop)
+    except DeviceError as error:
+        print(f"{NAME}: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _check_screen() -> None:
+    """Opens the connection to the screen: the window's own thread could tell nobody that there is none.
+
+    Raises:
+        DeviceError: there is no screen.
+    """
+    import glfw  # with mujoco
+
+    screen = os.environ.get("DISPLAY")
+    if not screen:
+        raise DeviceError("There is no screen (DISPLAY is not set).")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns of what the sentence below says
+        opened = glfw.init()
+    if not opened:
+        raise DeviceError(f"There is no screen {screen} (DISPLAY), or it does not let this program in.")
+
+
+def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Event) -> None:
+    """Shows the world in a window, and in a new one after a change of scene, until it ends.
+
+    Raises:
+        DeviceError: the world is there and does not answer.
+    """
+    world, window, answered = WorldCopy(client), None, time.monotonic()
+    try:
+        while not stop.wait(1.0 / options.rate) and (window is None or window.is_open):
+            try:
+                pairs = pair_forces(client.ask("contacts")["contacts"])
+                is_new = world.follow()
+            except NobodyListens:
+                print(f"{NAME}: The world has ended.", flush=True)
+                break
+            except DeviceError:
+                if time.monotonic() - answered > PATIENCE_S:
+                    raise
+                continue
+            answered = time.monotonic()
+            if is_new:
+                if window is not None:
+                    window.close()
+                window = Window(world, tuple(options.view))
+            assert window is not None  # the first state is of a new model
+            window.show(arrows(pairs))
+    finally:
+        if window is not None:
+            window.close()
+
+
+class Window:
+    """MuJoCo's passive viewer of a copy of the world.
+
+    Args:
+        world: what it shows.
+        view: from where it looks, see following.aim.
+    """
+
+    def __init__(self, world: WorldCopy, view: tuple[float, float, float]) -> None:
+        from mujoco import viewer  # opens the screen
+
+        before = threading.enumerate()
+        self._handle: Any = viewer.launch_passive(world.model, world.data, show_left_ui=False, show_right_ui=False)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        with self._handle.lock():
+            aim(self._handle.cam, view, world.data)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nobody has closed it."""
+        return self._handle.is_running()
+
+    def show(self, forces: list) -> None:
+        """Shows the present state of the copy, with arrows."""
+        with self._handle.lock():
+            self._handle.user_scn.ngeom = 0
+            add_arrows(self._handle.user_scn, forces)
+        self._handle.sync()
+
+    def close(self) -> None:
+        """Closes it and waits for the thread that draws: one that still draws while the program ends crashes it."""
+        self._handle.close()
+        for thread in self._threads:
+            thread.join(CLOSING_S)

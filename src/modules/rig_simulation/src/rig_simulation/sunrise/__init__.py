@@ -1,1 +1,0 @@
-"""The simulated KUKA Sunrise controller with the toolbox server on it."""

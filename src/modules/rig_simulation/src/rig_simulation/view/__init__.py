@@ -1,1 +1,0 @@
-"""What people see of the simulated world: shapes and forces for RViz, a window, films."""

@@ -1,0 +1,144 @@
+"""The rig's ReFlex hand on a vertical slide, above somebody else's scene: down to a grasp, close, lift.
+
+The hand points straight down, its fingers half closed, and comes down until its palm is as far from the grasp as the
+rig's tool has it, or the straight fingers' tips would touch the table. Then each finger closes until its motor meets a
+given load, and the hand goes up. The hand is that of the shared world, with its springs, tendons and rubber.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+
+from common.poses import pose
+from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
+from rig_simulation.world.elements import child
+from rig_simulation.world.hand import PhysicalMechanics
+from rig_simulation.world.hand_model import prepare_hand
+from rig_simulation.world.mjcf import body, numbers
+from rig_simulation.world.robot import ROOT, add_robot
+
+TIMESTEP_S = 0.001
+P_HAND_GRIP = np.array([0.0152, 0.0, 0.150])
+"""Where the surface between the fingers is in the hand's frame, as on the rig [m]."""
+TIPS_M = 0.196
+"""From the hand's base to the tips of its straight fingers."""
+GROUND_M = 0.004
+"""Lowest height of the tips above the table."""
+START_M = 0.10
+"""The hand starts so far above the grasp."""
+LIFT_M = 0.10
+RISE_M = 0.06
+"""An object that rose so much, and is still up at the end, was lifted."""
+HALF_CLOSED_RAD = 1.6
+"""Turn of a finger on the way down: the tips stand about 0.11 m apart."""
+CLOSING_RAD_S = 1.5
+FARTHEST_RAD = 3.6
+LOAD = 300.0
+"""Effort at which a motor stops to close [0.1 %]: about 10 N at a finger's tip."""
+DOWN_S, CLOSE_S, LIFT_S, HOLD_S = 0.8, 1.6, 1.0, 0.5
+SLIDE_N = 120.0
+FINGERS = 3
+SLIDE = "slide"
+
+
+class Lift(NamedTuple):
+    """What came of a trial.
+
+    Attributes:
+        lifted: an object rose by more than `RISE_M` and was still up at the end.
+        rise: of the object that rose most [m].
+        reached: the hand came within 5 mm of its place before it closed.
+    """
+
+    lifted: bool
+    rise: float
+    reached: bool
+
+
+def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> Lift:
+    """Returns what happens when the hand grasps there.
+
+    Args:
+        scene: MJCF of objects with free joints, and nothing else that moves, on a table whose top is z = 0.
+        qpos: where they lie.
+        T_world_grasp: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above,
+            whatever the grasp's approach.
+
+    Raises:
+        ValueError: the line through the fingers is vertical, or the scene does not have these positions.
+    """
+    model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp)))
+    if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
+        raise ValueError(f"the scene has {model.nq} positions with the hand, which do not go with {len(qpos)}")
+    data = mujoco.MjData(model)
+    mechanics = PhysicalMechanics()
+    mechanics.bind(model, data)
+    data.qpos[: len(qpos)] = qpos
+    for finger in range(1, FINGERS + 1):
+        data.joint(f"reflex/proximal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD / 1.4
+        data.joint(f"reflex/distal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD * 0.4 / 1.4
+    slide, motor = data.joint(SLIDE), model.actuator(SLIDE).id
+    heights = np.arange(2, len(qpos), 7)
+    before = data.qpos[heights].copy()
+    spools = np.full(FINGERS + 1, HALF_CLOSED_RAD)
+    spools[FINGERS] = 0.0
+    reached = False
+    for phase, seconds in enumerate((DOWN_S, CLOSE_S, LIFT_S, HOLD_S)):
+        steps = round(seconds / TIMESTEP_S)
+        for i in range(steps):
+            done = (i + 1) / steps
+            data.ctrl[motor] = (-START_M * done, -START_M, -START_M + LIFT_M * done, -START_M + LIFT_M)[phase]
+            for finger in range(FINGERS if phase else 0):
+                if mechanics.resistance(finger) < LOAD:
+                    spools[finger] = min(FARTHEST_RAD, spools[finger] + CLOSING_RAD_S * TIMESTEP_S)
+            mechanics.pull(spools)
+            mujoco.mj_step(model, data)
+        if phase == 0:
+            reached = bool(abs(slide.qpos[0] + START_M) < 0.005)
+    rise = data.qpos[heights] - before
+    most = float(rise.max()) if np.isfinite(rise).all() else 0.0
+    return Lift(most > RISE_M and not data.warning.number.any(), most, reached)
+
+
+def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:
+    """Returns where the hand's base stands for a grasp, T_world_hand, shape (4, 4) [m].
+
+    Raises:
+        ValueError: the line through the fingers is vertical.
+    """
+    x = T_world_grasp[:3, 0] * (1.0, 1.0, 0.0)
+    length = np.linalg.norm(x)
+    if not length > 0.2:
+        raise ValueError(f"the line through the fingers, {T_world_grasp[:3, 0].tolist()}, is nearly vertical")
+    x, z = x / length, np.array([0.0, 0.0, -1.0])
+    R = np.column_stack([x, np.cross(z, x), z])
+    p = T_world_grasp[:3, 3] - R @ P_HAND_GRIP
+    p[2] = max(p[2], TIPS_M + GROUND_M)
+    return pose(R, p)
+
+
+def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
+    """Returns the scene's MJCF with the hand `START_M` above its place, on a slide that goes up."""
+    root = ET.fromstring(scene)
+    child(root, "option").set("timestep", str(TIMESTEP_S))
+    world = child(root, "worldbody")
+    add_robot(root, world, read_urdf(ROBOTS[0], FLANGES[0]), np.eye(3), None)
+    arm = child(world, f"body[@name='{ROOT}']")
+    hand = child(arm, ".//body[@name='reflex/base_link']")
+    world.remove(arm)
+    start = T_world_hand.copy()
+    start[2, 3] += START_M
+    carriage = body(world, "carriage", start)
+    ET.SubElement(carriage, "joint", name=SLIDE, type="slide", axis="0 0 -1", damping="400")
+    hand.attrib.update(pos="0 0 0", quat="1 0 0 0")
+    carriage.append(hand)
+    prepare_hand(root)
+    for part in carriage.iter("body"):
+        part.set("gravcomp", "1")  # the arm carries the hand
+    law = {"kp": "40000", "forcerange": numbers((-SLIDE_N, SLIDE_N))}
+    ET.SubElement(child(root, "actuator"), "position", {"name": SLIDE, "joint": SLIDE, **law})
+    return ET.tostring(root, encoding="unicode")
