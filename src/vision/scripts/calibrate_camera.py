@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Finds where the camera stands: the arm shows the marker panel to it from many sides. See --help."""
 
-from vision.ros.calibrate_program import main
+from vision.ros.calibration.calibrate_program import main
 
 if __name__ == "__main__":
     main()

@@ -2,6 +2,6 @@
 """Node that publishes the frames of the RGB-D camera."""
 
 from common.ros.node import run
-from vision.ros.camera_frames import main
+from vision.ros.camera.frames_node import main
 
 run("camera_frames", main)

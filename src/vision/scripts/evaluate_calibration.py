@@ -3,6 +3,6 @@
 
 import sys
 
-from vision.ros.evaluate_calibration_program import main
+from vision.ros.calibration.evaluate_program import main
 
 sys.exit(main())

@@ -3,6 +3,6 @@
 
 import sys
 
-from vision.ros.evaluate_program import main
+from vision.ros.marker_board.evaluate_program import main
 
 sys.exit(main())

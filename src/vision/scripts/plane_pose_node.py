@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Publishes the marker panel's pose from colour and depth."""
 
-from vision.ros.plane_pose import main
+from vision.ros.marker_board.plane_pose_node import main
 
 main()

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """Publishes depth in the colour camera's pixels and the coloured cloud."""
 
-from vision.ros.register_rgbd import main
+from vision.ros.camera.register_node import main
 
 main()

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """The view for the headset in a window."""
 
-from vision.ros.stereo_view_node import main
+from vision.ros.stereo.view_node import main
 
 main()

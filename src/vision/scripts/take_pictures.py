@@ -3,6 +3,6 @@
 
 import sys
 
-from vision.ros.pictures_program import main
+from vision.ros.screenshots_program import main
 
 sys.exit(main())

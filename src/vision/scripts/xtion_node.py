@@ -2,6 +2,6 @@
 """Node of the Xtion Pro Live."""
 
 from common.ros.node import run
-from vision.ros.xtion import main
+from vision.ros.camera.xtion_node import main
 
 run("camera", main)

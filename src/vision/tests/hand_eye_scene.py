@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from common.poses import inverse, pose
-from vision.hand_eye import View
+from vision.calibration.hand_eye import View
 
 SD = np.array([4e-4, 4e-4, 2e-3, 3e-3, 3e-3, 1e-3])
 """Standard deviations of a seen panel: worst along the line of sight, and about the axes across it [m, rad]."""

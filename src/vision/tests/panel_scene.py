@@ -14,7 +14,7 @@ import yaml
 
 from common.config import parse
 from common.poses import inverse, pose
-from vision.panel import PanelConfig
+from vision.marker_board.board import PanelConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 OPTICAL, DETECTOR = "camera_rgb_optical_frame", "apriltag_ros_continuous_node"

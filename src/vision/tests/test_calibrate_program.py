@@ -11,8 +11,8 @@ from panel_scene import T_FLANGE_PANEL, PanelScene, parameters
 from common.config import parse
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle, unit
-from vision.calibration import CalibrationConfig, judge
-from vision.calibration_record import by_views
+from vision.calibration.acceptance import CalibrationConfig, judge
+from vision.calibration.record import by_views
 
 pytestmark = pytest.mark.ros
 
@@ -82,7 +82,7 @@ def moved(arm):
 
 
 def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scene, tmp_path, processes):
-    from vision.ros.calibration_store import read
+    from vision.ros.calibration.store import read
 
     program = calibrate("--yes")
     assert program.wait(240.0) == 0, program.log_path.read_text()
@@ -138,7 +138,7 @@ def test_a_refused_calibration_is_shown_before_the_program_ends(ros, processes, 
 
 def file_of_views(tmp_path, **head):
     """A file with good views of this rig, or of one that `head` changes."""
-    from vision.ros.calibration_store import CalibrationStore, StoreConfig
+    from vision.ros.calibration.store import CalibrationStore, StoreConfig
 
     X, _, views = hand_eye_scene.scene(1, 12, hand_eye_scene.SD / 10.0)
     views = [replace(view, T_base_flange=view.T_base_flange @ X @ inverse(T_FLANGE_PANEL)) for view in views]

@@ -14,10 +14,10 @@ from common.config import parse
 from common.errors import ConfigError
 from common.poses import pose
 from common.rotations import rotation_about
-from vision.calibration import CalibrationConfig, Sight, judge, mean_pose, table, view_from
-from vision.calibration_record import by_views, mapping_from_record, record_from_mapping
-from vision.hand_eye import Degenerate, View
-from vision.panel import PanelConfig
+from vision.calibration.acceptance import CalibrationConfig, Sight, judge, mean_pose, table, view_from
+from vision.calibration.hand_eye import Degenerate, View
+from vision.calibration.record import by_views, mapping_from_record, record_from_mapping
+from vision.marker_board.board import PanelConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 HEAD = {

@@ -16,7 +16,7 @@ def optical_frame_in_the_world():
     from rig_simulation.world.files import read_scene
     from rig_simulation.world.model import RGB_IN_LINK, camera_link_pose
     from rig_simulation.world.scene import scene_from
-    from vision.camera_frames import R_CAMERA_OPTICAL
+    from vision.camera.frames import R_CAMERA_OPTICAL
 
     return camera_link_pose(scene_from(read_scene("empty")).camera) @ pose(R_CAMERA_OPTICAL, RGB_IN_LINK)
 
@@ -42,7 +42,7 @@ def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world
     import rospy
 
     from apriltag_ros.msg import AprilTagDetectionArray
-    from vision.ros.calibration_store import read
+    from vision.ros.calibration.store import read
 
     robot_port, world_port = world
     arguments = {"port": world_port, "control_port": "0", "folder": tmp_path}

@@ -12,15 +12,15 @@ from hand_eye_scene import SD, scene
 
 from common.errors import ConfigError, DeviceError
 from common.poses import pose
-from vision.calibration_record import LIVE, CalibrationRecord
-from vision.hand_eye import View
+from vision.calibration.hand_eye import View
+from vision.calibration.record import LIVE, CalibrationRecord
 
 pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
 def store(tmp_path):
-    from vision.ros.calibration_store import CalibrationStore, StoreConfig
+    from vision.ros.calibration.store import CalibrationStore, StoreConfig
 
     return CalibrationStore(StoreConfig(str(tmp_path / "new" / "folder"), "1234", "LBR7R800", "MF_elektrisch"))
 
@@ -48,7 +48,7 @@ def test_the_newest_of_this_arm_and_camera_counts(store, record):
 
 @pytest.mark.parametrize("damage", ["half", "empty", "binary", "other"])
 def test_a_torn_file_does_not_count(store, record, damage):
-    from vision.ros.calibration_store import read
+    from vision.ros.calibration.store import read
 
     good = store.save(record)
     torn = store.save(replace(record, date="2026-02-01T08:00:00"))

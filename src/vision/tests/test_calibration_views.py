@@ -16,10 +16,10 @@ from common.errors import ConfigError
 from common.poses import inverse, pose
 from common.rotations import rotation_about
 from rig_description.urdf import urdf
-from vision.arm_model import SHIFT_TOLERANCE_M, ArmModel
-from vision.calibration_views import EDGE_PX, Leg, Place, ViewPlanner, ViewsConfig, guessed_camera
-from vision.hand_eye import View, check_motion
-from vision.panel import PanelConfig
+from vision.calibration.arm_model import SHIFT_TOLERANCE_M, ArmModel
+from vision.calibration.hand_eye import View, check_motion
+from vision.calibration.view_planner import EDGE_PX, Leg, Place, ViewPlanner, ViewsConfig, guessed_camera
+from vision.marker_board.board import PanelConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 

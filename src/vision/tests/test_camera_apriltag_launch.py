@@ -28,7 +28,7 @@ def test_the_simulated_panel_sits_where_the_drawing_says(simulated, file):
     from common.poses import pose
     from rig_simulation.world.files import read_panel
     from rig_simulation.world.model import R_FLANGE_PANEL
-    from vision.panel import PanelConfig
+    from vision.marker_board.board import PanelConfig
 
     panel = parse(PanelConfig, yaml.safe_load((CONFIG / file).read_text()))
     plate = read_panel(simulated)

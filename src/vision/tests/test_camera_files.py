@@ -8,8 +8,8 @@ import yaml
 
 from common.camera_model import from_calibration
 from common.config import parse
-from vision.camera_frames import CameraFramesConfig, camera_frames
-from vision.stream_watch import WatchConfig
+from vision.camera.frames import CameraFramesConfig, camera_frames
+from vision.camera.stream_watch import WatchConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 

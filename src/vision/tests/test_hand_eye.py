@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 
 from common.poses import inverse, pose
 from common.rotations import rotation_about
-from vision.hand_eye import Degenerate, View, camera_pose, information, leave_one_out, point_sd, scales, solve
+from vision.calibration.hand_eye import (
+    Degenerate,
+    View,
+    camera_pose,
+    information,
+    leave_one_out,
+    point_sd,
+    scales,
+    solve,
+)
 
 
 @settings(max_examples=25)

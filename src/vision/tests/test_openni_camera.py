@@ -12,7 +12,7 @@ import yaml
 from common.camera_model import pinhole
 from common.config import parse
 from common.errors import DeviceError
-from vision.openni_camera import OpenniCamera, XtionConfig
+from vision.camera.openni_camera import OpenniCamera, XtionConfig
 
 FAKES = Path(__file__).parent / "fake_openni"
 CONFIG = parse(XtionConfig, yaml.safe_load((Path(__file__).parents[1] / "config" / "xtion.yaml").read_text()))
@@ -127,7 +127,7 @@ from pathlib import Path
 import numpy as np, yaml
 from common.camera_model import pinhole
 from common.config import parse
-from vision.openni_camera import OpenniCamera, XtionConfig
+from vision.camera.openni_camera import OpenniCamera, XtionConfig
 
 values = yaml.safe_load(Path(sys.argv[1]).read_text())
 model = pinhole("dummy", 320, 240, np.eye(3))

@@ -15,8 +15,8 @@ from common.config import parse
 from common.errors import ConfigError
 from common.poses import inverse, pose
 from common.rotations import rotation_angle, rotation_from_zyx
-from vision.plane_fit import PlanePoseConfig, fit_panel, fit_plane, plane_seen_from
-from vision.plane_pose import _change, _plane_of, depth_pose
+from vision.marker_board.plane_fit import PlanePoseConfig, fit_panel, fit_plane, plane_seen_from
+from vision.marker_board.plane_pose import _change, _plane_of, depth_pose
 
 SETTINGS = parse(PlanePoseConfig, load("plane_pose.yaml"))
 POINTS = np.concatenate([tag.corners for tag in targets(load("tags.yaml"))[0].tags])

@@ -10,9 +10,9 @@ from depth_scene import RGB, T_RGB_DEPTH, depth_picture, load, panel_pose
 from tag_renderer import render
 
 from common.poses import pose
-from vision import pose_evaluation
-from vision.plane_fit import PlaneFit
-from vision.plane_pose import DepthPose, Estimate
+from vision.marker_board import pose_evaluation
+from vision.marker_board.plane_fit import PlaneFit
+from vision.marker_board.plane_pose import DepthPose, Estimate
 
 FIT = PlaneFit(None, None, 0, 0.0, 0.0, 0.0, "none")
 
@@ -74,7 +74,7 @@ def folder(tmp_path):
 
 @pytest.mark.ros
 def test_the_program_writes_tables_and_plots(folder, tmp_path, capsys):
-    program = pytest.importorskip("vision.ros.evaluate_program")
+    program = pytest.importorskip("vision.ros.marker_board.evaluate_program")
     out = tmp_path / "out"
     assert program.main(["--pictures", str(folder), "--panel", "single", "--output", str(out)]) == 0
     assert "as calibrated, fused" in capsys.readouterr().out
@@ -99,7 +99,7 @@ def test_the_program_writes_tables_and_plots(folder, tmp_path, capsys):
     ],
 )
 def test_the_program_refuses_with_a_sentence(folder, tmp_path, capsys, break_it, sentence):
-    program = pytest.importorskip("vision.ros.evaluate_program")
+    program = pytest.importorskip("vision.ros.marker_board.evaluate_program")
     break_it(folder)
     assert program.main(["--pictures", str(folder), "--panel", "single", "--output", str(tmp_path / "out")]) == 1
     error = capsys.readouterr().err
@@ -111,7 +111,7 @@ def test_the_program_refuses_with_a_sentence(folder, tmp_path, capsys, break_it,
     "options", [["--units", "0"], ["--focal-error", "nan"], ["--depth-bias", "2"], ["--panel", "x"]]
 )
 def test_bad_options_of_the_program_are_named(capsys, options):
-    program = pytest.importorskip("vision.ros.evaluate_program")
+    program = pytest.importorskip("vision.ros.marker_board.evaluate_program")
     with pytest.raises(SystemExit) as ended:
         program.main(options)
     assert ended.value.code == 2

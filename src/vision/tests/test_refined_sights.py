@@ -13,9 +13,9 @@ from tag_renderer import render
 from apriltag_ros.photometric import PhotometricRefiner
 from apriltag_ros.target import TagPlace, Target
 from common.poses import pose
-from vision.calibration import Sight
-from vision.calibration_evaluation import Shown, calibrate
-from vision.refined_sights import refined
+from vision.calibration.acceptance import Sight
+from vision.calibration.evaluation import Shown, calibrate
+from vision.marker_board.refinement import refined
 
 REFINER = PhotometricRefiner("tag36h11", Target("tag_frame", (TagPlace(0, 0.097),)))
 
@@ -54,7 +54,7 @@ def test_a_calibration_is_as_far_off_as_its_views(noise):
     import yaml
 
     from common.config import parse
-    from vision.calibration import CalibrationConfig
+    from vision.calibration.acceptance import CalibrationConfig
 
     rng = np.random.default_rng(2)
     values = yaml.safe_load((Path(__file__).parents[1] / "config" / "camera_calibration.yaml").read_text())
@@ -73,7 +73,7 @@ def test_a_calibration_is_as_far_off_as_its_views(noise):
 
 @pytest.mark.ros
 def test_the_program_prints_both_tables(tmp_path, capsys, monkeypatch):
-    program = pytest.importorskip("vision.ros.evaluate_calibration_program")
+    program = pytest.importorskip("vision.ros.calibration.evaluate_program")
     from depth_scene import T_RGB_DEPTH, load
 
     def take(folder, panel, *options):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from common.poses import pose, read_only
 from common.rotations import rotation_from_zyx
-from vision.registration import POINT, Registration, millimetres_from_metres
+from vision.camera.registration import POINT, Registration, millimetres_from_metres
 
 RGB = replace(depth_scene.RGB, R=read_only(rotation_from_zyx(0.01, -0.02, 0.005)))
 REGISTRATION = Registration(RGB, DEPTH, T_RGB_DEPTH)

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from common.camera_model import pinhole
 from common.config import parse
 from common.errors import ConfigError
-from vision.stereo_view import StereoView
-from vision.stereo_view_age import PictureAge, age_text, mark_age
-from vision.stereo_view_config import StereoViewConfig
-from vision.stereo_view_depth import LEFT, RIGHT, eye_map, inverse_depth, shifted
-from vision.stereo_view_lens import BLUE, CENTRES, GREEN, HEIGHT, RED, WIDTH, Lens, directions
+from vision.stereo.config import StereoViewConfig
+from vision.stereo.depth_rendering import LEFT, RIGHT, eye_map, inverse_depth, shifted
+from vision.stereo.image_age import PictureAge, age_text, mark_age
+from vision.stereo.lens import BLUE, CENTRES, GREEN, HEIGHT, RED, WIDTH, Lens, directions
+from vision.stereo.view import StereoView
 
 CAMERA = pinhole("test", 64, 48, [[60.0, 0.0, 31.5], [0.0, 60.0, 23.5], [0.0, 0.0, 1.0]])
 CONFIG = load("stereo_view.yaml")

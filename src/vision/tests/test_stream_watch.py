@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from vision.stream_watch import StreamWatch, WatchConfig
+from vision.camera.stream_watch import StreamWatch, WatchConfig
 
 CONFIG = WatchConfig(silence=0.8, min_rate=10.0, min_depth=0.05, pictures=True)
 

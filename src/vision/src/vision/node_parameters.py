@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from common.config import choice, integer, number, path, text
-from vision.calibration_record import LIVE
+from vision.calibration.record import LIVE
 
 AUTO, STORED = "auto", "stored"
 

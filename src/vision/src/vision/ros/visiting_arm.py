@@ -24,9 +24,9 @@ from kst.client import KstClient
 from kst.errors import ReplyTimeout, ServerBusy
 from kst.limits import JointLimits
 from rig_description.arms import ARMS, MEDIA_FLANGES
-from vision.arm_model import JOINTS, ArmModel
-from vision.ros.calibration_store import StoreConfig
-from vision.ros.frames import BASE, FLANGE_MEASURED
+from vision.calibration.arm_model import JOINTS, ArmModel
+from vision.ros.calibration.store import StoreConfig
+from vision.ros.calibration.tf_poses import BASE, FLANGE_MEASURED
 
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", "kuka_simple_node")
 DEFAULT_PORT = 30001

@@ -1,0 +1,21 @@
+"""Publishes the frames of the RGB-D camera, which never move in it."""
+
+from __future__ import annotations
+
+import rospy
+import tf2_ros
+
+from common.ros.conversions import stamped_transform
+from common.ros.params import private_config
+from vision.camera.frames import CameraFramesConfig, camera_frames
+
+
+def main() -> None:
+    """Runs the node with its private parameters."""
+    config = private_config(CameraFramesConfig)
+    stamp = rospy.Time.now()
+    broadcaster = tf2_ros.StaticTransformBroadcaster()
+    broadcaster.sendTransform(
+        [stamped_transform(T, parent, child, stamp) for parent, child, T in camera_frames(config)]
+    )
+    rospy.spin()

@@ -1,0 +1,104 @@
+"""The node register_rgbd: depth in the colour camera's pixels and the coloured cloud.
+
+It stands in for the nodelets of image_proc and depth_image_proc, on the same topics: rgb/image_rect_color, and below
+depth_registered: sw_registered/image_rect_raw (16UC1, mm), sw_registered/image_rect (32FC1, m),
+sw_registered/camera_info and points. Nothing is computed, or asked of the camera, that nobody listens to.
+"""
+
+from __future__ import annotations
+
+import time
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+
+from common.ros.diagnostics import Diagnostics
+from common.ros.images import camera_info_message, image_message
+from common.ros.node import run
+from common.ros.params import private_config
+from vision.camera.registration import POINT, Registration, millimetres_from_metres
+from vision.node_parameters import PairsConfig
+from vision.ros.camera.rgbd_pairs import RgbdPair, RgbdPairs
+
+REGISTERED = "depth_registered/sw_registered"
+LISTENERS_PERIOD_S = 0.2
+
+
+class RegisterRgbd:
+    """Publishes what is listened to."""
+
+    def __init__(self, config: PairsConfig) -> None:
+        self._registration: Registration | None = None
+        self._made_for: tuple | None = None
+        self._milliseconds = 0.0
+        self._rectified = rospy.Publisher("rgb/image_rect_color", Image, queue_size=1)
+        self._raw = rospy.Publisher(f"{REGISTERED}/image_rect_raw", Image, queue_size=1)
+        self._metric = rospy.Publisher(f"{REGISTERED}/image_rect", Image, queue_size=1)
+        self._info = rospy.Publisher(f"{REGISTERED}/camera_info", CameraInfo, queue_size=1)
+        self._points = rospy.Publisher("depth_registered/points", PointCloud2, queue_size=1)
+        self._outputs = (self._rectified, self._raw, self._metric, self._info, self._points)
+        self._pairs = RgbdPairs(self._on_pair, config.slop)
+        Diagnostics("register_rgbd", self._diagnose)
+
+    def run(self) -> None:
+        """Listens to the camera while somebody listens to the node, until ROS shuts down."""
+        while not rospy.is_shutdown():
+            self._pairs.listen_if(self._wanted())
+            time.sleep(LISTENERS_PERIOD_S)
+
+    def _wanted(self) -> bool:
+        return any(publisher.get_num_connections() for publisher in self._outputs)
+
+    def _on_pair(self, pair: RgbdPair) -> None:
+        started = time.perf_counter()
+        registration = self._for(pair)
+        header, wants_cloud = pair.header, self._points.get_num_connections() > 0
+        if self._info.get_num_connections():
+            self._info.publish(camera_info_message(registration.camera, header.frame_id, header.stamp))
+        if wants_cloud or self._rectified.get_num_connections():
+            rectified = registration.rectify(pair.colour)
+            self._rectified.publish(image_message(rectified, "rgb8", header.frame_id, header.stamp))
+        if wants_cloud or self._raw.get_num_connections() or self._metric.get_num_connections():
+            registered = registration.register(pair.depth)
+            raw = millimetres_from_metres(registered)
+            self._raw.publish(image_message(raw, "16UC1", header.frame_id, header.stamp))
+            self._metric.publish(image_message(registered, "32FC1", header.frame_id, header.stamp))
+            if wants_cloud:
+                self._points.publish(_cloud_message(registration.cloud(registered, rectified), header))
+        self._milliseconds = 1e3 * (time.perf_counter() - started)
+
+    def _for(self, pair: RgbdPair) -> Registration:
+        """Returns what belongs to these cameras; a calibration may be replaced while the node runs."""
+        rgb, depth = pair.rgb_info, pair.depth_info
+        made_for = (rgb.K, rgb.D, rgb.P, rgb.R, depth.K, depth.D, pair.T_rgb_depth.tobytes())
+        if self._registration is None or made_for != self._made_for:
+            self._registration = Registration(pair.rgb, pair.depth_camera, pair.T_rgb_depth)
+            self._made_for = made_for
+        return self._registration
+
+    def _diagnose(self) -> tuple[int, str, dict[str, object]]:
+        values = {"pairs": self._pairs.pairs, "milliseconds": f"{self._milliseconds:.1f}"}
+        if not self._wanted():
+            return DiagnosticStatus.OK, "Nobody listens.", values
+        if self._pairs.waits_for:
+            return DiagnosticStatus.WARN, f"Waits for {self._pairs.waits_for}.", values
+        return DiagnosticStatus.OK, "Registers.", values
+
+
+def _cloud_message(points, header) -> PointCloud2:
+    """Returns the message of an array of POINT, shape (height, width)."""
+    height, width = points.shape
+    # rgb is the bits of an integer in the type of a float, as point clouds in ROS have it
+    fields = [PointField(name, POINT.fields[name][1], PointField.FLOAT32, 1) for name in POINT.names]
+    size = POINT.itemsize
+    return PointCloud2(header, height, width, fields, False, size, width * size, points.tobytes(), False)
+
+
+def _run() -> None:
+    RegisterRgbd(private_config(PairsConfig)).run()
+
+
+def main() -> None:
+    """Runs the node until ROS shuts down."""
+    run("register_rgbd", _run)
