@@ -8,12 +8,13 @@ import yaml
 from bench.measure import SRC, Row, row, timed
 from common.config import parse
 from common.poses import pose, read_only
-from kuka_control import assembly
-from kuka_control.arm import Arm, ArmState
-from kuka_control.commands import Servo
-from kuka_control.config import RealTimeConfig
-from kuka_control.controller import Controller, Inputs
-from kuka_control.stream import Desired
+from kuka_control.loop import assembly
+from kuka_control.loop.arm import Arm, ArmState
+from kuka_control.loop.commands import Servo
+from kuka_control.loop.controller import Controller, Inputs
+from kuka_control.loop.stream import Desired
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.rig import Rig
 
 CLOCK_S = 1.7e9
 GOAL_S = 1.0 / 250.0
@@ -66,7 +67,7 @@ def rows(quick: bool) -> list[Row]:
     config = parse(
         RealTimeConfig, yaml.safe_load((SRC / "kuka_control/config/kuka_params_rt.yaml").read_text()), "kuka/"
     )
-    rig = assembly.Rig.of(config)
+    rig = Rig.of(config)
     home = rig.kinematics.forward(rig.home.q)
     circle = [_on_circle(home, i * FRAME_S) for i in range(count)]
 
@@ -88,7 +89,7 @@ def rows(quick: bool) -> list[Row]:
     return table + _cycles(config, rig, circle, settings)
 
 
-def _cycles(config: RealTimeConfig, rig: assembly.Rig, circle: list[np.ndarray], settings: str) -> list[Row]:
+def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings: str) -> list[Row]:
     controller = Controller(IdealArm(rig.home.q), assembly.real_time_loop(config, rig))
     inputs = []
     for i in range(GOALS_PER_FRAME * len(circle)):

@@ -12,8 +12,8 @@ import yaml
 
 from bench.measure import SHARED_DATA, SRC, Row, row, timed
 from common.config import parse
-from kuka_control.assembly import Rig
-from kuka_control.config import RealTimeConfig
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.rig import Rig
 from leap_hand import teleop as hand_teleop
 from leap_hand.config import HandConfig
 from leap_hand.ros import tracking as hand_tracking

@@ -10,7 +10,7 @@ import numpy as np
 from bench.measure import Row, number, row
 from bench.simulated import CYCLES_PER_GOAL, SimulatedRig
 from common.poses import pose
-from kuka_control.servo_law import LtsGoals
+from kuka_control.loop.servo_law import LtsGoals
 from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.robot import Robot

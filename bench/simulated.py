@@ -11,13 +11,14 @@ import yaml
 from bench.measure import SRC
 from common.config import parse
 from common.poses import read_only
-from kuka_control import assembly
-from kuka_control.arm import Arm, ArmState
-from kuka_control.commands import End, Servo
-from kuka_control.config import RealTimeConfig
-from kuka_control.controller import Controller, Inputs
 from kuka_control.kinematics import DhDeviations
-from kuka_control.stream import Desired
+from kuka_control.loop import assembly
+from kuka_control.loop.arm import Arm, ArmState
+from kuka_control.loop.commands import End, Servo
+from kuka_control.loop.controller import Controller, Inputs
+from kuka_control.loop.stream import Desired
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.rig import Rig
 from rig_simulation.devices.sunrise.arm import Arm as Joints
 from rig_simulation.devices.sunrise.arm import ArmSettings
 from rig_simulation.devices.sunrise.description import read_urdf
@@ -94,7 +95,7 @@ class SimulatedRig:
     ) -> None:
         values = yaml.safe_load((SRC / "kuka_control/config/kuka_params_rt.yaml").read_text())
         self.config = parse(RealTimeConfig, {**values, **changes}, "kuka/")
-        self.rig = assembly.Rig.of(self.config, dh)
+        self.rig = Rig.of(self.config, dh)
         robot = robot or Robot(read_urdf(self.config.robot, self.config.flange))
         self.joints = Joints(robot, ArmSettings(servo_law=server_law))
         self.joints.attach(self.rig.T_flange_tool)

@@ -44,11 +44,11 @@ GGCNN = {
 }
 
 SCHEMAS: dict[str, tuple[Part, ...]] = {
-    "kuka_control/config/kuka_params_rt.yaml": (Part("kuka_control.config:RealTimeConfig"),),
-    "kuka_control/config/kuka_params_ptp.yaml": (Part("kuka_control.config:PtpConfig"),),
-    "kuka_control/config/ceiling.yaml": (Part("kuka_control.config:RealTimeConfig", above=True),),
-    "kuka_control/config/marker_ring.yaml": (Part("kuka_control.config:RealTimeConfig", above=True),),
-    "kuka_control/config/wall.yaml": (Part("kuka_control.config:RealTimeConfig", above=True),),
+    "kuka_control/config/kuka_params_rt.yaml": (Part("kuka_control.model.config:RealTimeConfig"),),
+    "kuka_control/config/kuka_params_ptp.yaml": (Part("kuka_control.model.config:PtpConfig"),),
+    "kuka_control/config/ceiling.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
+    "kuka_control/config/marker_ring.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
+    "kuka_control/config/wall.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
     "kuka_control/config/dh_parameters_example.yaml": (Part("kuka_control.kinematics.dh:DhDeviations"),),
     "leap_kuka/config/leap_params.yaml": (Part("leap_kuka.config:LeapConfig"),),
     "grasping/config/collection.yaml": (

@@ -13,8 +13,8 @@ import time
 
 import rospy
 
+from kuka_control.loop.switches import Switches
 from kuka_control.ros.services import Services
-from kuka_control.switches import Switches
 from rig_msgs.msg import KukaStatus
 
 PERIOD_S = 0.05

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kst.errors import ProtocolError, ReplyTimeout
-from kuka_control.arm import KstArm
+from kuka_control.loop.arm import KstArm
 
 
 def wrench_of(q, torques):

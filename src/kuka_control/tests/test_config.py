@@ -12,9 +12,9 @@ import yaml
 from common.config import keys, parse
 from common.errors import ConfigError, RigError
 from common.poses import translation
-from kuka_control import assembly
-from kuka_control.config import PtpConfig, RealTimeConfig, neighbours
 from kuka_control.kinematics import DhDeviations
+from kuka_control.model.config import PtpConfig, RealTimeConfig, neighbours
+from kuka_control.model.rig import Rig
 
 CONFIG = Path(__file__).parents[1] / "config"
 FILES = {RealTimeConfig: CONFIG / "kuka_params_rt.yaml", PtpConfig: CONFIG / "kuka_params_ptp.yaml"}
@@ -27,7 +27,7 @@ def values(schema, **changes):
 
 @schemas
 def test_the_files_hold_good_defaults_for_every_key_and_nothing_else(schema):
-    assembly.Rig.of(parse(schema, values(schema)))
+    Rig.of(parse(schema, values(schema)))
     assert values(schema).keys() == {key.name for key in keys(schema)}
 
 
@@ -106,15 +106,15 @@ def test_what_both_controllers_upload_and_load_may_stand_side_by_side(schema):
 
 def test_a_tool_that_is_too_long_has_no_home():
     with pytest.raises(RigError, match="too long"):
-        assembly.Rig.of(parse(RealTimeConfig, values(RealTimeConfig, tool_length=0.7)))
+        Rig.of(parse(RealTimeConfig, values(RealTimeConfig, tool_length=0.7)))
 
 
 def test_a_home_of_ones_own():
-    rig = assembly.Rig.of(parse(RealTimeConfig, values(RealTimeConfig, use_home_pos=True)))
+    rig = Rig.of(parse(RealTimeConfig, values(RealTimeConfig, use_home_pos=True)))
     assert rig.home.q[0] == pytest.approx(-0.785398, abs=1e-6)
     turned = values(RealTimeConfig, use_home_pos=True, home_pos=[0, 30, 0, -80, 0, 70, 0])
     with pytest.raises(RigError, match="outside the workspace"):
-        assembly.Rig.of(parse(RealTimeConfig, turned))
+        Rig.of(parse(RealTimeConfig, turned))
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_a_home_of_ones_own():
 def test_the_elbow_goes_where_the_parameter_prefers_it_and_home_keeps_it_up(schema, preference, calibrated):
     config = parse(schema, values(schema, elbow_preference=preference, center_line=[1, 0, 0]))
     deviations = DhDeviations(config.robot, "", "", *np.full((4, 7), 1e-3)) if calibrated else None
-    rig = assembly.Rig.of(config, deviations)
+    rig = Rig.of(config, deviations)
     q, T = rig.home.q, rig.home.T_base_tool
     np.testing.assert_allclose(q[2], 0.0, atol=1e-3)
     for way in 0.03 * np.sin(np.arange(1500) / 10.0):
@@ -158,9 +158,9 @@ def test_a_file_without_an_elbow_preference_means_up():
 
 @schemas
 def test_a_tool_transform_of_the_length_alone_is_the_same_rig_bit_for_bit(schema):
-    plain = assembly.Rig.of(parse(schema, values(schema)))
+    plain = Rig.of(parse(schema, values(schema)))
     T = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0.106, 0, 0, 0, 1]
-    rig = assembly.Rig.of(parse(schema, values(schema, use_tool_transform=True, tool_transform=T, tool_length=0.0)))
+    rig = Rig.of(parse(schema, values(schema, use_tool_transform=True, tool_transform=T, tool_length=0.0)))
     for name in ("q", "T_base_tool", "T_base_flange", "centre"):
         np.testing.assert_array_equal(getattr(rig.home, name), getattr(plain.home, name))
     np.testing.assert_array_equal(rig.T_flange_tool, plain.T_flange_tool)
@@ -171,7 +171,7 @@ def test_a_file_without_tool_transform_and_mounting_means_a_length_on_the_floor(
     short = values(schema)
     for key in ("use_tool_transform", "tool_transform", "mounting"):
         del short[key]
-    first, second = (assembly.Rig.of(parse(schema, v)) for v in (short, values(schema)))
+    first, second = (Rig.of(parse(schema, v)) for v in (short, values(schema)))
     np.testing.assert_array_equal(first.home.q, second.home.q)
 
 
@@ -190,7 +190,7 @@ def test_the_files_for_ceiling_and_wall_have_a_home(schema, place, robot):
     file = CONFIG / f"{place}.yaml"
     changes = yaml.safe_load(file.read_text())
     assert changes.keys() < values(schema).keys()
-    rig = assembly.Rig.of(parse(schema, values(schema, robot=robot, **changes)))
+    rig = Rig.of(parse(schema, values(schema, robot=robot, **changes)))
     np.testing.assert_allclose(rig.home.T_base_tool[:3, 2], -rig.bearings.up, atol=1e-9)
     for line in file.read_text().splitlines():
         assert line.startswith("#") or not line or re.search(r"# .*(\bm\b|\bdeg\b|no unit)", line), line
@@ -198,6 +198,6 @@ def test_the_files_for_ceiling_and_wall_have_a_home(schema, place, robot):
 
 def test_an_arm_whose_mounting_leaves_no_home_is_refused():
     with pytest.raises(RigError, match=r"needs joint 6 .* on a ceiling far from the base"):
-        assembly.Rig.of(parse(RealTimeConfig, values(RealTimeConfig, mounting=[180, 0, 0])))
+        Rig.of(parse(RealTimeConfig, values(RealTimeConfig, mounting=[180, 0, 0])))
     with pytest.raises(ConfigError, match="mounting"):
         parse(RealTimeConfig, values(RealTimeConfig, mounting=[181, 0, 0]))

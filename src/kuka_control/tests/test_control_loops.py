@@ -14,12 +14,13 @@ from common.config import parse
 from common.poses import pose, read_only
 from common.rotations import rotation_about, rotation_from_zyx
 from kst.errors import ConnectionLost, MotionRefused, ReplyTimeout
-from kuka_control import assembly
-from kuka_control.arm import Arm, ArmState
-from kuka_control.commands import End, Servo
-from kuka_control.config import PtpConfig, RealTimeConfig
-from kuka_control.controller import MAX_MISSED, Controller, Inputs
-from kuka_control.stream import Desired
+from kuka_control.loop import assembly
+from kuka_control.loop.arm import Arm, ArmState
+from kuka_control.loop.commands import End, Servo
+from kuka_control.loop.controller import MAX_MISSED, Controller, Inputs
+from kuka_control.loop.stream import Desired
+from kuka_control.model.config import PtpConfig, RealTimeConfig
+from kuka_control.model.rig import Rig
 
 CONFIG = Path(__file__).parents[1] / "config"
 CLOCK = 1.7e9
@@ -33,7 +34,7 @@ def config(schema, **changes):
     return parse(schema, {**values, **changes}, "kuka/")
 
 
-RIG = assembly.Rig.of(config(RealTimeConfig))
+RIG = Rig.of(config(RealTimeConfig))
 HOME = RIG.home
 
 
@@ -116,7 +117,7 @@ class World:
     def __init__(self, schema=RealTimeConfig, **changes):
         settings_ = config(schema, **changes)
         make = assembly.real_time_loop if schema is RealTimeConfig else assembly.ptp_loop
-        self.rig = assembly.Rig.of(settings_)
+        self.rig = Rig.of(settings_)
         self.arm = FakeArm()
         self.loop = make(settings_, self.rig)
         self.controller = Controller(self.arm, self.loop)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kst.errors import MotionRefused, ProtocolError, ReplyTimeout
-from kuka_control.commands import Servo, StartPtp, Step, StopServo, Wait
-from kuka_control.controller import MAX_MISSED, WARN_EVERY_S, Controller, Inputs
+from kuka_control.loop.commands import Servo, StartPtp, Step, StopServo, Wait
+from kuka_control.loop.controller import MAX_MISSED, WARN_EVERY_S, Controller, Inputs
 
 Q = np.zeros(7)
 GOAL, PTP = Servo(Q), StartPtp(Q, 0.1)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kuka_control.law_check import TURN_RAD, LawCheck
-from kuka_control.servo_law import lts
+from kuka_control.loop.law_check import TURN_RAD, LawCheck
+from kuka_control.loop.servo_law import lts
 
 HOME = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
 DT = 0.004

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from kuka_control.kinematics import forward
-from kuka_control.link_frames import link_frames
+from kuka_control.model.link_frames import link_frames
 from kuka_control.robot_model import robot_model
 
 MODEL = robot_model("LBR14R820", "MF_touch_pneumatisch")

@@ -7,8 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kuka_control.jump import LOST_S, TOLERANCE_RAD, is_jump
-from kuka_control.motion_limits import ARM_S, LEAD_RAD, MAX_CYCLE_S, MotionLimits, ShapeLimits, SpeedLimits, Unlimited
+from kuka_control.limits.jump import LOST_S, TOLERANCE_RAD, is_jump
+from kuka_control.limits.motion_limits import (
+    ARM_S,
+    LEAD_RAD,
+    MAX_CYCLE_S,
+    MotionLimits,
+    ShapeLimits,
+    SpeedLimits,
+    Unlimited,
+)
 
 SPEEDS = np.radians([98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0])
 ACCELERATION = 12.0 * SPEEDS / SPEEDS[0]

@@ -10,8 +10,8 @@ from common.config import keys
 from common.errors import ConfigError
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from kuka_control.config import ArmConfig
-from kuka_control.robot_address import OPTIONS, RobotAddress, robot_address
+from kuka_control.model.config import ArmConfig
+from kuka_control.model.robot_address import OPTIONS, RobotAddress, robot_address
 
 CONFIG = Path(__file__).parents[1] / "config"
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.servo_law import CARRIED_S, NOISE_RAD, REACH_RAD, STEP_RAD, WIDTH_RAD, LtsGoals, lts, lts_inverse
+from kuka_control.loop.servo_law import CARRIED_S, NOISE_RAD, REACH_RAD, STEP_RAD, WIDTH_RAD, LtsGoals, lts, lts_inverse
 
 RANGE = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
 steps = st.floats(NOISE_RAD, STEP_RAD)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from kst.errors import ConnectionLost, NoServer, ProtocolError
-from kuka_control.commands import Observation, StartPtp, Step, Wait
-from kuka_control.standby import LONGEST_PAUSE_S, REMIND_S, Standby
-from kuka_control.stream import Desired
+from kuka_control.loop.commands import Observation, StartPtp, Step, Wait
+from kuka_control.loop.standby import LONGEST_PAUSE_S, REMIND_S, Standby
+from kuka_control.loop.stream import Desired
 
 LOST = ConnectionLost("the link to the controller broke")
 OLD = Desired(np.eye(4), 1.0)

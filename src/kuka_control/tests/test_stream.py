@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.poses import pose
-from kuka_control.stream import Desired, DesiredStream
+from kuka_control.loop.stream import Desired, DesiredStream
 
 CLOCK = 1.7e9
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.switches import Switches
+from kuka_control.loop.switches import Switches
 
 
 def switches(mode="home", stopped=None):

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
-from kuka_control import assembly
-from kuka_control.config import RealTimeConfig
-from kuka_control.scaling import scaled, unscaled
-from kuka_control.tool_check import check_tool_pose, seed
-from kuka_control.workspace import Infeasible
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.rig import Rig
+from kuka_control.model.scaling import scaled, unscaled
+from kuka_control.model.tool_check import check_tool_pose, seed
+from kuka_control.model.workspace import Infeasible
 
 CONFIG = Path(__file__).parents[1] / "config" / "kuka_params_rt.yaml"
-RIG = assembly.Rig.of(parse(RealTimeConfig, yaml.safe_load(CONFIG.read_text()), "kuka/"))
+RIG = Rig.of(parse(RealTimeConfig, yaml.safe_load(CONFIG.read_text()), "kuka/"))
 HOME = RIG.home
 coordinates = st.floats(-0.8, 0.8)
 scales = st.floats(0.1, 1.5)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kuka_control.tracking import MotionMonitor, TrackingMonitor
+from kuka_control.loop.tracking import MotionMonitor, TrackingMonitor
 from rig_simulation.devices.sunrise.profiles import JointMove
 
 DT = 0.004

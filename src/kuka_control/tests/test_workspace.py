@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
 from common.errors import ConfigError
-from kuka_control.workspace import (
+from kuka_control.model.workspace import (
     Bound,
     Constrained,
     Infeasibility,

@@ -11,11 +11,11 @@ pytest.importorskip("rig_simulation")
 
 from bench.simulated import SimulatedRig
 from kuka_control.kinematics import Kinematics
-from kuka_control.motion_limits import MotionLimits, SpeedLimits
+from kuka_control.limits.motion_limits import MotionLimits, SpeedLimits
+from kuka_control.limits.speed_change import Moved, ShapeLimits, SpeedChange
+from kuka_control.limits.workspace_brake import SLACK_M, WorkspaceBrake
+from kuka_control.model.workspace import Workspace
 from kuka_control.robot_model import robot_model
-from kuka_control.speed_change import Moved, ShapeLimits, SpeedChange
-from kuka_control.workspace import Workspace
-from kuka_control.workspace_brake import SLACK_M, WorkspaceBrake
 
 DT = 0.004
 ALLOWED_M = 0.002

@@ -14,11 +14,12 @@ import yaml
 from common.config import parse
 from common.poses import read_only
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
-from kuka_control import assembly
-from kuka_control.arm import Arm, ArmState
-from kuka_control.config import RealTimeConfig
-from kuka_control.controller import Controller, Inputs
-from kuka_control.stream import Desired
+from kuka_control.loop import assembly
+from kuka_control.loop.arm import Arm, ArmState
+from kuka_control.loop.controller import Controller, Inputs
+from kuka_control.loop.stream import Desired
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.rig import Rig as KukaRig
 from leap_kuka.config import ArmConfig, LeapConfig
 from leap_kuka.desired_tool import R_LEAP_REFERENCE
 from leap_kuka.hand_frame import HandSample
@@ -78,7 +79,7 @@ class Rig:
     def __init__(self):
         values = parameters("kuka_control/config/kuka_params_rt.yaml")
         config = parse(RealTimeConfig, values, "kuka/")
-        self.rig = assembly.Rig.of(config)
+        self.rig = KukaRig.of(config)
         arm = {**values, "ws_center": self.rig.home.centre.tolist()}
         known = {key: arm[key] for key in ("center_line", "z_lower_limit", "tool_length", "ws_center")}
         leap = parse(LeapConfig, parameters("leap_kuka/config/leap_params.yaml"), "leap/")

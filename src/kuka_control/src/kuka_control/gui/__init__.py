@@ -1,1 +1,1 @@
-"""The control panel: what it shows (`panel_state`) and the Qt widget that shows it (`panel`); no ROS here."""
+"""Windows without ROS: the control panel (`panel_state`, `panel`) and the drawings of the workspace (`plot`)."""

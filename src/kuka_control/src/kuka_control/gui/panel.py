@@ -22,7 +22,7 @@ from python_qt_binding.QtWidgets import (
 from kuka_control.gui.panel_state import PanelState, Tone
 from kuka_control.gui.sentence import Sentence, label
 from kuka_control.gui.style import STYLE
-from kuka_control.scaling import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
+from kuka_control.model.scaling import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
 
 STEPS_PER_UNIT = 10
 """The slider moves in tenths."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from kuka_control.scaling import SCALING_DEFAULT
+from kuka_control.model.scaling import SCALING_DEFAULT
 
 ABSENT_S = 1.5
 """Without a status for so long the controller counts as absent."""

@@ -16,12 +16,14 @@ from common.ros import node
 from common.ros.diagnostics import Diagnostics
 from common.ros.params import wait_for_config
 from common.ros.stage_times import StageTimes
-from kuka_control import assembly
-from kuka_control.assembly import Rig
-from kuka_control.commands import End, Event, Servo, Step
-from kuka_control.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
-from kuka_control.control_loop import ControlLoop
-from kuka_control.controller import Controller, Inputs
+from kuka_control.loop import assembly
+from kuka_control.loop.commands import End, Event, Servo, Step
+from kuka_control.loop.control_loop import ControlLoop
+from kuka_control.loop.controller import Controller, Inputs
+from kuka_control.loop.standby import Standby
+from kuka_control.loop.switches import Switches
+from kuka_control.model.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
+from kuka_control.model.rig import Rig
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.dh_file import dh_deviations
 from kuka_control.ros.robot_link import RobotLink, ends_soon
@@ -29,8 +31,6 @@ from kuka_control.ros.services import Services
 from kuka_control.ros.state_publisher import Snapshot, StatePublisher
 from kuka_control.ros.tool_check_service import ToolCheckService
 from kuka_control.ros.workspace_markers import publish_workspace
-from kuka_control.standby import Standby
-from kuka_control.switches import Switches
 
 PARAMETERS_S = 15.0
 """How long some of the parameters may be there before the others, such as those for leap_kuka alone [s]."""

@@ -11,8 +11,8 @@ import rospy
 import tf2_ros
 
 from common.ros.conversions import pose_from_transform
-from kuka_control.frame_sources import Conflict, FrameSources
-from kuka_control.stream import Desired
+from kuka_control.loop.stream import Desired
+from kuka_control.model.frame_sources import Conflict, FrameSources
 
 BASE = "kuka/base_frame"
 DESIRED = "kuka/tool_frame/desired"

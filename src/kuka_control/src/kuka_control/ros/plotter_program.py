@@ -14,14 +14,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from common.errors import ConfigError, RigError
-from kuka_control import workspace_report
-from kuka_control.plot.figure import SIZE_INCH, draw
-from kuka_control.plot.picture import Picture
-from kuka_control.reach_study import study_reach
+from kuka_control.gui.plot.figure import SIZE_INCH, draw
+from kuka_control.gui.plot.picture import Picture
+from kuka_control.model import workspace_report
+from kuka_control.model.reach_study import study_reach
+from kuka_control.model.workspace_check import checked_rig
+from kuka_control.model.workspace_samples import constrained_samples, volume_samples
 from kuka_control.ros.dh_file import dh_deviations
 from kuka_control.ros.parameter_server import NoMaster, NoParameters, parameters, read_yaml, shipped
-from kuka_control.workspace_check import checked_rig
-from kuka_control.workspace_samples import constrained_samples, volume_samples
 
 NAME = "workspace_plotter"
 DEFAULT_PARAMS = "kuka_params_rt.yaml"

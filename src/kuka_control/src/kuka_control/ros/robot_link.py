@@ -10,10 +10,10 @@ import rospy
 from common.errors import DeviceError
 from kst.client import KstClient
 from kst.errors import NoServer
-from kuka_control.arm import KstArm
-from kuka_control.assembly import Rig
-from kuka_control.config import ArmConfig
-from kuka_control.wrench import wrench_at_tool
+from kuka_control.loop.arm import KstArm
+from kuka_control.model.config import ArmConfig
+from kuka_control.model.rig import Rig
+from kuka_control.model.wrench import wrench_at_tool
 
 PATIENCE_S = 20.0
 RETRY_S = 0.5

@@ -7,7 +7,7 @@ import threading
 
 import rospy
 
-from kuka_control.switches import Answer, Switches
+from kuka_control.loop.switches import Answer, Switches
 from kuka_msgs.srv import (
     exitApp,
     exitAppEmergency,

@@ -17,11 +17,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
 from common.ros.conversions import stamped_transform
-from kuka_control.arm import ArmState
-from kuka_control.assembly import Rig
-from kuka_control.commands import Step
+from kuka_control.loop.arm import ArmState
+from kuka_control.loop.commands import Step
+from kuka_control.loop.switches import Switched
+from kuka_control.model.rig import Rig
 from kuka_control.ros.desired_tool import BASE
-from kuka_control.switches import Switched
 from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
 from rig_msgs.msg import KukaStatus
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 
-from kuka_control.joint_motion import Progress
+from kuka_control.limits.joint_motion import Progress
 
 
 class Interruption:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from common.rotations import rotation_angle
-from kuka_control.stream import Desired
+from kuka_control.loop.stream import Desired
 
 TOLERANCE_RAD = float(np.radians(2.0))
 """What a joint may differ by and still be servoed to from rest, and what a jump is beyond the joint speed limits."""

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kuka_control.commands import Command, Observation, Wait
-from kuka_control.control_loop import ControlLoop, LoopSettings
-from kuka_control.target import Target
+from kuka_control.loop.commands import Command, Observation, Wait
+from kuka_control.loop.control_loop import ControlLoop, LoopSettings
+from kuka_control.model.target import Target
 
 
 @dataclass(frozen=True)

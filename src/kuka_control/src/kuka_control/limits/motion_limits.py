@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.speed_change import Moved, ShapeLimits, SpeedChange
-from kuka_control.workspace_brake import WorkspaceBrake
+from kuka_control.limits.speed_change import Moved, ShapeLimits, SpeedChange
+from kuka_control.limits.workspace_brake import WorkspaceBrake
 
 GAIN_PER_S = 40.0
 """The goal makes up for a small distance to its target with this share of it per second."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.workspace import Infeasible, Workspace
+from kuka_control.model.workspace import Infeasible, Workspace
 
 SEVERAL = "several bounds"
 UNCHANGED = "inside, unchanged"

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 from common.errors import DeviceError
 from kst.errors import ConnectionLost, ReplyTimeout
-from kuka_control.commands import Event, Observation, Step, Wait
-from kuka_control.control_loop import ControlLoop
-from kuka_control.stream import Desired
+from kuka_control.loop.commands import Event, Observation, Step, Wait
+from kuka_control.loop.control_loop import ControlLoop
+from kuka_control.loop.stream import Desired
 
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 5.0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from kuka_control.workspace import Bound
-from kuka_control.workspace_samples import SEVERAL, UNCHANGED
+from kuka_control.model.workspace import Bound
+from kuka_control.model.workspace_samples import SEVERAL, UNCHANGED
 
 WORKSPACE = "#3b82c4"
 ARM = "#e8730c"

@@ -8,9 +8,9 @@ from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import ArrayLike
 
-from kuka_control.plot import colours
-from kuka_control.plot.picture import Picture
-from kuka_control.workspace import Workspace, boundary_lines
+from kuka_control.gui.plot import colours
+from kuka_control.gui.plot.picture import Picture
+from kuka_control.model.workspace import Workspace, boundary_lines
 
 TRIAD_M = 0.13
 """Length of the axes of a frame [m]."""

@@ -6,9 +6,9 @@ from typing import Sequence
 
 import numpy as np
 
-from kuka_control.assembly import Rig
-from kuka_control.config import ArmConfig
-from kuka_control.reach_study import ReachStudy
+from kuka_control.model.config import ArmConfig
+from kuka_control.model.reach_study import ReachStudy
+from kuka_control.model.rig import Rig
 
 
 def title(config: ArmConfig) -> str:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.jump import LOST_S
+from kuka_control.limits.jump import LOST_S
 
 SHORT_S = 0.006
 """Frames nearer in time than this do not tell a speed [s]."""

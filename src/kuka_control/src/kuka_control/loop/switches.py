@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from kuka_control.scaling import SCALING_DEFAULT, check_scaling_factor
+from kuka_control.model.scaling import SCALING_DEFAULT, check_scaling_factor
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from common.mounting import Directions, directions
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about
 from kuka_control.kinematics import Kinematics
+from kuka_control.model.workspace import Infeasible, Workspace
 from kuka_control.robot_model import RobotModel
-from kuka_control.workspace import Infeasible, Workspace
 
 ROUNDING_RAD = 1e-12
 """A joint nearer to zero than this is at zero."""

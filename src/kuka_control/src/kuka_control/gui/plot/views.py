@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 
-from kuka_control.plot import colours
-from kuka_control.plot.picture import Picture, in_home_plane, turned_into_section
-from kuka_control.workspace import Workspace
+from kuka_control.gui.plot import colours
+from kuka_control.gui.plot.picture import Picture, in_home_plane, turned_into_section
+from kuka_control.model.workspace import Workspace
 
 TRIAD_M = 0.1
 LABEL_PT = 10.5

@@ -8,8 +8,8 @@ import numpy as np
 
 from common.poses import pose, read_only
 from kuka_control.kinematics import Kinematics
-from kuka_control.scaling import scaled, unscaled
-from kuka_control.workspace import Infeasible, Workspace
+from kuka_control.model.scaling import scaled, unscaled
+from kuka_control.model.workspace import Infeasible, Workspace
 
 
 @dataclass(frozen=True)

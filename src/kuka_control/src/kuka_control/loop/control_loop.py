@@ -20,11 +20,11 @@ from typing import Callable, Generic, TypeVar
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.commands import Command, End, Event, Observation, StartPtp, Step, Wait
-from kuka_control.stream import Desired, DesiredStream
-from kuka_control.target import Target, TargetChain
-from kuka_control.tracking import MotionMonitor
-from kuka_control.workspace import Infeasible
+from kuka_control.loop.commands import Command, End, Event, Observation, StartPtp, Step, Wait
+from kuka_control.loop.stream import Desired, DesiredStream
+from kuka_control.loop.tracking import MotionMonitor
+from kuka_control.model.target import Target, TargetChain
+from kuka_control.model.workspace import Infeasible
 
 Q_ZERO = read_only(np.zeros(7))
 """The joints in which the arm is left behind [rad]."""

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 
 from common.config import parse
 from common.errors import ConfigError
-from kuka_control.assembly import Rig
-from kuka_control.config import ArmConfig, neighbours
-from kuka_control.home_pose import HomeError
 from kuka_control.kinematics import DhDeviations
+from kuka_control.model.config import ArmConfig, neighbours
+from kuka_control.model.home_pose import HomeError
+from kuka_control.model.rig import Rig
 
 
 def checked_rig(

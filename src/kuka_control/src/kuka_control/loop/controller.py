@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 from common.errors import DeviceError
 from kst.errors import MotionRefused, ReplyTimeout
-from kuka_control.arm import NO_READING, Arm
-from kuka_control.commands import End, Event, Observation, Servo, StartPtp, StartServo, Step, StopServo
-from kuka_control.control_loop import ControlLoop
-from kuka_control.standby import Standby
-from kuka_control.stream import Desired
+from kuka_control.loop.arm import NO_READING, Arm
+from kuka_control.loop.commands import End, Event, Observation, Servo, StartPtp, StartServo, Step, StopServo
+from kuka_control.loop.control_loop import ControlLoop
+from kuka_control.loop.standby import Standby
+from kuka_control.loop.stream import Desired
 
 MAX_MISSED = 5
 """So many answers in a row may fail to come, or be none, before the link is given up."""

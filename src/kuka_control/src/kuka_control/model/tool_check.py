@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import check_pose
-from kuka_control.stream import MAX_DISTANCE_M
-from kuka_control.target import TargetChain
-from kuka_control.workspace import Infeasible
+from kuka_control.loop.stream import MAX_DISTANCE_M
+from kuka_control.model.target import TargetChain
+from kuka_control.model.workspace import Infeasible
 
 FOLLOWING = ("pick_up", "servo")
 """Modes in which the arm follows the desired tool frame from where it is."""

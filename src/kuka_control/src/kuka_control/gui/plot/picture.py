@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.rotations import rotation_about
-from kuka_control.assembly import Rig
-from kuka_control.link_frames import link_frames
-from kuka_control.reach_study import ReachStudy
-from kuka_control.workspace_samples import ConstrainedSamples
+from kuka_control.model.link_frames import link_frames
+from kuka_control.model.reach_study import ReachStudy
+from kuka_control.model.rig import Rig
+from kuka_control.model.workspace_samples import ConstrainedSamples
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kuka_control.speed_change import Moved, SpeedChange
-from kuka_control.workspace import Workspace
+from kuka_control.limits.speed_change import Moved, SpeedChange
+from kuka_control.model.workspace import Workspace
 
 SLACK_M = 1e-3
 """The way to a stop may lead out of the workspace by this much: on curved bounds it goes straight on."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from kuka_control.plot import colours
-from kuka_control.plot.picture import Picture
-from kuka_control.plot.scene import draw_scene
-from kuka_control.plot.views import draw_reach, draw_samples
+from kuka_control.gui.plot import colours
+from kuka_control.gui.plot.picture import Picture
+from kuka_control.gui.plot.scene import draw_scene
+from kuka_control.gui.plot.views import draw_reach, draw_samples
 
 SIZE_INCH = (18.0, 10.0)
 TEXT_PT = 10.5

@@ -10,16 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kuka_control.commands import Command, Observation, Servo, StartServo, StopServo
-from kuka_control.control_loop import ControlLoop, LoopSettings
-from kuka_control.jump import TOLERANCE_RAD, FrameSteps, is_jump
-from kuka_control.law_check import Checked, LawCheck
-from kuka_control.motion_limits import Limited, MotionLimits, Unlimited
-from kuka_control.servo_law import LtsGoals
-from kuka_control.stream import Desired
-from kuka_control.target import Target, TargetChain
-from kuka_control.target_motion import Moving, TargetMotion
-from kuka_control.tracking import TrackingMonitor
+from kuka_control.limits.jump import TOLERANCE_RAD, FrameSteps, is_jump
+from kuka_control.limits.motion_limits import Limited, MotionLimits, Unlimited
+from kuka_control.loop.commands import Command, Observation, Servo, StartServo, StopServo
+from kuka_control.loop.control_loop import ControlLoop, LoopSettings
+from kuka_control.loop.law_check import Checked, LawCheck
+from kuka_control.loop.servo_law import LtsGoals
+from kuka_control.loop.stream import Desired
+from kuka_control.loop.target_motion import Moving, TargetMotion
+from kuka_control.loop.tracking import TrackingMonitor
+from kuka_control.model.target import Target, TargetChain
 
 CATCH_UP_SHARE = 1.0 / 3.0
 """Share of the speed limits until the arm has caught up with a hand that moved on while the arm could not follow: while

@@ -7,8 +7,8 @@ from typing import Union
 
 import numpy as np
 
-from kuka_control.stream import Desired
-from kuka_control.target import Target
+from kuka_control.loop.stream import Desired
+from kuka_control.model.target import Target
 
 
 @dataclass(frozen=True)
