@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from common.frames import FLANGE
 from rig_simulation.devices.sunrise.description import read_urdf
 
 ARM = [f"kuka/joint_{k}" for k in range(1, 8)]
-FLANGE = "kuka/flange"
 ITERATIONS = 200
 TOLERANCE = 1e-6
 MAX_STEP_RAD = 0.5

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from table_scene import CAMERA, depth_picture, looking_at
 
-from common.camera_model import DEPTH_FRAME
 from common.config import parse
 from common.errors import RigError
+from common.frames import DEPTH_OPTICAL
 from common.poses import inverse, pose
 from grasping.settings import NetworkConfig
 
@@ -73,9 +73,9 @@ class Camera:
                 continue
             stamp = rospy.Time.now() - rospy.Duration(self.late)
             if self.info:
-                self._info.publish(camera_info_message(CAMERA, DEPTH_FRAME, stamp))
+                self._info.publish(camera_info_message(CAMERA, DEPTH_OPTICAL, stamp))
             encoding = "16UC1" if depth.dtype == np.uint16 else "32FC1"
-            self._image.publish(image_message(depth, encoding, DEPTH_FRAME, stamp))
+            self._image.publish(image_message(depth, encoding, DEPTH_OPTICAL, stamp))
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def calibrated(ros):
     T_link_optical = pose(R_LINK_OPTICAL)
     broadcaster.sendTransform([
         stamped_transform(ASIDE @ inverse(T_link_optical), "kuka/base_frame", "camera_depth_frame", now),
-        stamped_transform(T_link_optical, "camera_depth_frame", DEPTH_FRAME, now),
+        stamped_transform(T_link_optical, "camera_depth_frame", DEPTH_OPTICAL, now),
     ])  # fmt: skip
     yield
     broadcaster.pub_tf.unregister()
@@ -154,7 +154,7 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
     start(ros, reach__ask=False)
     found = newest(got["out/grasps"], wait_until, lambda m: m.grasps, "a grasp")
     best, stamp = found.grasps[0], found.header.stamp
-    assert (found.header.frame_id, found.reason) == (DEPTH_FRAME, "")
+    assert (found.header.frame_id, found.reason) == (DEPTH_OPTICAL, "")
     assert (best.reachable, best.reason) == (True, "")
     T_base, T_camera = pose_from_message(best.pose_base.pose), pose_from_message(best.pose_camera)
     assert (best.pose_base.header.frame_id, best.pose_base.header.stamp) == ("kuka/base_frame", stamp)
@@ -184,7 +184,7 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
     )
     moved = buffer.lookup_transform("kuka/base_frame", "camera_target_frame", rospy.Time(0))
     np.testing.assert_allclose(pose_from_transform(moved.transform)[:3, 3], T_base[:3, 3], atol=5e-3)
-    assert buffer.can_transform(DEPTH_FRAME, "ggcnn/view", rospy.Time(0))
+    assert buffer.can_transform(DEPTH_OPTICAL, "ggcnn/view", rospy.Time(0))
     wait_until(lambda: "ms_network" in status(), PATIENCE_S, "diagnostics")
     wait_until(lambda: status()["message"] == "There are grasps.", PATIENCE_S, "a good state")
     assert {"ms_view", "ms_peaks", "ms_poses", "ms_latency", "weights"} <= status().keys()
@@ -207,7 +207,7 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
     assert found.grasps[0].pose_base.header.frame_id == ""
     assert not found.grasps[0].reachable
     assert "tf has no way from camera_depth_optical_frame to kuka/base_frame" in found.grasps[0].reason
-    assert targets.wait(1)[-1].header.frame_id == DEPTH_FRAME
+    assert targets.wait(1)[-1].header.frame_id == DEPTH_OPTICAL
 
     camera.depth = np.uint16(np.nan_to_num(1000.0 * depth, posinf=0.0))
     assert newest(lists, wait_until, lambda m: m.grasps, "a grasp in millimetres").grasps[0].width > 0.0
@@ -265,7 +265,7 @@ def test_a_torn_picture_is_refused(ros, camera, wait_until):
         seen = len(lists)
 
         def told(reason=reason, image=image, seen=seen):
-            image.header.stamp, image.header.frame_id = rospy.Time.now(), DEPTH_FRAME
+            image.header.stamp, image.header.frame_id = rospy.Time.now(), DEPTH_OPTICAL
             torn.publish(image)
             return any(reason in m.reason for m in lists[seen:])
 

@@ -7,7 +7,7 @@ import pytest
 from depth_scene import DEPTH, PLATE, RGB, T_RGB_DEPTH, depth_picture, load, panel_pose
 from tag_renderer import render
 
-from common.camera_model import DEPTH_FRAME, RGB_FRAME
+from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
 
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
@@ -37,7 +37,7 @@ class Camera:
         self.images = {name: rospy.Publisher(f"camera/{name}/image_raw", Image, queue_size=1) for name in MODELS}
         self._infos = {name: rospy.Publisher(f"camera/{name}/camera_info", CameraInfo, queue_size=1) for name in MODELS}
         self._static = tf2_ros.StaticTransformBroadcaster()
-        self._static.sendTransform(stamped_transform(T_RGB_DEPTH, RGB_FRAME, DEPTH_FRAME, rospy.Time.now()))
+        self._static.sendTransform(stamped_transform(T_RGB_DEPTH, RGB_OPTICAL, DEPTH_OPTICAL, rospy.Time.now()))
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._loop, daemon=True)
         self._thread.start()
@@ -66,7 +66,7 @@ class Camera:
             self.sent += 1
 
 
-MODELS = {"rgb": (RGB, RGB_FRAME), "depth": (DEPTH, DEPTH_FRAME)}
+MODELS = {"rgb": (RGB, RGB_OPTICAL), "depth": (DEPTH, DEPTH_OPTICAL)}
 
 
 @pytest.fixture
@@ -125,13 +125,13 @@ def test_the_panel_comes_fused_and_by_its_plane_in_topics_and_tf(ros, camera, st
     for name, messages in arrays.items():
         message = messages.wait(2, 30.0)[-1]
         (detection,) = message.detections
-        assert message.header.frame_id == detection.pose.header.frame_id == RGB_FRAME
+        assert message.header.frame_id == detection.pose.header.frame_id == RGB_OPTICAL
         assert list(detection.id) == [0, 1, 2, 3, 4]
         np.testing.assert_allclose(pose_from_message(detection.pose.pose.pose), TRUTH, atol=6e-3)
         assert np.linalg.eigvalsh(np.reshape(detection.pose.pose.covariance, (6, 6)))[0] > 0.0
         frame = f"tag_frame/{name}"
-        wait_until(lambda frame=frame: buffer.can_transform(RGB_FRAME, frame, rospy.Time(0)), 15.0, frame)
-        found = buffer.lookup_transform(RGB_FRAME, frame, rospy.Time(0)).transform
+        wait_until(lambda frame=frame: buffer.can_transform(RGB_OPTICAL, frame, rospy.Time(0)), 15.0, frame)
+        found = buffer.lookup_transform(RGB_OPTICAL, frame, rospy.Time(0)).transform
         np.testing.assert_allclose(pose_from_transform(found), TRUTH, atol=6e-3)
     wait_until(lambda: status().get("message") == "the panel is seen with depth", 15.0, "the status")
     assert float(status()["colour_to_fused_mm"]) < 5.0
@@ -231,7 +231,7 @@ def test_registered_depth_and_cloud_come_only_while_somebody_listens(ros, camera
     assert [(f.name, f.offset) for f in cloud.fields] == [("x", 0), ("y", 4), ("z", 8), ("rgb", 12)]
     point = np.frombuffer(cloud.data, "<f4").reshape(480, 640, 4)[v, u]
     np.testing.assert_allclose(point[:3], TRUTH[:3, 3], atol=0.006)
-    assert cloud.header.frame_id == metric.header.frame_id == RGB_FRAME
+    assert cloud.header.frame_id == metric.header.frame_id == RGB_OPTICAL
     for subscriber in subscribers:
         subscriber.unregister()
     wait_until(lambda: camera.images["rgb"].get_num_connections() == 0, 15.0, "that the camera is left alone")

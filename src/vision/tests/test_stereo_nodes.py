@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from depth_scene import RGB, load
 
-from common.camera_model import RGB_FRAME
+from common.frames import RGB_OPTICAL
 
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
@@ -54,9 +54,9 @@ class Camera:
         stamp = rospy.Time.now()
         if depth:
             picture = np.full((RGB.height, RGB.width), DEPTH_MM, np.uint16)
-            self.publishers["depth/image_raw"].publish(image_message(picture, "16UC1", RGB_FRAME, stamp))
-        self.publishers["rgb/camera_info"].publish(camera_info_message(RGB, RGB_FRAME, stamp))
-        self.publishers["rgb/image_raw"].publish(image_message(self._colour, "rgb8", RGB_FRAME, stamp))
+            self.publishers["depth/image_raw"].publish(image_message(picture, "16UC1", RGB_OPTICAL, stamp))
+        self.publishers["rgb/camera_info"].publish(camera_info_message(RGB, RGB_OPTICAL, stamp))
+        self.publishers["rgb/image_raw"].publish(image_message(self._colour, "rgb8", RGB_OPTICAL, stamp))
 
     def watched(self):
         """Whether somebody takes the pictures."""

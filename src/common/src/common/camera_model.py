@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike
 from common.errors import ConfigError
 from common.poses import read_only
 
-RGB_FRAME, DEPTH_FRAME = "camera_rgb_optical_frame", "camera_depth_optical_frame"
-"""The optical frames of the rig's RGB-D camera."""
 PLUMB_BOB = "plumb_bob"
 MAX_ITERATIONS = 50
 TOLERANCE = 1e-10

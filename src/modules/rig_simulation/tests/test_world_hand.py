@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from common.frames import BASE
 from common.poses import pose
 from leap_hand.force_limit import ForceLimit, HandState
 from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
@@ -18,7 +19,7 @@ from rig_simulation.world.hand import COUNTS_PER_N, PhysicalMechanics
 from rig_simulation.world.hand_model import FLEXURE_SHARE, prepare_hand
 from rig_simulation.world.mjcf import numbers, quaternion
 from rig_simulation.world.objects import add_object
-from rig_simulation.world.robot import ROOT, add_robot
+from rig_simulation.world.robot import add_robot
 from rig_simulation.world.scene import Ball, Bottle, Box, Cup, Cylinder
 
 TIMESTEP_S = 0.001
@@ -60,8 +61,8 @@ def hand_alone() -> str:
         name = element.get("name", "")
         if element.tag in ("link", "joint") and not name.startswith("reflex/"):
             root.remove(element)
-    root.find("joint[@name='reflex/connector']/parent").set("link", ROOT)
-    ET.SubElement(root, "link", name=ROOT)
+    root.find("joint[@name='reflex/connector']/parent").set("link", BASE)
+    ET.SubElement(root, "link", name=BASE)
     return ET.tostring(root, encoding="unicode")
 
 

@@ -13,11 +13,12 @@ import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
-from common.camera_model import DEPTH_FRAME, RGB_FRAME, CameraModel
+from common.camera_model import CameraModel
+from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
 from common.ros.images import camera_info_message, image_message, metres_from_millimetres
 
 Outgoing = Callable[[Image], Image]
-FRAMES = {"rgb": RGB_FRAME, "depth": DEPTH_FRAME, "depth_registered": RGB_FRAME}
+FRAMES = {"rgb": RGB_OPTICAL, "depth": DEPTH_OPTICAL, "depth_registered": RGB_OPTICAL}
 
 
 class RgbdTopics:
@@ -49,7 +50,7 @@ class RgbdTopics:
         if self._raw[name].get_num_connections():
             self._raw[name].publish(self._outgoing(image_message(picture, encoding, FRAMES[name], stamp)))
         if name == "depth" and self._metric.get_num_connections():
-            metric = image_message(metres_from_millimetres(picture), "32FC1", DEPTH_FRAME, stamp)
+            metric = image_message(metres_from_millimetres(picture), "32FC1", DEPTH_OPTICAL, stamp)
             self._metric.publish(self._outgoing(metric))
 
     def publish_info(self, name: str, stamp: rospy.Time) -> None:

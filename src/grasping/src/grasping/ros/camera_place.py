@@ -6,8 +6,8 @@ import numpy as np
 import rospy
 import tf2_ros
 
+from common.frames import BASE
 from common.ros.conversions import pose_from_transform
-from grasping.ros.ggcnn_messages import BASE
 
 PATIENCE_S = 0.1
 """The place of the camera at the moment of a picture may come so much later than the picture."""

@@ -22,6 +22,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from common.errors import RigError
+from common.frames import BASE, FLANGE_MEASURED, TOOL_DESIRED
 from common.ros.conversions import pose_from_transform, pose_in
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import camera_model_from_info, depth_from_image
@@ -39,7 +40,6 @@ from grasping.ros.episode_files import EpisodeFiles
 from grasping.view import NoView
 from reflex_msgs.msg import Hand
 
-BASE, FLANGE, TOOL_DESIRED = "kuka/base_frame", "kuka/flange_frame/measured", "kuka/tool_frame/desired"
 BUFFER_BYTES = 2**22
 """Room for several pictures: rospy drops all but the newest only among those that it has read."""
 EXECUTING = ("approaching", "waiting_for_hand", "person")
@@ -126,7 +126,7 @@ class GraspCollection:
             raise ValueError(f"nobody publishes {rospy.resolve_name(self._setup.ggcnn.input.info_topic)}")
         camera = camera_model_from_info(self._info)
         T_base_camera = self._place(message.header.frame_id, stamp, wait)
-        T_base_tool = self._place(FLANGE, stamp, wait) @ self._T_flange_tool
+        T_base_tool = self._place(FLANGE_MEASURED, stamp, wait) @ self._T_flange_tool
         self._waits_for = ""
         with self._lock:
             if not self._collector.wants(stamp.to_sec(), T_base_tool):
@@ -172,7 +172,7 @@ class GraspCollection:
         hand = HandState(angles[:3], pressures, np.array([motor.load for motor in message.motor[:3]]))
         with while_running():
             try:
-                found = self._tf.lookup_transform(BASE, FLANGE, rospy.Time(0))
+                found = self._tf.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
                 if abs((now - found.header.stamp).to_sec()) > STALE_S:
                     raise ValueError(f"the place of the tool is older than {STALE_S:g} s")
                 T_base_tool = pose_from_transform(found.transform) @ self._T_flange_tool

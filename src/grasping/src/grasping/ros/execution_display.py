@@ -9,12 +9,12 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common.frames import BASE
 from common.poses import translation
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspOutcome
 from grasping.execution import OVER, Execution, Outcome
 from grasping.execution_request import Way
-from grasping.ros.execution_inputs import BASE
 
 FINGER_M, PALM_M = (0.012, 0.02, 0.06), (0.08, 0.02)
 """A finger along x, y and z; the palm along y and z."""

@@ -9,6 +9,7 @@ import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from common.frames import BASE, FLANGE_MEASURED
 from common.ros.conversions import pose_from_transform, pose_in
 from grasp_msgs.msg import Grasp, GraspList
 from grasping.dataset.grasp_watch import HandState
@@ -16,8 +17,6 @@ from grasping.execution import NONE, Observation
 from grasping.execution_request import Controller, Proposal, Proposals
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus
-
-BASE, FLANGE = "kuka/base_frame", "kuka/flange_frame/measured"
 
 
 class ExecutionInputs:
@@ -69,7 +68,7 @@ class ExecutionInputs:
 
     def _tool(self) -> np.ndarray | None:
         try:
-            found = self._tf.lookup_transform(BASE, FLANGE, rospy.Time(0))
+            found = self._tf.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
             if abs((rospy.Time.now() - found.header.stamp).to_sec()) > self._silence:
                 return None
             return pose_from_transform(found.transform) @ self._T_flange_tool

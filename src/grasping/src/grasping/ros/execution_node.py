@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from common.config import parse, required, vector
 from common.errors import DeviceError
+from common.frames import BASE
 from common.mounting import directions, mounting_field
 from common.ros.calls import call
 from common.ros.conversions import stamped_pose
@@ -30,7 +31,7 @@ from grasping.dataset.grasp_watch import GraspWatchConfig
 from grasping.execution import HELD, Execution, ExecutionConfig, Outcome
 from grasping.execution_request import Refusal, Way, choose, way_to
 from grasping.ros.execution_display import NO_GRASP, ExecutionDisplay
-from grasping.ros.execution_inputs import BASE, ExecutionInputs, proposals_from
+from grasping.ros.execution_inputs import ExecutionInputs, proposals_from
 from grasping.tool_pose import ToolPoseConfig
 from rig_msgs.srv import CheckToolPose, HoldTool
 

@@ -10,12 +10,12 @@ from geometry_msgs.msg import Point, PoseStamped
 from std_msgs.msg import ColorRGBA, Float32MultiArray, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common.frames import BASE
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspList
 from grasping.live import Proposal
 from grasping.reach import Reach
 
-BASE = "kuka/base_frame"
 DEVIATIONS = 6
 FINGER_M, LINE_M, BEST_LINE_M, TEXT_M = 0.05, 0.003, 0.006, 0.02
 MARKER_LIFE_S = 1.0

@@ -21,6 +21,7 @@ from std_msgs.msg import Float32MultiArray, Header
 from visualization_msgs.msg import MarkerArray
 
 from common.errors import RigError
+from common.frames import BASE, DEPTH, GRASP_TARGET, GRASP_VIEW
 from common.mounting import rotation_of_mounting
 from common.ros.conversions import stamped_pose, stamped_transform
 from common.ros.diagnostics import Diagnostics
@@ -45,7 +46,6 @@ from grasping.ros.weight_files import load_network, load_refinement, own_yaml
 from grasping.settings import GgcnnSettings, overlaid, sentences, settings_from
 from grasping.view import TABLE
 
-VIEW_FRAME, TARGET_PARENT, TARGET_FRAME = "ggcnn/view", "camera_depth_frame", "camera_target_frame"
 WAIT_S = 0.2
 SILENT_PERIOD_S = 0.5
 WARM_UP = 5
@@ -132,12 +132,12 @@ class GgcnnNode:
         window = centre_crop(picture.depth.shape, crop.side, crop.rows_up)
         self._command.publish(messages.command(best, depth_between_fingers(picture.depth, window)))
         known = best.T_base_grasp is not None
-        T, frame = (best.T_base_grasp, messages.BASE) if known else (best.T_camera_grasp, header.frame_id)
+        T, frame = (best.T_base_grasp, BASE) if known else (best.T_camera_grasp, header.frame_id)
         self._target.publish(stamped_pose(T, frame, header.stamp))
-        T_depth_optical = self._place.fixed(TARGET_PARENT, header.frame_id)
+        T_depth_optical = self._place.fixed(DEPTH, header.frame_id)
         if T_depth_optical is not None:
             T = T_depth_optical @ best.T_camera_grasp
-            self._broadcaster.sendTransform(stamped_transform(T, TARGET_PARENT, TARGET_FRAME, header.stamp))
+            self._broadcaster.sendTransform(stamped_transform(T, DEPTH, GRASP_TARGET, header.stamp))
 
     def _draw(self, header: Header, found: Findings, proposals: list, best: Proposal | None) -> None:
         if found.view is None or found.maps is None:
@@ -145,8 +145,8 @@ class GgcnnNode:
         frame = header.frame_id
         if self._settings.main.view == TABLE:
             T = found.view.T_camera_view
-            self._broadcaster.sendTransform(stamped_transform(T, header.frame_id, VIEW_FRAME, header.stamp))
-            frame = VIEW_FRAME
+            self._broadcaster.sendTransform(stamped_transform(T, header.frame_id, GRASP_VIEW, header.stamp))
+            frame = GRASP_VIEW
         plain = drawing.plain(found.maps) if self._wanted("grasp") or self._wanted("grasp_plain") else None
         refused = {p.id for p, reach in proposals if reach.refused}
         reason = found.reason or proposals[0][1].reason

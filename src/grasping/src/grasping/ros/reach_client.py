@@ -9,11 +9,11 @@ import time
 import numpy as np
 import rospy
 
+from common.frames import BASE
 from common.mounting import directions
 from common.ros.conversions import stamped_pose
 from grasping.live import Proposal
 from grasping.reach import ASKED, SILENT, Reach, ReachBook, ReachConfig
-from grasping.ros.ggcnn_messages import BASE
 from grasping.tool_pose import ToolPoseConfig, tool_pose
 from rig_msgs.srv import CheckToolPose
 

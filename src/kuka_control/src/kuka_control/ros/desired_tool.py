@@ -10,12 +10,11 @@ import numpy as np
 import rospy
 import tf2_ros
 
+from common.frames import BASE, TOOL_DESIRED
 from common.ros.conversions import pose_from_transform
 from kuka_control.loop.stream import Desired
 from kuka_control.model.frame_sources import Conflict, FrameSources
 
-BASE = "kuka/base_frame"
-DESIRED = "kuka/tool_frame/desired"
 REMIND_S = 5.0
 
 
@@ -71,7 +70,7 @@ class DesiredTool(tf2_ros.TransformListener):
 
     def _look(self) -> bool:
         """Looks the frame up; returns whether it is another one than before."""
-        conflict = self._sources.conflict(DESIRED, time.monotonic())
+        conflict = self._sources.conflict(TOOL_DESIRED, time.monotonic())
         if conflict is not None:
             if conflict is self._conflict:
                 return False
@@ -79,7 +78,7 @@ class DesiredTool(tf2_ros.TransformListener):
             self._newest = Desired(np.eye(4), self.stamp.to_sec(), f"The desired tool frame is refused: {conflict}.")
             return True
         try:
-            message = self.buffer.lookup_transform(BASE, DESIRED, rospy.Time(0))
+            message = self.buffer.lookup_transform(BASE, TOOL_DESIRED, rospy.Time(0))
             if message.header.stamp == self.stamp:
                 return False
             self.stamp = message.header.stamp

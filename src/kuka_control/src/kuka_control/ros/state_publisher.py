@@ -16,17 +16,15 @@ from geometry_msgs.msg import Vector3, Vector3Stamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
+from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, TOOL_COMMANDED, TOOL_HOME
 from common.ros.conversions import stamped_transform
 from kuka_control.loop.arm import ArmState
 from kuka_control.loop.commands import Step
 from kuka_control.loop.switches import Switched
 from kuka_control.model.rig import Rig
-from kuka_control.ros.desired_tool import BASE
 from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
 from rig_msgs.msg import KukaStatus
 
-FLANGE_MEASURED = "kuka/flange_frame/measured"
-TOOL_COMMANDED = "kuka/tool_frame/commanded"
 JOINT_NAMES = [f"kuka/joint_{i}" for i in range(1, 8)]
 
 
@@ -79,8 +77,8 @@ class StatePublisher:
         home, now = self._rig.home, rospy.Time.now()
         self._static.sendTransform(
             [
-                stamped_transform(home.T_base_flange, BASE, "kuka/flange_frame/home", now),
-                stamped_transform(home.T_base_tool, BASE, "kuka/tool_frame/home", now),
+                stamped_transform(home.T_base_flange, BASE, FLANGE_HOME, now),
+                stamped_transform(home.T_base_tool, BASE, TOOL_HOME, now),
             ]
         )
         self._thread.start()

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import rospy
 
+from common.frames import BASE
 from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
 from kuka_control.model.tool_check import ToolCheck, check_tool_pose, seed
-from kuka_control.ros.desired_tool import BASE
 from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
 
 

@@ -7,8 +7,8 @@ from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common.frames import BASE
 from kuka_control.model.workspace import Workspace, boundary_lines
-from kuka_control.ros.desired_tool import BASE
 
 LINE_WIDTH_M = 0.003
 CENTRE_DIAMETER_M = 0.02

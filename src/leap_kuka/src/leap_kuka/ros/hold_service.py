@@ -7,12 +7,11 @@ import time
 
 import rospy
 
+from common.frames import BASE
 from common.ros.conversions import pose_in
 from leap_kuka.teleop import Teleop
 from rig_msgs.msg import KukaStatus
 from rig_msgs.srv import HoldTool, HoldToolRequest
-
-BASE = "kuka/base_frame"
 
 
 class HoldService:

@@ -10,22 +10,18 @@ import rospy
 from tf2_msgs.msg import TFMessage
 
 from common.config import required
+from common.frames import BASE, FLANGE_DESIRED, HAND, TOOL_DESIRED, VIRTUAL_LEAP
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
 from common.ros.params import wait_for_config, wait_for_param
 from common.ros.stage_times import StageTimes
 from leap_kuka.config import ArmConfig, LeapConfig
-from leap_kuka.ros.hold_service import BASE, HoldService
+from leap_kuka.ros.hold_service import HoldService
 from leap_kuka.ros.stream_status import StreamStatus
 from leap_kuka.ros.tracking import frame_from_human
 from leap_kuka.teleop import Teleop, TeleopResult
 from leap_motion.msg import Human
-
-VIRTUAL_LEAP = "leap_motion/virtual_frame"
-HAND = "hand/frame"
-TOOL = "kuka/tool_frame/desired"
-FLANGE = "kuka/flange_frame/desired"
 
 WATCH_PERIOD_S = 0.1
 HUMAN_BUFFER_BYTES = 2**20
@@ -76,8 +72,8 @@ class TeleopNode:
         if result.T_virtual_hand is not None:
             transforms.append(stamped_transform(result.T_virtual_hand, VIRTUAL_LEAP, HAND, stamp))
         if result.T_virtual_tool is not None:
-            transforms.append(stamped_transform(result.T_virtual_tool, VIRTUAL_LEAP, TOOL, stamp))
-            transforms.append(stamped_transform(self._teleop.T_tool_flange, TOOL, FLANGE, stamp))
+            transforms.append(stamped_transform(result.T_virtual_tool, VIRTUAL_LEAP, TOOL_DESIRED, stamp))
+            transforms.append(stamped_transform(self._teleop.T_tool_flange, TOOL_DESIRED, FLANGE_DESIRED, stamp))
         return TFMessage(transforms)
 
     def _diagnostics(self):

@@ -14,6 +14,7 @@ from sensor_msgs.msg import TimeReference
 from std_msgs.msg import String
 
 from common.config import parse
+from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED
 from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.stage_times import TOPIC as STAGE_TIMES
 from common.tool import ToolConfig
@@ -21,9 +22,6 @@ from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates
 
-BASE = "kuka/base_frame"
-DESIRED = "kuka/tool_frame/desired"
-COMMANDED = "kuka/tool_frame/commanded"
 FRESH_S = 0.2
 """A frame older than this does not steer the arm any more."""
 
@@ -98,7 +96,7 @@ class RigListener:
         T_base_flange = pose_from_message(message.pose)
         T_base_tool = T_base_flange @ self._T_flange_tool
         following = self.mode == "servo" and self.recorder.streaming
-        targets = [self._fresh(frame) if following else None for frame in (DESIRED, COMMANDED)]
+        targets = [self._fresh(frame) if following else None for frame in (TOOL_DESIRED, TOOL_COMMANDED)]
         with self._lock:
             self.recorder.tool(T_base_tool, *targets)
 

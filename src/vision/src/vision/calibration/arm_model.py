@@ -10,10 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from common.frames import FLANGE
 from common.poses import read_only
 
 JOINTS = [f"kuka/joint_{i}" for i in range(1, 8)]
-SHOULDER, ELBOW, WRIST, FLANGE = "kuka/joint_2", "kuka/joint_4", "kuka/joint_6", "kuka/flange"
+SHOULDER, ELBOW, WRIST = "kuka/joint_2", "kuka/joint_4", "kuka/joint_6"
 MARGIN_RAD = np.radians(5.0)
 """Views keep so far from the ends of the joint ranges."""
 

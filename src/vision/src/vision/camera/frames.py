@@ -11,6 +11,15 @@ import dataclasses
 import numpy as np
 
 from common.config import flag, vector
+from common.frames import (
+    CAMERA_LINK,
+    DEPTH,
+    DEPTH_ALIAS,
+    DEPTH_OPTICAL,
+    RGB,
+    RGB_ALIAS,
+    RGB_OPTICAL,
+)
 from common.poses import inverse, pose
 
 R_CAMERA_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -31,11 +40,13 @@ class CameraFramesConfig:
 def camera_frames(config: CameraFramesConfig) -> list[tuple[str, str, np.ndarray]]:
     """Returns parent, child and the child's pose in the parent, shape (4, 4), of each frame to publish."""
     frames = []
-    for name, position in (("rgb", config.rgb), ("depth", config.depth)):
+    for sensor, optical, alias, position in (
+        (RGB, RGB_OPTICAL, RGB_ALIAS, config.rgb),
+        (DEPTH, DEPTH_OPTICAL, DEPTH_ALIAS, config.depth),
+    ):
         if config.driver_frames:
-            frames.append(("camera_link", f"camera_{name}_frame", pose(p=position)))
-            frames.append((f"camera_{name}_frame", f"camera_{name}_optical_frame", pose(R_CAMERA_OPTICAL)))
-        frames.append((f"camera_{name}_optical_frame", f"camera/{name}_frame", pose()))
+            frames += [(CAMERA_LINK, sensor, pose(p=position)), (sensor, optical, pose(R_CAMERA_OPTICAL))]
+        frames.append((optical, alias, pose()))
     return frames
 
 

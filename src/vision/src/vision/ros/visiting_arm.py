@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 
 from common.config import choice, integer, parse, text
 from common.errors import ConfigError, DeviceError
+from common.frames import BASE, FLANGE_MEASURED
 from common.mounting import mounting_field
 from common.ros.conversions import stamped_transform
 from common.ros.nodes import listens
@@ -26,7 +27,6 @@ from kst.limits import JointLimits
 from rig_description.arms import ARMS, MEDIA_FLANGES
 from vision.calibration.arm_model import JOINTS, ArmModel
 from vision.ros.calibration.store import StoreConfig
-from vision.ros.calibration.tf_poses import BASE, FLANGE_MEASURED
 
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", "kuka_simple_node")
 DEFAULT_PORT = 30001

@@ -10,6 +10,7 @@ import time
 import mujoco
 
 from common.errors import DeviceError
+from common.frames import BASE
 from rig_simulation.command_line import finite, port, positive
 from rig_simulation.control_port import ControlClient
 
@@ -67,5 +68,5 @@ def wait_for_world(client: ControlClient, longest: float, stop: threading.Event)
 def aim(camera: mujoco.MjvCamera, view: tuple[float, float, float], data: mujoco.MjData) -> None:
     """Lets a free camera look above the table, from where `view` says: azimuth, elevation [deg], distance [m]."""
     camera.azimuth, camera.elevation, camera.distance = view
-    table, base = data.body("table").xpos, data.body("kuka/base_frame").xpos
+    table, base = data.body("table").xpos, data.body(BASE).xpos
     camera.lookat[:] = (*(0.8 * table[:2] + 0.2 * base[:2]), table[2] + ABOVE_TABLE_M)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from common.frames import BASE
 from common.poses import inverse, pose, read_only
 
 BOX, BALL, CYLINDER = "box", "ball", "cylinder"
@@ -16,7 +17,6 @@ _KINDS = {
     mujoco.mjtGeom.mjGEOM_SPHERE: BALL,
     mujoco.mjtGeom.mjGEOM_CYLINDER: CYLINDER,
 }
-BASE_BODY = "kuka/base_frame"
 SMALLEST_M = 0.004
 """Radius below which a ball is no part of the look: the feet of objects."""
 
@@ -57,7 +57,7 @@ def beyond(parts: Sequence[Shape], towards: np.ndarray, clearance: float) -> np.
 
 def base_pose(data: mujoco.MjData) -> np.ndarray:
     """Returns the pose of kuka/base_frame in the world, shape (4, 4)."""
-    body = data.body(BASE_BODY)
+    body = data.body(BASE)
     return pose(body.xmat.reshape(3, 3), body.xpos)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import rospy
 import tf2_ros
 
+from common.frames import BASE, CAMERA_LINK
 from common.poses import inverse, pose
 from common.ros.conversions import stamped_transform
 from common.ros.params import private_config
@@ -21,7 +22,6 @@ from rig_simulation.world.model import camera_link_pose
 from rig_simulation.world.scene import scene_from
 
 NAME = "camera_truth"
-BASE_FRAME, CAMERA_FRAME = "kuka/base_frame", "camera_link"
 PERIOD_S, TIMEOUT_S = 1.0, 2.0
 
 
@@ -44,6 +44,6 @@ def main() -> None:
         T_base_camera = camera_in_base(client.ask("scene"))
         if published is None or not np.array_equal(published, T_base_camera):
             published = T_base_camera
-            broadcaster.sendTransform(stamped_transform(T_base_camera, BASE_FRAME, CAMERA_FRAME, rospy.Time.now()))
+            broadcaster.sendTransform(stamped_transform(T_base_camera, BASE, CAMERA_LINK, rospy.Time.now()))
 
     poll(publish, PERIOD_S)

@@ -18,13 +18,13 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
 from common.errors import DeviceError
+from common.frames import BASE
 from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation
 from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import MonitorConfig
 from rig_simulation.ros.polling import poll
 
-BASE_FRAME = "kuka/base_frame"
 FLANGE_PERIOD_S = 0.01
 STATUS_PERIOD_S = 0.1
 TIMEOUT_S = 1.0
@@ -57,7 +57,7 @@ class Monitor:
             raise
         flange = np.array(state["flange"])
         message = PoseStamped()
-        message.header.frame_id = BASE_FRAME
+        message.header.frame_id = BASE
         message.header.stamp = rospy.Time.now() - rospy.Duration.from_sec(state["age"])
         message.pose = Pose(Point(*flange[:3, 3]), Quaternion(*quaternion_from_rotation(flange[:3, :3])))
         self._flange.publish(message)

@@ -16,6 +16,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from std_srvs.srv import Trigger, TriggerResponse
 
 from common.errors import DeviceError
+from common.frames import BASE
 from common.ros.diagnostics import Diagnostics
 from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_zyx
@@ -27,7 +28,6 @@ from rig_simulation.ros.polling import poll
 from rig_simulation.world.pace import Pace
 
 NAME = "world_monitor"
-BASE_FRAME = "kuka/base_frame"
 TIMEOUT_S = 2.0
 STATE_PERIOD_S = 0.5
 SLOW = 0.95
@@ -63,7 +63,7 @@ class WorldMonitor:
         roll, pitch, yaw = np.radians(answer["mounting"])
         R_base_world = rotation_from_zyx(yaw, pitch, roll).T
         message = ObjectStates()
-        message.header.frame_id = BASE_FRAME
+        message.header.frame_id = BASE
         message.header.stamp = rospy.Time.now()
         for name, state in answer["objects"].items():
             R = R_base_world @ rotation_from_quaternion(state["quaternion"])

@@ -12,6 +12,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common.frames import BASE
 from common.poses import inverse
 from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation
@@ -23,7 +24,6 @@ from rig_simulation.recording.shapes import BALL, BOX, CYLINDER, Shape, base_pos
 from rig_simulation.ros.polling import poll
 
 NAME = "world_view"
-FRAME = "kuka/base_frame"
 TIMEOUT_S = 1.0
 LIFETIME_S = 1.0
 """Markers of a world that is gone vanish after this time."""
@@ -108,11 +108,11 @@ def _array(markers: list[Marker]) -> MarkerArray:
     """Returns the markers with frame, ids and lifetime, after one that removes those of before."""
     now = rospy.Time.now()
     for i, marker in enumerate(markers):
-        marker.header.frame_id, marker.header.stamp = FRAME, now
+        marker.header.frame_id, marker.header.stamp = BASE, now
         marker.id = i
         marker.lifetime = rospy.Duration.from_sec(LIFETIME_S)
     clear = Marker(action=Marker.DELETEALL)
-    clear.header.frame_id, clear.header.stamp = FRAME, now
+    clear.header.frame_id, clear.header.stamp = BASE, now
     return MarkerArray([clear, *markers])
 
 

@@ -13,13 +13,14 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
+from common.frames import BASE
 from common.poses import pose
 from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.world.elements import child
 from rig_simulation.world.hand import PhysicalMechanics
 from rig_simulation.world.hand_model import prepare_hand
 from rig_simulation.world.mjcf import body, numbers
-from rig_simulation.world.robot import ROOT, add_robot
+from rig_simulation.world.robot import add_robot
 
 TIMESTEP_S = 0.001
 P_HAND_GRIP = np.array([0.0152, 0.0, 0.150])
@@ -127,7 +128,7 @@ def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
     child(root, "option").set("timestep", str(TIMESTEP_S))
     world = child(root, "worldbody")
     add_robot(root, world, read_urdf(ROBOTS[0], FLANGES[0]), np.eye(3), None)
-    arm = child(world, f"body[@name='{ROOT}']")
+    arm = child(world, f"body[@name='{BASE}']")
     hand = child(arm, ".//body[@name='reflex/base_link']")
     world.remove(arm)
     start = T_world_hand.copy()

@@ -18,6 +18,7 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
+from common.frames import CAMERA_LINK, DEPTH_OPTICAL, FLANGE, RGB_OPTICAL
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_zyx, unit
 from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
@@ -153,17 +154,17 @@ def camera_link_pose(camera: CameraPlace) -> np.ndarray:
 
 
 def _add_camera(world: ET.Element, camera: CameraPlace) -> None:
-    link = body(world, "camera_link", camera_link_pose(camera))
+    link = body(world, CAMERA_LINK, camera_link_pose(camera))
     geom(link, "camera", SEEN, "box", np.array(CAMERA_SIZE) / 2.0, p=(-CAMERA_SIZE[0], -0.03, 0), colour=BLACK)
     # Looks along x of camera_link, its own y up.
     R_link_camera = rotation_about(2, -np.pi / 2.0) @ rotation_about(0, np.pi / 2.0)
-    for name, p in (("rgb", RGB_IN_LINK), ("depth", DEPTH_IN_LINK)):
+    for name, optical, p in (("rgb", RGB_OPTICAL, RGB_IN_LINK), ("depth", DEPTH_OPTICAL, DEPTH_IN_LINK)):
         mount = body(link, f"camera/{name}", pose(R_link_camera, p))
-        ET.SubElement(mount, "camera", name=f"camera_{name}_optical_frame", fovy=str(FOVY_DEG))
+        ET.SubElement(mount, "camera", name=optical, fovy=str(FOVY_DEG))
 
 
 def _add_panel(root: ET.Element, world: ET.Element, panel: Panel, visuals: bool) -> None:
-    flange = child(world, ".//body[@name='kuka/flange']")
+    flange = child(world, f".//body[@name='{FLANGE}']")
     plate = body(flange, "panel", pose(R_FLANGE_PANEL, panel.centre))
     half = (*(panel.size / 2.0), PLATE_THICKNESS / 2.0)
     geom(plate, "panel/plate", ROBOT, "box", half, p=(0, 0, -PLATE_THICKNESS / 2.0), colour=WHITE, mass=0.1).set(

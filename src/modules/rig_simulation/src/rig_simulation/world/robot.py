@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from common.frames import BASE
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 from rig_simulation.devices.sunrise.robot import JOINTS
@@ -17,7 +18,6 @@ from rig_simulation.world.elements import attribute, child
 from rig_simulation.world.meshes import Surface
 from rig_simulation.world.mjcf import ROBOT, SEEN, Touch, body, geom, numbers
 
-ROOT = "kuka/base_frame"
 ROBOT_FRICTION = 0.7
 ARM_STIFFNESS = (10000.0, 10000.0, 10000.0, 10000.0, 6000.0, 6000.0, 6000.0)
 """Of the arm's gears [Nm/rad]: of the order that is published for arms of this build, 6000 to 15000."""
@@ -45,12 +45,12 @@ def add_robot(
     description = ET.fromstring(urdf)
     links = {attribute(link, "name"): link for link in description.findall("link")}
     joints = description.findall("joint")
-    bodies = {ROOT: body(world, ROOT, pose(R_world_base))}
+    bodies = {BASE: body(world, BASE, pose(R_world_base))}
     waiting = list(joints)
     while waiting:
         ready = [joint for joint in waiting if _parent(joint) in bodies]
         if not ready:
-            raise ValueError(f"the links of the robot description do not hang together from {ROOT}")
+            raise ValueError(f"the links of the robot description do not hang together from {BASE}")
         for joint in ready:
             name = attribute(child(joint, "child"), "link")
             bodies[name] = body(bodies[_parent(joint)], name, _origin(joint))

@@ -20,6 +20,7 @@ from geometry_msgs.msg import TransformStamped
 from std_srvs.srv import Trigger, TriggerResponse
 
 from common.errors import DeviceError
+from common.frames import FLANGE_SEEN
 from common.poses import read_only
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
@@ -30,7 +31,7 @@ from vision.calibration.hand_eye import camera_pose
 from vision.calibration.record import LIVE, CalibrationRecord
 from vision.node_parameters import STORED, PlaceConfig
 from vision.ros.calibration.calibration_setup import CalibrationSetup, read_setup
-from vision.ros.calibration.tf_poses import FLANGE_SEEN, Frames
+from vision.ros.calibration.tf_poses import Frames
 from vision.ros.marker_board.detections import PanelSights
 
 FLANGE_WAIT_S = 0.2

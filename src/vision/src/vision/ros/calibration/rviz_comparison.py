@@ -11,8 +11,8 @@ from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common.frames import BASE
 from common.ros.conversions import stamped_transform
-from vision.ros.calibration.tf_poses import BASE
 
 TOPIC = "camera_calibration/markers"
 COLOURS = {"old": (0.55, 0.55, 0.55), "new": (0.1, 0.7, 0.2)}

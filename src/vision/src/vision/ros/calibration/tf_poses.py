@@ -7,12 +7,10 @@ import rospy
 import tf2_ros
 
 from common.errors import DeviceError
+from common.frames import BASE, CAMERA_LINK, FLANGE_MEASURED
 from common.poses import inverse
 from common.ros.conversions import pose_from_transform, stamped_transform
 
-BASE = "kuka/base_frame"
-FLANGE_MEASURED, FLANGE_SEEN = "kuka/flange_frame/measured", "kuka/flange_frame/seen"
-CAMERA_LINK = "camera_link"
 STATIC_WAIT_S = 10.0
 
 

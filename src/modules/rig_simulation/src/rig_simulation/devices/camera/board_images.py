@@ -18,9 +18,10 @@ import mujoco
 import numpy as np
 import yaml
 
-from common.camera_model import DEPTH_FRAME, RGB_FRAME, CameraModel, from_calibration
+from common.camera_model import CameraModel, from_calibration
 from common.config import parse
 from common.errors import ConfigError, DeviceError, RigError
+from common.frames import CAMERA_LINK, DEPTH_OPTICAL, RGB_OPTICAL
 from common.poses import inverse, pose
 from common.rotations import quaternion_from_rotation, rotation_about, unit
 from rig_simulation.command_line import finite, not_negative, positive
@@ -54,14 +55,14 @@ class PanelScene:
         self._refresh()
         body = self.data.body("panel")
         self._T_world_panel = pose(body.xmat.reshape(3, 3), body.xpos)
-        link = self.data.body("camera_link")
-        self._T_rgb_link = inverse(self.optical(RGB_FRAME)) @ pose(link.xmat.reshape(3, 3), link.xpos)
-        self.T_rgb_depth = inverse(self.optical(RGB_FRAME)) @ self.optical(DEPTH_FRAME)
+        link = self.data.body(CAMERA_LINK)
+        self._T_rgb_link = inverse(self.optical(RGB_OPTICAL)) @ pose(link.xmat.reshape(3, 3), link.xpos)
+        self.T_rgb_depth = inverse(self.optical(RGB_OPTICAL)) @ self.optical(DEPTH_OPTICAL)
 
     def look(self, T_rgb_panel: np.ndarray) -> None:
         """Puts the camera where it sees the panel at the pose, shape (4, 4) [m]."""
         T = self._T_world_panel @ inverse(T_rgb_panel) @ self._T_rgb_link
-        link = self.model.body("camera_link")
+        link = self.model.body(CAMERA_LINK)
         link.pos, link.quat = T[:3, 3], quaternion_from_rotation(T[:3, :3])[[3, 0, 1, 2]]
         self._refresh()
 

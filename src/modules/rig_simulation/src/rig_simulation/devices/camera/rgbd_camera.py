@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from common.camera_model import DEPTH_FRAME, RGB_FRAME, CameraModel
+from common.camera_model import CameraModel
 from common.errors import DeviceError
+from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
 from rig_simulation.devices.camera.colour_sensor import ColourSensor
 from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
 from rig_simulation.devices.camera.depth_sensor import DepthSensor
@@ -73,9 +74,9 @@ class RgbdCamera:
         """
         self.close()
         try:
-            self._numbers = [model.camera(name).id for name in (RGB_FRAME, DEPTH_FRAME)]
+            self._numbers = [model.camera(name).id for name in (RGB_OPTICAL, DEPTH_OPTICAL)]
         except KeyError:
-            raise DeviceError(f"The world has no cameras {RGB_FRAME} and {DEPTH_FRAME}.") from None
+            raise DeviceError(f"The world has no cameras {RGB_OPTICAL} and {DEPTH_OPTICAL}.") from None
         self._renderers.append(Renderer(model, self._lenses[0].window, self._samples))
         self._renderers.append(Renderer(model, self._lenses[1].window, 0))
         if self._registered is None:

@@ -10,11 +10,11 @@ from typing import Sequence
 import numpy as np
 import pinocchio as pin
 
+from common.frames import FLANGE
 from common.poses import inverse, read_only
 from common.rotations import rotation_from_zyx
 
 JOINTS = tuple(f"kuka/joint_{k}" for k in range(1, 8))
-FLANGE = "kuka/flange"
 MAX_ITERATIONS = 200
 TOLERANCE = 1e-9
 DAMPING = 1e-6

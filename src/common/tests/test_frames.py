@@ -1,0 +1,29 @@
+"""The tf frames have one name each, which stands in one place."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from common import frames
+
+SRC = Path(__file__).parents[2]
+NAMES = {value for name, value in vars(frames).items() if name.isupper()}
+
+
+def literals(file: Path) -> set[str]:
+    nodes = ast.walk(ast.parse(file.read_text()))
+    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+
+
+def test_no_frame_name_is_written_elsewhere():
+    # rig_description is data below common; the next test compares it.
+    files = [f for f in SRC.glob("**/src/**/*.py") if f.stem != "frames" and "rig_description" not in f.parts]
+    assert len(files) > 100
+    assert not {file.name: found for file in files if (found := literals(file) & NAMES)}
+
+
+def test_base_and_flange_are_links_of_the_robot_description():
+    root = ET.parse(str(next(SRC.glob("modules/rig_description/urdf/*.urdf")))).getroot()
+    assert {frames.BASE, frames.FLANGE} <= {link.get("name") for link in root.iter("link")}
