@@ -20,11 +20,11 @@ import yaml
 
 from bench.measure import SRC, Row, row
 from common.camera_model import pinhole
-from grasping.live import Finder
-from grasping.networks import GGCNN, HEADS
-from grasping.predictor import Predictor, PredictorSettings
-from grasping.settings import overlaid, settings_from
-from grasping.weights import load
+from grasping.network.networks import GGCNN, HEADS
+from grasping.network.weights import load
+from grasping.pipeline.live import Finder
+from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.settings import overlaid, settings_from
 
 CAMERA = pinhole("bench", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
 ROWS, COLUMNS = slice(40, 440), slice(120, 520)

@@ -195,3 +195,24 @@ def test_every_launch_argument_has_a_doc():
             assert arg.get("doc") or arg.get("value") is not None, (
                 f"{launch}: the argument {arg.get('name')} has no doc"
             )
+
+
+GRASPING = ROOT / "src/grasping/src/grasping"
+# Each room of the live half, and the rooms that it may import besides itself.
+LIVE_ROOMS = {
+    "network": set(),
+    "pipeline": {"network"},
+    "execution": {"pipeline", "network"},
+    "ros": {"execution", "pipeline", "network"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("room", LIVE_ROOMS)
+def test_live_grasping_does_not_import_the_laboratory(room):
+    for path in (GRASPING / room).rglob("*.py"):
+        rooms = {name.split(".")[1] for name in imports(path) if name.startswith("grasping.")}
+        assert rooms <= LIVE_ROOMS[room] | {room}, f"{path}: {room} must not import {rooms - LIVE_ROOMS[room] - {room}}"
+
+
+def test_grasping_has_no_other_rooms():
+    assert {p.parent.name for p in GRASPING.glob("*/*.py")} == {*LIVE_ROOMS, "lab"}

@@ -148,7 +148,7 @@ def vision() -> None:
 
 def curves() -> None:
     """The curves of the training that made the weights of the first network."""
-    from grasping.programs.train_ggcnn import plot
+    from grasping.lab.programs.train_ggcnn import plot
 
     with (ROOT / "src" / "grasping" / "weights" / "ggcnn2_curves.csv").open(newline="") as file:
         plot(list(csv.DictReader(file)), PICTURES / "ggcnn2_curves.png")

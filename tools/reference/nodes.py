@@ -40,7 +40,7 @@ NODES: dict[str, Node] = {
         {"": "apriltag_ros.settings:DetectorSettings"}, {"": APRILTAG_FILES}
     ),
     "grasping/collect.py": Node(
-        {"": "grasping.node_parameters:CollectionConfig"},
+        {"": "grasping.lab.dataset.collection_config:CollectionConfig"},
         {
             "": ("grasping/config/collection.yaml",),
             "ggcnn": ("grasping/config/ggcnn.yaml",),

@@ -5,7 +5,7 @@ import signal
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # while torch loads there is nothing yet to end in order
 
-from grasping.ros.collection_node import main  # noqa: E402
+from grasping.lab.ros.collection_node import main  # noqa: E402
 
 if __name__ == "__main__":
     main()

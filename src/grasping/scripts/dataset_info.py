@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Tells what is in a dataset of grasps by a person."""
 
-from grasping.programs.dataset_info import main
+from grasping.lab.programs.dataset_info import main
 
 if __name__ == "__main__":
     main()

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Compares grasp methods on held-out objects."""
 
-from grasping.programs.evaluate import main
+from grasping.lab.programs.evaluate import main
 
 if __name__ == "__main__":
     main()

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Compares what predicts a person's grasps."""
 
-from grasping.programs.evaluate_refinement import main
+from grasping.lab.programs.evaluate_refinement import main
 
 if __name__ == "__main__":
     main()

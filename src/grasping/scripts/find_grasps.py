@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Finds grasps in one depth picture."""
 
-from grasping.programs.find_grasps import main
+from grasping.lab.programs.find_grasps import main
 
 if __name__ == "__main__":
     main()

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Makes the synthetic data set of the grasp networks."""
 
-from grasping.programs.make_dataset import main
+from grasping.lab.programs.make_dataset import main
 
 if __name__ == "__main__":
     main()

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Makes episodes of a simulated person's grasps."""
 
-from grasping.programs.make_episodes import main
+from grasping.lab.programs.make_episodes import main
 
 if __name__ == "__main__":
     main()

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Trains a grasp network from nothing on the synthetic data set."""
 
-from grasping.programs.train_ggcnn import main
+from grasping.lab.programs.train_ggcnn import main
 
 if __name__ == "__main__":
     main()

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Trains the second network on episodes of a person's grasps."""
 
-from grasping.programs.train_refinement import main
+from grasping.lab.programs.train_refinement import main
 
 if __name__ == "__main__":
     main()

@@ -7,8 +7,8 @@ import numpy as np
 from common.camera_model import pinhole
 from common.poses import pose, read_only, translation
 from common.rotations import rotation_about
-from grasping.dataset.episode import TELEOPERATION, Episode, Metadata
-from grasping.depth_image import Crop
+from grasping.lab.dataset.episode import TELEOPERATION, Episode, Metadata
+from grasping.network.depth_image import Crop
 
 CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
 """Its optical axis goes through the middle of its picture."""

@@ -26,9 +26,9 @@ from collection_rig import (
 from episodes import CAMERA, DOWN, episode
 
 from common.errors import RigError
-from grasping.dataset.episode import EXECUTION, TELEOPERATION
-from grasping.dataset.labels import relative_label
-from grasping.dataset.store import decode, encode, file_name
+from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
+from grasping.lab.dataset.labels import relative_label
+from grasping.lab.dataset.store import decode, encode, file_name
 
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
@@ -319,7 +319,7 @@ def test_a_wrong_parameter_is_refused(ros, parameters, change, sentence):
     """In this process: a node of its own takes many seconds to import all that it needs."""
     import rospy
 
-    from grasping.ros.collection_setup import read_setup
+    from grasping.lab.ros.collection_setup import read_setup
 
     rospy.set_param(rospy.get_name(), parameters(**change))
     with pytest.raises(RigError, match=re.escape(sentence)):

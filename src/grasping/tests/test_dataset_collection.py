@@ -15,18 +15,18 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.errors import ConfigError
 from common.poses import translation
-from grasping.dataset.collector import Collector
-from grasping.dataset.configuration import grasp_in_tool, rig_configuration
-from grasping.dataset.episode import EXECUTION, TELEOPERATION
-from grasping.dataset.frame_buffer import FrameBufferConfig, KeptFrame, Optics, on_hand
-from grasping.dataset.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
-from grasping.dataset.network_view import MAP_SIDE, look, millimetres
-from grasping.depth_image import Crop
-from grasping.maps import Peak
-from grasping.projection import grasp as grasp_at
-from grasping.settings import overlaid, settings_from
-from grasping.tool_pose import ToolPoseConfig, tool_pose
-from grasping.view import CameraView, CropConfig
+from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
+from grasping.lab.dataset.collector import Collector
+from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
+from grasping.lab.dataset.frame_buffer import FrameBufferConfig, KeptFrame, Optics, on_hand
+from grasping.lab.dataset.network_view import MAP_SIDE, look, millimetres
+from grasping.network.depth_image import Crop
+from grasping.network.maps import Peak
+from grasping.pipeline.projection import grasp as grasp_at
+from grasping.pipeline.rig_configuration import grasp_in_tool, rig_configuration
+from grasping.pipeline.settings import overlaid, settings_from
+from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
+from grasping.pipeline.view import CameraView, CropConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 YAML = yaml.safe_load((CONFIG / "collection.yaml").read_text())
@@ -357,6 +357,6 @@ def test_the_configuration_changes_with_each_of_its_parts_and_with_nothing_else(
 
 
 def test_every_field_of_a_frame_is_a_field_of_the_episode():
-    from grasping.dataset.episode import Episode
+    from grasping.lab.dataset.episode import Episode
 
     assert set(KeptFrame._fields) <= {f.name for f in fields(Episode)}

@@ -8,10 +8,10 @@ import pytest
 from episodes import episode, metadata
 
 from common.poses import translation
-from grasping.dataset import summary
-from grasping.dataset.labels import own_grasp
-from grasping.dataset.store import encode
-from grasping.programs import dataset_info
+from grasping.lab.dataset import summary
+from grasping.lab.dataset.labels import own_grasp
+from grasping.lab.dataset.store import encode
+from grasping.lab.programs import dataset_info
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "dataset_info.py"
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from common.camera_model import CameraModel
 from common.poses import inverse, pose, read_only, translation
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
-from grasping.dataset.labels import map_pixel, own_grasp, pose_from_label, relative_label, tilt_and_angle
-from grasping.depth_image import Crop
-from grasping.projection import camera_pixel
+from grasping.lab.dataset.labels import map_pixel, own_grasp, pose_from_label, relative_label, tilt_and_angle
+from grasping.network.depth_image import Crop
+from grasping.pipeline.projection import camera_pixel
 
 ANGLES = st.floats(-3.0, 3.0)
 SMALL = st.floats(-0.1, 0.1)

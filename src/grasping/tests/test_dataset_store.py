@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.poses import pose
-from grasping.dataset.episode import Episode
-from grasping.dataset.store import LAYOUT, DatasetError, decode, encode, file_name, grasp_time, unfinished
-from grasping.depth_image import Crop
+from grasping.lab.dataset.episode import Episode
+from grasping.lab.dataset.store import LAYOUT, DatasetError, decode, encode, file_name, grasp_time, unfinished
+from grasping.network.depth_image import Crop
 
 GOLDEN = Path(__file__).parent / "golden" / "episode_schema_1.npz"
 """Written once by schema 1; later versions of the package must read it, or say that they do not."""

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasping.depth_image import Crop, centre_crop, fill_holes, prepare
+from grasping.network.depth_image import Crop, centre_crop, fill_holes, prepare
 
 
 def scene(seed=0, holes=0.0):

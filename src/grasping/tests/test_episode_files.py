@@ -12,9 +12,9 @@ pytest.importorskip("rospy")
 
 from episodes import episode
 
-from grasping.dataset.store import decode, file_name
-from grasping.ros import episode_files
-from grasping.ros.episode_files import EpisodeFiles
+from grasping.lab.dataset.store import decode, file_name
+from grasping.lab.ros import episode_files
+from grasping.lab.ros.episode_files import EpisodeFiles
 
 pytestmark = pytest.mark.ros
 

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 
 from common.poses import pose
 from common.rotations import rotation_about
-from grasping.depth_image import Crop, Picture
-from grasping.evaluation import heuristics
-from grasping.evaluation.lifting import lift
-from grasping.evaluation.rectangles import angle_between, is_right, overlap
-from grasping.evaluation.trials import judge, oracle, situation
-from grasping.maps import Peak
-from grasping.programs.evaluate import calibration, table
-from grasping.synthetic.labels import Gripper
-from grasping.synthetic.scene import Scene, world_xml
-from grasping.synthetic.shapes import Geom
+from grasping.lab.evaluation import heuristics
+from grasping.lab.evaluation.lifting import lift
+from grasping.lab.evaluation.rectangles import angle_between, is_right, overlap
+from grasping.lab.evaluation.trials import judge, oracle, situation
+from grasping.lab.programs.evaluate import calibration, table
+from grasping.lab.synthetic.labels import Gripper
+from grasping.lab.synthetic.scene import Scene, world_xml
+from grasping.lab.synthetic.shapes import Geom
+from grasping.network.depth_image import Crop, Picture
+from grasping.network.maps import Peak
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from grasping.dataset.grasp_watch import GraspWatchConfig, HandState
-from grasping.execution import (
+from grasping.execution.execution import (
     APPROACHING,
     HELD,
     IDLE,
@@ -28,8 +27,9 @@ from grasping.execution import (
     ExecutionConfig,
     Observation,
 )
-from grasping.execution_request import Controller, Proposal, Proposals, Refusal, choose, way_to
-from grasping.tool_pose import ToolPoseConfig
+from grasping.execution.execution_request import Controller, Proposal, Proposals, Refusal, choose, way_to
+from grasping.execution.grasp_watch import GraspWatchConfig, HandState
+from grasping.pipeline.tool_pose import ToolPoseConfig
 
 FOLDER = Path(__file__).parents[1] / "config"
 VALUES = yaml.safe_load((FOLDER / "execution.yaml").read_text())

@@ -14,7 +14,7 @@ from common.config import parse
 from common.errors import RigError
 from common.frames import DEPTH_OPTICAL
 from common.poses import inverse, pose
-from grasping.settings import NetworkConfig
+from grasping.pipeline.settings import NetworkConfig
 
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
@@ -342,9 +342,9 @@ def test_weight_files_are_checked(changes, sentence):
 
 def rig(**changes):
     """Returns the rig that the package's own yaml files describe."""
-    from grasping.dataset.configuration import live_origin
+    from grasping.pipeline.rig_configuration import live_origin
+    from grasping.pipeline.settings import overlaid, settings_from
     from grasping.ros.weight_files import own_yaml
-    from grasping.settings import overlaid, settings_from
 
     values = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}
     return live_origin(settings_from(overlaid(values, changes)), "ab" * 32, "LBR7R800")
@@ -366,8 +366,8 @@ def rig(**changes):
 def test_the_second_network_is_refused_on_another_rig(tmp_path, learned, used, sentence):
     import torch
 
-    from grasping.refinement import RefinementNetwork
-    from grasping.refinement_file import content, taste
+    from grasping.network.refinement import RefinementNetwork
+    from grasping.network.refinement_file import content, taste
     from grasping.ros.weight_files import load_refinement
 
     network, file = RefinementNetwork(), str(tmp_path / "refinement.pt")
@@ -382,7 +382,7 @@ def test_the_second_network_is_refused_on_another_rig(tmp_path, learned, used, s
 def test_a_second_network_of_an_older_version_or_none_is_refused(tmp_path):
     import torch
 
-    from grasping.refinement import RefinementNetwork
+    from grasping.network.refinement import RefinementNetwork
     from grasping.ros.weight_files import load_refinement
 
     file = str(tmp_path / "refinement.pt")
@@ -419,8 +419,8 @@ def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, ca
 
     from common.ros.conversions import pose_from_message
     from grasp_msgs.msg import GraspList
-    from grasping.refinement import AXES, RefinementNetwork
-    from grasping.refinement_file import Origin, content
+    from grasping.network.refinement import AXES, RefinementNetwork
+    from grasping.network.refinement_file import Origin, content
 
     network, file = RefinementNetwork(), tmp_path / "refinement.pt"
     network.offset[AXES.index("tilt_x")] = 0.2

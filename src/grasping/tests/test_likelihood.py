@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grasping.evaluation.likelihood import Calibration, calibrated, log_likelihoods
+from grasping.lab.evaluation.likelihood import Calibration, calibrated, log_likelihoods
 
 SIDE = 12
 

@@ -18,14 +18,14 @@ from common.config import parse
 from common.errors import ConfigError
 from common.poses import check_pose, inverse, pose
 from common.rotations import rotation_about
-from grasping import drawing
-from grasping.limits import LimitsConfig, objection
-from grasping.live import Finder, Findings
-from grasping.predictor import Predictor, PredictorSettings
-from grasping.reach import Reach, ReachBook, ReachConfig
-from grasping.refinement import Refined, Refinement, RefinementNetwork
-from grasping.refinement_spread import angle_deviation
-from grasping.settings import overlaid, sentences, settings_from
+from grasping.network.refinement import Refined, Refinement, RefinementNetwork
+from grasping.pipeline import drawing
+from grasping.pipeline.limits import LimitsConfig, objection
+from grasping.pipeline.live import Finder, Findings
+from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.reach import Reach, ReachBook, ReachConfig
+from grasping.pipeline.refined_grasp import angle_deviation
+from grasping.pipeline.settings import overlaid, sentences, settings_from
 
 CONFIG = Path(__file__).parents[1] / "config"
 YAML = {

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasping.maps import Maps, Smoothing, gaussian, highest, peaks, smoothed
+from grasping.network.maps import Maps, Smoothing, gaussian, highest, peaks, smoothed
 
 
 def blurred(picture, sigma):

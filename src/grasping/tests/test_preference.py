@@ -15,14 +15,14 @@ from table_scene import CAMERA, UP, depth_picture, looking_at
 
 from common.config import parse
 from common.errors import ConfigError
-from grasping.live import Finder
-from grasping.maps import Maps, Peak
-from grasping.predictor import Predictor, PredictorSettings
-from grasping.preference import preferred
-from grasping.projection import grasp, pixel_size
-from grasping.settings import overlaid, settings_from
-from grasping.tool_pose import ToolPoseConfig
-from grasping.view import CameraView, CropConfig
+from grasping.network.maps import Maps, Peak
+from grasping.pipeline.live import Finder
+from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.preference import preferred
+from grasping.pipeline.projection import grasp, pixel_size
+from grasping.pipeline.settings import overlaid, settings_from
+from grasping.pipeline.tool_pose import ToolPoseConfig
+from grasping.pipeline.view import CameraView, CropConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 YAML = yaml.safe_load((CONFIG / "tool_pose.yaml").read_text())

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import torch
 
-from grasping import weights
-from grasping.networks import NETWORKS
-from grasping.programs import evaluate, find_grasps, make_dataset, train_ggcnn
+from grasping.lab.programs import evaluate, find_grasps, make_dataset, train_ggcnn
+from grasping.network import weights
+from grasping.network.networks import NETWORKS
 
 
 def call(monkeypatch, program, *arguments):

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from common.camera_model import pinhole
 from common.poses import check_pose
-from grasping.depth_image import Crop
-from grasping.maps import Peak
-from grasping.predictor import Predictor, PredictorSettings
-from grasping.projection import along, camera_pixel, depth_between_fingers, grasp, seen_by
+from grasping.network.depth_image import Crop
+from grasping.network.maps import Peak
+from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.projection import along, camera_pixel, depth_between_fingers, grasp, seen_by
 
 F = 570.3
 CAMERA = pinhole("test", 640, 480, [[F, 0.0, 319.5], [0.0, F, 239.5], [0.0, 0.0, 1.0]])

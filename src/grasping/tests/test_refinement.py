@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.camera_model import pinhole
-from grasping.depth_image import NETWORK_SIDE, Crop, centre_crop, prepare
-from grasping.maps import Peak
-from grasping.projection import grasp
-from grasping.refinement import (
+from grasping.network.depth_image import NETWORK_SIDE, Crop, centre_crop, prepare
+from grasping.network.maps import Peak
+from grasping.network.refinement import (
     CHANGES,
     COS,
     DEPTH_M,
@@ -27,10 +26,9 @@ from grasping.refinement import (
     Refinement,
     RefinementNetwork,
     features,
-    opened,
-    refined_grasp,
 )
-from grasping.refinement_spread import UNIFORM, angle_deviation, places, spread
+from grasping.pipeline.projection import grasp
+from grasping.pipeline.refined_grasp import UNIFORM, angle_deviation, opened, places, refined_grasp, spread
 
 CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
 SHAPE = (480, 640)

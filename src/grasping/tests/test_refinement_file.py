@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from grasping.refinement import RefinementNetwork
-from grasping.refinement_file import Origin, content, load, taste
-from grasping.view import CAMERA, TABLE, VIEWS
-from grasping.weights import WeightsError
+from grasping.network.depth_image import CAMERA, TABLE, VIEWS
+from grasping.network.refinement import RefinementNetwork
+from grasping.network.refinement_file import Origin, content, load, taste
+from grasping.network.weights import WeightsError
 
 RIG = Origin(
     view=CAMERA,

@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 import torch
 
-from grasping import refinement_file
-from grasping.dataset import store
-from grasping.dataset.labels import relative_label
-from grasping.programs import (
-    episode_files,
+from grasping.lab.dataset import store
+from grasping.lab.dataset.labels import relative_label
+from grasping.lab.programs import (
+    episode_reading,
     evaluate,
     evaluate_refinement,
     make_episodes,
     train_refinement,
 )
-from grasping.refinement import RefinementNetwork
-from grasping.refinement_file import Origin
-from grasping.synthetic import episodes
+from grasping.lab.synthetic import episodes
+from grasping.network import refinement_file
+from grasping.network.refinement import RefinementNetwork
+from grasping.network.refinement_file import Origin
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
 NUMBERS = (0, 1, 2, 3, 4)
@@ -90,7 +90,7 @@ def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
 @pytest.fixture(name="holdout")
 def holdout_fixture(monkeypatch):
     """Every other episode is held out, so that few are enough."""
-    monkeypatch.setattr(episode_files, "is_held_out", lambda name: int(name[-1]) % 2 == 1)
+    monkeypatch.setattr(episode_reading, "is_held_out", lambda name: int(name[-1]) % 2 == 1)
 
 
 def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, tmp_path, monkeypatch):
@@ -127,7 +127,7 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     text = (results / "results.csv").read_text()
     assert text.startswith(first)
     rows = list(csv.DictReader(text.splitlines()))
-    held = [n.name for n in episode_files.read(data) if n.episode.held]
+    held = [n.name for n in episode_reading.read(data) if n.episode.held]
     bound = evaluate_refinement.BOUND
     names = {"GGCNN alone", "GGCNN + constant offset", "nearest neighbour", bound, "untrained", "trained"}
     assert sorted((r["episode"], r["method"]) for r in rows) == sorted((e, m) for e in held for m in names)
@@ -153,7 +153,7 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert (tmp_path / "curve" / "curve.png").stat().st_size > 1000
     call(monkeypatch, evaluate_refinement, data, data, tmp_path / "part", "--held-out", "--no-lifting")
     rows = list(csv.DictReader((tmp_path / "part" / "results.csv").read_text().splitlines()))
-    assert {r["episode"] for r in rows} == {name for name in held if episode_files.is_held_out(name)}
+    assert {r["episode"] for r in rows} == {name for name in held if episode_reading.is_held_out(name)}
     assert {r["lifted"] for r in rows} == {""}
 
 
@@ -214,8 +214,8 @@ def test_episodes_of_several_rigs_are_refused_unless_asked_for(data, tmp_path, m
     with pytest.raises(SystemExit):
         call(monkeypatch, train_refinement, tmp_path, tmp_path / "run")
     assert f"_000004 differ in {name}: train on those of one, or with --mixed." in capsys.readouterr().err
-    mixed = episode_files.origin_of(episode_files.read(tmp_path), mixed=True)
-    assert mixed == replace(episode_files.origin_of(episode_files.read(data)), **{name: None})
+    mixed = episode_reading.origin_of(episode_reading.read(tmp_path), mixed=True)
+    assert mixed == replace(episode_reading.origin_of(episode_reading.read(data)), **{name: None})
 
 
 def test_a_second_network_of_another_rig_is_not_compared(data, holdout, tmp_path, monkeypatch, capsys):
@@ -234,15 +234,15 @@ def test_training_is_over_when_nothing_gets_better():
 
 
 def test_one_episode_in_five_is_held_out():
-    held = [episode_files.is_held_out(f"episode_{i}") for i in range(1000)]
+    held = [episode_reading.is_held_out(f"episode_{i}") for i in range(1000)]
     assert 150 < sum(held) < 250
 
 
 def test_things_are_left_out_and_chosen(data):
-    things = {n.name: n.episode.metadata.object for n in episode_files.read(data)}
+    things = {n.name: n.episode.metadata.object for n in episode_reading.read(data)}
     one = next(iter(things.values())).split(", ")[0]
-    only = {n.name for n in episode_files.read(data, only=[one])}
-    without = {n.name for n in episode_files.read(data, without=[one])}
+    only = {n.name for n in episode_reading.read(data, only=[one])}
+    without = {n.name for n in episode_reading.read(data, without=[one])}
     assert only == {name for name, what in things.items() if one in what.split(", ")}
     assert without == things.keys() - only
 
@@ -278,14 +278,14 @@ def test_a_damaged_episode_is_named(tmp_path, data, monkeypatch, capsys):
 
 
 def test_too_few_episodes_are_refused(data, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(episode_files, "is_held_out", lambda name: False)
+    monkeypatch.setattr(episode_reading, "is_held_out", lambda name: False)
     with pytest.raises(SystemExit):
         call(monkeypatch, train_refinement, data, tmp_path / "run")
     assert "too few show a grasp that held" in capsys.readouterr().err
 
 
 def test_nothing_to_learn_from_is_refused(data, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(episode_files, "is_held_out", lambda name: True)
+    monkeypatch.setattr(episode_reading, "is_held_out", lambda name: True)
     with pytest.raises(SystemExit):
         call(monkeypatch, evaluate_refinement, data, data, tmp_path / "results")
     assert "and 0 to learn from, too few held." in capsys.readouterr().err

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from common.camera_model import pinhole
 from common.poses import pose
 from common.rotations import rotation_about
-from grasping.dataset.episode import Frame
-from grasping.dataset.labels import pose_from_label
-from grasping.depth_image import NETWORK_SIDE, Crop, prepare
-from grasping.evaluation.attitude import (
+from grasping.lab.dataset.episode import Frame
+from grasping.lab.dataset.labels import pose_from_label
+from grasping.lab.evaluation.attitude import (
     CONCENTRATIONS,
     Expected,
     errors,
@@ -24,10 +23,14 @@ from grasping.evaluation.attitude import (
     persons,
     with_constant_spread,
 )
-from grasping.evaluation.person_errors import Neighbours, miss
-from grasping.maps import Peak, Smoothing, highest, smoothed
-from grasping.projection import grasp
-from grasping.refinement import (
+from grasping.lab.evaluation.operator_errors import Neighbours, miss
+from grasping.lab.training.refinement_batches import batch, place_target
+from grasping.lab.training.refinement_examples import Offset, constant_offset, example, offset_label
+from grasping.lab.training.refinement_losses import Losses, losses
+from grasping.lab.training.refinement_trainer import Settings, Trainer
+from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
+from grasping.network.maps import Peak, Smoothing, highest, smoothed
+from grasping.network.refinement import (
     CHANGES,
     CONCENTRATION,
     COS,
@@ -37,13 +40,9 @@ from grasping.refinement import (
     SIN,
     Refinement,
     RefinementNetwork,
-    refined_grasp,
 )
-from grasping.refinement_spread import angle_deviation
-from grasping.training.refinement_batches import batch, place_target
-from grasping.training.refinement_examples import Offset, constant_offset, example, offset_label
-from grasping.training.refinement_losses import Losses, losses
-from grasping.training.refinement_trainer import Settings, Trainer
+from grasping.pipeline.projection import grasp
+from grasping.pipeline.refined_grasp import angle_deviation, refined_grasp
 
 CAMERA = pinhole("camera", 400, 400, [[570.0, 0.0, 199.5], [0.0, 570.0, 199.5], [0.0, 0.0, 1.0]])
 CROP = Crop(0, 0, 400)

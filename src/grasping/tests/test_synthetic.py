@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from grasping.synthetic import labels, samples, scene, sensor, shapes
+from grasping.lab.synthetic import labels, samples, scene, sensor, shapes
 
 CELL = samples.CELL_M
 N = 120

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.camera_model import pinhole
-from grasping.depth_image import Crop, prepare
-from grasping.table_depth import table_depth
+from grasping.network.depth_image import Crop, prepare
+from grasping.network.table_depth import table_depth
 
 SIDE = 400
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.poses import check_pose, inverse, pose
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
-from grasping.tool_pose import ToolPoseConfig, above, tool_pose
+from grasping.pipeline.tool_pose import ToolPoseConfig, above, tool_pose
 
 YAML = yaml.safe_load((Path(__file__).parents[1] / "config" / "tool_pose.yaml").read_text())
 DOWN = rotation_about(0, np.pi)

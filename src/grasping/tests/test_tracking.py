@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.poses import check_pose, pose
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
-from grasping.tracking import (
+from grasping.pipeline.tracking import (
     AveragingConfig,
     GraspTracker,
     MapAverage,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from grasping.training.batches import Targets, batch, random_batch
-from grasping.training.losses import losses
-from grasping.training.trainer import Settings, Trainer
+from grasping.lab.training.batches import Targets, batch, random_batch
+from grasping.lab.training.losses import losses
+from grasping.lab.training.trainer import Settings, Trainer
 
 SMALL = Settings(steps=40, count=2, side=60, rate=3e-3, warm_up=5, half=False)
 

@@ -13,10 +13,10 @@ from table_scene import CAMERA, depth_picture, looking_at
 
 from common.config import parse
 from common.poses import check_pose, inverse
-from grasping.depth_image import NETWORK_SIDE, prepare
-from grasping.planes import best_plane
-from grasping.surface import ApproachConfig, surface_at
-from grasping.view import CameraView, CropConfig, NoView, TableConfig, TableView
+from grasping.network.depth_image import NETWORK_SIDE, prepare
+from grasping.network.planes import best_plane
+from grasping.pipeline.surface import ApproachConfig, surface_at
+from grasping.pipeline.view import CameraView, CropConfig, NoView, TableConfig, TableView
 
 YAML = yaml.safe_load((Path(__file__).parents[1] / "config" / "ggcnn.yaml").read_text())
 CROP = parse(CropConfig, YAML["crop"])

@@ -13,7 +13,7 @@ import published_networks
 import pytest
 import torch
 
-from grasping import refinement_file, weights
+from grasping.network import refinement_file, weights
 
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 

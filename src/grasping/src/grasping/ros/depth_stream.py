@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 
 from common.camera_model import CameraModel
 from common.ros.images import camera_model_from_info, depth_from_image
-from grasping.settings import InputConfig
+from grasping.pipeline.settings import InputConfig
 
 BUFFER_BYTES = 2**24
 """Room for many pictures: rospy drops all but the newest only among those that it has read."""

@@ -13,8 +13,8 @@ from common.frames import BASE
 from common.poses import translation
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspOutcome
-from grasping.execution import OVER, Execution, Outcome
-from grasping.execution_request import Way
+from grasping.execution.execution import OVER, Execution, Outcome
+from grasping.execution.execution_request import Way
 
 FINGER_M, PALM_M = (0.012, 0.02, 0.06), (0.08, 0.02)
 """A finger along x, y and z; the palm along y and z."""

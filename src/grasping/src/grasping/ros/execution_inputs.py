@@ -12,9 +12,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from common.frames import BASE, FLANGE_MEASURED
 from common.ros.conversions import pose_from_transform, pose_in
 from grasp_msgs.msg import Grasp, GraspList
-from grasping.dataset.grasp_watch import HandState
-from grasping.execution import NONE, Observation
-from grasping.execution_request import Controller, Proposal, Proposals
+from grasping.execution.execution import NONE, Observation
+from grasping.execution.execution_request import Controller, Proposal, Proposals
+from grasping.execution.grasp_watch import HandState
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus
 

@@ -27,12 +27,12 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_param
 from common.tool import ToolConfig
-from grasping.dataset.grasp_watch import GraspWatchConfig
-from grasping.execution import HELD, Execution, ExecutionConfig, Outcome
-from grasping.execution_request import Refusal, Way, choose, way_to
+from grasping.execution.execution import HELD, Execution, ExecutionConfig, Outcome
+from grasping.execution.execution_request import Refusal, Way, choose, way_to
+from grasping.execution.grasp_watch import GraspWatchConfig
+from grasping.pipeline.tool_pose import ToolPoseConfig
 from grasping.ros.execution_display import NO_GRASP, ExecutionDisplay
 from grasping.ros.execution_inputs import ExecutionInputs, proposals_from
-from grasping.tool_pose import ToolPoseConfig
 from rig_msgs.srv import CheckToolPose, HoldTool
 
 SECTIONS = {"watch": GraspWatchConfig, "tool_pose": ToolPoseConfig}

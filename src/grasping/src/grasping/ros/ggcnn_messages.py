@@ -13,8 +13,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common.frames import BASE
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspList
-from grasping.live import Proposal
-from grasping.reach import Reach
+from grasping.pipeline.live import Proposal
+from grasping.pipeline.reach import Reach
 
 DEVIATIONS = 6
 FINGER_M, LINE_M, BEST_LINE_M, TEXT_M = 0.05, 0.003, 0.006, 0.02

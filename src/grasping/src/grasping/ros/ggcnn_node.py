@@ -30,21 +30,20 @@ from common.ros.node import run
 from common.ros.params import private_values
 from common.ros.stage_times import StageTimes
 from grasp_msgs.msg import GraspList
-from grasping import drawing
-from grasping.dataset.configuration import live_origin
-from grasping.depth_image import NETWORK_SIDE, Crop, centre_crop, prepare
-from grasping.live import OUT_OF_SIGHT, Finder, Findings, Proposal
-from grasping.predictor import Predictor, PredictorSettings
-from grasping.projection import depth_between_fingers
-from grasping.reach import ASKED, Reach
+from grasping.network.depth_image import NETWORK_SIDE, TABLE, Crop, centre_crop, prepare
+from grasping.pipeline import drawing
+from grasping.pipeline.live import OUT_OF_SIGHT, Finder, Findings, Proposal
+from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.projection import depth_between_fingers
+from grasping.pipeline.reach import ASKED, Reach
+from grasping.pipeline.rig_configuration import live_origin
+from grasping.pipeline.settings import GgcnnSettings, overlaid, sentences, settings_from
 from grasping.ros import ggcnn_messages as messages
-from grasping.ros.camera_place import CameraPlace
+from grasping.ros.camera_pose import CameraPlace
 from grasping.ros.depth_stream import DepthPicture, DepthStream
 from grasping.ros.reach_client import ReachClient
 from grasping.ros.reasons import ReasonLog
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
-from grasping.settings import GgcnnSettings, overlaid, sentences, settings_from
-from grasping.view import TABLE
 
 WAIT_S = 0.2
 SILENT_PERIOD_S = 0.5

@@ -25,7 +25,7 @@ from common.ros.conversions import pose_from_message
 from common.ros.images import camera_model_from_info, depth_from_image, picture_from_image
 from common.ros.node import run
 from grasp_msgs.msg import GraspList
-from grasping import drawing
+from grasping.pipeline import drawing
 
 PATIENCE_S = 60.0
 POLL_S = 0.05

@@ -12,9 +12,9 @@ import rospy
 from common.frames import BASE
 from common.mounting import directions
 from common.ros.conversions import stamped_pose
-from grasping.live import Proposal
-from grasping.reach import ASKED, SILENT, Reach, ReachBook, ReachConfig
-from grasping.tool_pose import ToolPoseConfig, tool_pose
+from grasping.pipeline.live import Proposal
+from grasping.pipeline.reach import ASKED, SILENT, Reach, ReachBook, ReachConfig
+from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
 from rig_msgs.srv import CheckToolPose
 
 SERVICE = "kuka/check_tool_pose"

@@ -9,11 +9,11 @@ import rospkg
 import yaml
 
 from common.errors import RigError
-from grasping import refinement_file, weights
-from grasping.refinement import Refinement
-from grasping.refinement_file import Origin
-from grasping.settings import ANY, LISTED, NetworkConfig
-from grasping.weights import Loaded, WeightsError, listed_sha256
+from grasping.network import refinement_file, weights
+from grasping.network.refinement import Refinement
+from grasping.network.refinement_file import Origin
+from grasping.network.weights import Loaded, WeightsError, listed_sha256
+from grasping.pipeline.settings import ANY, LISTED, NetworkConfig
 
 SUMS = "SHA256SUMS"
 

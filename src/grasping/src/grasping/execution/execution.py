@@ -1,0 +1,213 @@
+"""The execution of a proposed grasp: the arm approaches, a person's hand takes over, and what it holds is noted.
+
+    approaching -> waiting_for_hand -> person -> over
+
+Every execution that was started ends in exactly one outcome. Nothing here moves the arm: leap_kuka holds the tool above
+the grasp for a hand, and a person does the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.config import number
+from common.rotations import rotation_angle
+from grasping.execution.execution_request import UNABLE, Controller
+from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
+
+IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
+NONE, HELD, TAKEN = "none", "held", "taken"
+"""What leap_kuka says of the tool: not held, held for a hand, taken over by one."""
+
+FOLLOWING, AWAY = ("pick_up", "servo"), ("returning", "homing", "home")
+"""Modes of the arm's controller on the way to the desired tool frame and there; and away from it."""
+
+
+@dataclass(frozen=True)
+class ExecutionConfig:
+    """The times and tolerances of an execution."""
+
+    fresh: float = number("s", above=0.0, high=30.0, doc="proposals in an older picture are refused")
+    answer_time: float = number("s", above=0.0, high=30.0, doc="longest wait for an answer of another node")
+    silence: float = number("s", above=0.0, high=10.0, doc="what was not told for so long is unknown")
+    arrival_distance: float = number("m", above=0.0, high=0.1, doc="the tool has arrived when it is this near, and")
+    arrival_angle: float = number("deg", above=0.0, high=45.0, doc="turned by no more than this")
+    approach_time: float = number("s", above=0.0, high=120.0, doc="longest time for the way above the grasp")
+    wait_for_hand: float = number("s", above=0.0, high=120.0, doc="how long the tool is held for a hand")
+    person_time: float = number("s", above=0.0, high=3600.0, doc="longest time until the person's grasp is decided")
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What is known now.
+
+    Attributes:
+        clock: ROS time [s].
+        controller: what the arm's controller tells; None if it is silent.
+        hold: HELD, TAKEN or NONE.
+        hold_reason: what leap_kuka says of its stream.
+        T_base_tool: measured tool, shape (4, 4) [m]; None if it is unknown.
+        hand: state of the robot hand; None if it is unknown.
+    """
+
+    clock: float
+    controller: Controller | None
+    hold: str
+    hold_reason: str
+    T_base_tool: np.ndarray | None
+    hand: HandState | None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of an execution.
+
+    Attributes:
+        episode: its number.
+        closed: where and when the fingers closed; None if they never did.
+        held: whether the hand held something while it was lifted.
+        reason: one sentence.
+        release: whether the tool may still be held for a hand.
+    """
+
+    episode: int
+    closed: SeenGrasp | None
+    held: bool
+    reason: str
+    release: bool
+
+
+class Execution:
+    """The execution with its state.
+
+    Args:
+        config: times and tolerances.
+        watch: how a grasp is seen.
+        up: the vertical in the base frame, shape (3,).
+
+    Attributes:
+        state: IDLE before the first execution, OVER after each.
+        reason: one sentence: what is done, or how it ended.
+        episode: number of the execution, from 1 on.
+    """
+
+    def __init__(self, config: ExecutionConfig, watch: GraspWatchConfig, up: np.ndarray) -> None:
+        self._config = config
+        self._watch = GraspWatch(watch, up)
+        self._T_base_above: np.ndarray | None = None
+        self._began = self._since = 0.0
+        self._held = self._followed = False
+        self.state, self.reason = IDLE, "No grasp was executed yet."
+        self.episode = 0
+
+    @property
+    def running(self) -> bool:
+        """Whether an execution has begun and not ended."""
+        return self.state not in (IDLE, OVER)
+
+    def start(self, T_base_above: np.ndarray, now: float) -> None:
+        """Begins an execution: leap_kuka holds the tool at a pose from now on.
+
+        Args:
+            T_base_above: the pose, shape (4, 4) [m].
+            now: monotonic time [s].
+
+        Raises:
+            ValueError: one runs already.
+        """
+        if self.running:
+            raise ValueError(f"the execution {self.episode} is not over")
+        self._T_base_above, self._began = T_base_above, now
+        self._held = self._followed = False
+        self.episode += 1
+        self._enter(APPROACHING, "The arm goes above the grasp.", now)
+
+    def step(self, seen: Observation, now: float) -> Outcome | None:
+        """Returns the outcome of the execution if it ends now.
+
+        Args:
+            seen: what is known.
+            now: monotonic time [s].
+        """
+        if not self.running:
+            return None
+        self._held |= seen.hold == HELD
+        self._followed |= seen.controller is not None and seen.controller.mode in FOLLOWING
+        if self.state != PERSON and seen.hold == TAKEN:
+            self._watch.reset()
+            self._enter(PERSON, "A person's hand has taken over; close the fingers, then lift.", now)
+        why = self._hindrance(seen, now)
+        if why is not None:
+            return self.end(f"{why}.")
+        assert seen.T_base_tool is not None, "an unknown place is a hindrance"
+        if self.state == PERSON:
+            assert seen.hand is not None, "an unknown hand is a hindrance to the person"
+            grasp = self._watch.step(seen.hand, seen.T_base_tool, seen.clock)
+            if grasp is not None:
+                return self._over(grasp, grasp.held, grasp.reason)
+            if self._watch.closed:
+                self.reason = "The fingers have closed; now lift."
+        if self.state == APPROACHING and self._arrived(seen.T_base_tool):
+            self._enter(WAITING_FOR_HAND, "The tool waits above the grasp for a person's hand.", now)
+        return None
+
+    def end(self, sentence: str) -> Outcome:
+        """Ends the execution before its grasp is decided.
+
+        Args:
+            sentence: why.
+        """
+        return self._over(self._watch.give_up(sentence), False, sentence)
+
+    def _hindrance(self, seen: Observation, now: float) -> str | None:
+        """Returns why the execution cannot go on, a sentence without its full stop, or None."""
+        arm = seen.controller
+        if arm is None:
+            return "The arm's controller is silent"
+        if not arm.control_on:
+            return "Control of the arm was switched off"
+        if arm.mode in UNABLE:
+            return f"The arm stopped: {arm.reason.rstrip('.')}"
+        if seen.T_base_tool is None:
+            return "The place of the tool is unknown"
+        why = self._without_person(seen, now) if self.state == PERSON else self._without_hold(seen, now)
+        if why is None and self._followed and arm.mode in AWAY:
+            return f"The arm left the grasp: {arm.reason.rstrip('.')}"
+        return why
+
+    def _without_hold(self, seen: Observation, now: float) -> str | None:
+        config = self._config
+        if seen.hold == NONE and (self._held or now - self._began > config.silence):
+            return f"The tool was not held for a hand: {seen.hold_reason}"
+        if now - self._began > config.wait_for_hand + config.silence:
+            return "No hand took over in time"
+        if self.state == APPROACHING and now - self._began > config.approach_time:
+            return f"The tool was not above the grasp after {config.approach_time:g} s"
+        return None
+
+    def _without_person(self, seen: Observation, now: float) -> str | None:
+        if seen.hold != TAKEN:
+            return f"The person's hand is followed no more: {seen.hold_reason}"
+        if seen.hand is None:
+            return "The state of the robot hand is unknown"
+        if now - self._since > self._config.person_time:
+            return f"Nothing was decided within {self._config.person_time:g} s of the person's hand taking over"
+        return None
+
+    def _arrived(self, T_base_tool: np.ndarray) -> bool:
+        target = self._T_base_above
+        assert target is not None, "an execution begins with it"
+        near = np.linalg.norm(T_base_tool[:3, 3] - target[:3, 3]) <= self._config.arrival_distance
+        turn = rotation_angle(target[:3, :3].T @ T_base_tool[:3, :3])
+        return bool(near and np.degrees(turn) <= self._config.arrival_angle)
+
+    def _over(self, closed: SeenGrasp | None, held: bool, sentence: str) -> Outcome:
+        outcome = Outcome(self.episode, closed, held, sentence, release=self.state != PERSON)
+        self._watch.reset()
+        self.state, self.reason = OVER, sentence
+        return outcome
+
+    def _enter(self, state: str, reason: str, now: float) -> None:
+        self.state, self.reason, self._since = state, reason, now

@@ -1,0 +1,121 @@
+"""Which proposed grasp is executed when a person asks for one, and where the tool goes for it; or why none is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasping.pipeline.rig_configuration import grasp_in_tool
+from grasping.pipeline.tool_pose import ToolPoseConfig, above, tool_pose
+
+NOT_STARTED, ENDING, STOPPED = "starting", "zero", "stopped"
+UNABLE = (NOT_STARTED, ENDING, STOPPED)
+"""Modes of the arm's controller from which it follows no desired tool frame."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposed grasp.
+
+    Attributes:
+        id: its number.
+        T_base_grasp: shape (4, 4) [m]; None where it is unknown.
+        reason: why it is unknown, a clause.
+    """
+
+    id: int
+    T_base_grasp: np.ndarray | None
+    reason: str = "the camera's place is unknown"
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """The grasps in the newest picture, best first.
+
+    Attributes:
+        age: of the picture [s].
+        grasps: what is proposed; those that the arm's controller refused come last.
+        reason: why nothing is.
+    """
+
+    age: float
+    grasps: Sequence[Proposal]
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Controller:
+    """What the arm's controller tells: whether control is on, its mode, and why it is in it."""
+
+    control_on: bool
+    mode: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why no grasp is executed, one sentence."""
+
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Way:
+    """Where the tool goes.
+
+    Attributes:
+        T_base_tool: the tool that takes the grasp, shape (4, 4) [m].
+        T_base_above: where it waits for the hand, shape (4, 4) [m].
+        T_base_grip: what is then between the fingers, shape (4, 4) [m]: x through them, z the approach.
+    """
+
+    T_base_tool: np.ndarray
+    T_base_above: np.ndarray
+    T_base_grip: np.ndarray
+
+
+def choose(
+    proposals: Proposals | None, controller: Controller | None, hand_followed: bool, fresh: float
+) -> Proposal | Refusal:
+    """Returns the best grasp, which the arm's controller is to be asked about, or why there is none.
+
+    Args:
+        proposals: the newest; None if none came yet.
+        controller: what it told last; None if it is silent.
+        hand_followed: whether the arm follows a hand.
+        fresh: proposals in an older picture are refused [s].
+    """
+    if controller is None:
+        return Refusal("The arm's controller is silent.")
+    if not controller.control_on:
+        return Refusal("Control of the arm is off.")
+    if controller.mode in UNABLE:
+        return Refusal(f"The arm cannot go there: {controller.reason}")
+    if hand_followed:
+        return Refusal("The arm follows a hand; take it away first.")
+    if proposals is None:
+        return Refusal("No grasp was proposed yet.")
+    if not -fresh <= proposals.age <= fresh:
+        return Refusal(f"The newest proposal is {proposals.age:.1f} s old.")
+    if not proposals.grasps:
+        return Refusal(f"No grasp is proposed: {proposals.reason or 'the list is empty'}.")
+    best = proposals.grasps[0]
+    return best if best.T_base_grasp is not None else Refusal(f"The place of the grasp is unknown: {best.reason}.")
+
+
+def way_to(T_base_grasp: np.ndarray, settings: ToolPoseConfig, R_home: np.ndarray, up: np.ndarray) -> Way | Refusal:
+    """Returns where the tool goes for a grasp.
+
+    Args:
+        T_base_grasp: shape (4, 4) [m].
+        settings: the hand on the tool, and how far above the grasp it waits.
+        R_home: attitude of the home tool, R_base_tool, shape (3, 3); of two possible attitudes the nearer is taken.
+        up: the vertical in the base frame, shape (3,).
+    """
+    try:
+        T_base_tool = tool_pose(T_base_grasp, settings, R_home, up)
+    except ValueError as error:
+        return Refusal(f"The hand cannot take the grasp: {error}.")
+    return Way(T_base_tool, above(T_base_tool, settings.clearance), T_base_tool @ grasp_in_tool(settings))

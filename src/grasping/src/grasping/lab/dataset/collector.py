@@ -1,0 +1,119 @@
+"""When an episode begins and ends: frames, the hand, the person's stream and proposals go in, finished grasps come out.
+
+An episode of free teleoperation begins with the person's stream, one of a confirmed proposal with the approach to it:
+what was seen before may lie elsewhere by now. It ends when it is known whether the closed fingers held something; then
+no frame is kept until the hand opens and leaves the object where the next grasp will find it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
+from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
+from grasping.lab.dataset.frame_buffer import FrameBuffer, FrameBufferConfig, KeptFrame, KeptFrames, Optics
+
+SAME_GRASP_S = 1.0
+"""Two grasps seen nearer in time are one, seen by grasp_execution and by the watch."""
+BACK_S = 0.5
+"""Stamps of different sources may differ by less."""
+
+
+class Finished(NamedTuple):
+    """A grasp whose fate is known.
+
+    Attributes:
+        grasp: where and when, and whether it held.
+        source: EXECUTION or TELEOPERATION.
+        frames: before it; None: it is no episode.
+    """
+
+    grasp: SeenGrasp
+    source: str
+    frames: KeptFrames | None
+
+
+class Collector:
+    """The collection with its state.
+
+    Args:
+        frames: which frames are kept.
+        watch: how a grasp is seen.
+        up: the vertical in the base frame, shape (3,).
+
+    Attributes:
+        teleop: whether a person's hand is followed.
+        kept: frames since the beginning.
+    """
+
+    def __init__(self, frames: FrameBufferConfig, watch: GraspWatchConfig, up: np.ndarray) -> None:
+        self._buffer, self._watch = FrameBuffer(frames), GraspWatch(watch, up)
+        self._executing = False
+        self._now = self._last_grasp = self._after = -math.inf
+        self.teleop = False
+        self.kept = 0
+
+    @property
+    def waiting(self) -> int:
+        """How many frames wait for their label."""
+        return len(self._buffer)
+
+    def went_back(self, now: float) -> bool:
+        """Takes the time in [s]. Where it went back, as in a recording that begins anew, all is forgotten."""
+        back = now < self._now - BACK_S
+        if back:
+            self._buffer.clear()
+            self._watch.reset()
+            self._now = self._last_grasp = self._after = -math.inf
+        self._now = max(self._now, now)
+        return back
+
+    def due(self, stamp: float) -> bool:
+        """Returns whether a picture of that time [s] may be looked at, after those before it."""
+        return self._buffer.due(stamp)
+
+    def wants(self, stamp: float, T_base_tool: np.ndarray) -> bool:
+        """Returns whether a frame at that time [s] with the tool there would be kept."""
+        return self._watch.empty and stamp > self._after and self._buffer.wants(stamp, T_base_tool)
+
+    def add(self, frame: KeptFrame, optics: Optics) -> bool:
+        """Keeps a frame, unless its episode is over. Returns whether those before, of another camera, were dropped."""
+        if frame.stamp <= self._after:
+            return False
+        self.kept += 1
+        return self._buffer.add(frame, optics)
+
+    def stream(self, active: bool) -> None:
+        """The stream of the person's hand runs or not."""
+        if active and not self.teleop and not self._executing:
+            self._begin()
+        self.teleop = active
+
+    def executing(self, active: bool) -> None:
+        """A proposal is being executed or not."""
+        if active and not self._executing:
+            self._begin()
+        self._executing = active
+
+    def hand(self, state: HandState, T_base_tool: np.ndarray, now: float) -> Finished | None:
+        """Takes a state of the hand in; while a proposal is executed its outcome counts instead."""
+        grasp = self._watch.step(state, T_base_tool, now)
+        return None if grasp is None or self._executing else self._finish(grasp, TELEOPERATION)
+
+    def outcome(self, grasp: SeenGrasp) -> Finished | None:
+        """Takes the outcome of a proposal in; None if that grasp is finished already."""
+        return self._finish(grasp, EXECUTION)
+
+    def _begin(self) -> None:
+        """Drops the frames of the time before, also one at which the network still looks."""
+        self._buffer.clear()
+        self._after = self._now
+
+    def _finish(self, grasp: SeenGrasp, source: str) -> Finished | None:
+        if grasp.time < self._last_grasp + SAME_GRASP_S:
+            return None
+        self._last_grasp = self._after = grasp.time
+        return Finished(grasp, source, self._buffer.take(grasp.time))

@@ -1,0 +1,153 @@
+"""Frames that wait for the grasp which will label them: thinned, bounded, in memory.
+
+A frame is kept when the tool has moved since the last one; frames of a tool at rest would be duplicates. What is too
+old or too many when the fingers close is dropped, oldest first: an episode needs the approach, not its prehistory.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from common.camera_model import CameraModel
+from common.config import integer, number
+from grasping.execution.grasp_watch import SeenGrasp
+from grasping.lab.dataset.episode import Episode, Metadata
+from grasping.network.depth_image import Crop
+from grasping.network.maps import Peak
+
+
+@dataclass(frozen=True)
+class FrameBufferConfig:
+    """Which frames are kept."""
+
+    rate: float = number("Hz", above=0.0, high=30.0, doc="most frames a second")
+    motion: float = number("m", low=0.0, high=1.0, doc="the tool has to move so far between frames")
+    longest: float = number(
+        "s", above=0.0, high=3600.0, doc="frames older than that when the fingers close are dropped"
+    )
+    most_frames: int = integer("frames", low=1, high=2000, doc="of an episode; half a megabyte each in memory")
+    hand_radius: float = number("m", low=0.0, high=2.0, doc="what is nearer to the tool's axis, and")
+    hand_reach: float = number("m", low=-1.0, high=1.0, doc="not farther along it than this, may be hand or arm")
+
+
+class KeptFrame(NamedTuple):
+    """A frame without its label; the fields are those of `Episode`, one row each."""
+
+    stamp: float
+    depth: np.ndarray
+    maps: np.ndarray
+    mean: float
+    peak: Peak
+    T_base_camera: np.ndarray
+    T_base_tool_measured: np.ndarray
+    T_base_tool_desired: np.ndarray
+    finger_angles: np.ndarray
+    teleop_active: bool
+
+
+class Optics(NamedTuple):
+    """How frames were taken.
+
+    Attributes:
+        camera: that sees what the network sees: a real or an imagined one.
+        crop: of its picture.
+        real: the camera that took the depth pictures.
+    """
+
+    camera: CameraModel
+    crop: Crop
+    real: CameraModel
+
+
+class KeptFrames(NamedTuple):
+    """The frames before a grasp, at least one, oldest first, and how they were taken."""
+
+    optics: Optics
+    rows: list[KeptFrame]
+
+    def episode(
+        self, grasp: SeenGrasp, metadata: Metadata, T_flange_tool: np.ndarray, T_tool_grasp: np.ndarray
+    ) -> Episode:
+        """Returns the frames with the grasp as their label."""
+        return Episode(
+            metadata=metadata,
+            camera=self.optics.camera,
+            crop=self.optics.crop,
+            T_flange_tool=T_flange_tool,
+            T_tool_grasp=T_tool_grasp,
+            T_base_tool_closed=grasp.T_base_tool,
+            t_grasp=grasp.time,
+            held=grasp.held,
+            **{name: np.array([getattr(row, name) for row in self.rows]) for name in KeptFrame._fields},
+        )
+
+
+def on_hand(p_base: np.ndarray, T_base_tool: np.ndarray, config: FrameBufferConfig) -> bool:
+    """Returns whether a point, shape (3,) [m], may lie on the hand or the arm behind it, both in the base frame.
+
+    Where GGCNN's own grasp does, it took the robot for an object, and its map teaches nothing of where a person grasps.
+    """
+    x, y, z = T_base_tool[:3, :3].T @ (p_base - T_base_tool[:3, 3])
+    return bool(z < config.hand_reach and np.hypot(x, y) < config.hand_radius)
+
+
+class FrameBuffer:
+    """The frames since the person began."""
+
+    def __init__(self, config: FrameBufferConfig) -> None:
+        self._config = config
+        self._frames: deque[KeptFrame] = deque(maxlen=config.most_frames)
+        self._tried: float | None = None
+        self._optics: Optics | None = None
+
+    def __len__(self) -> int:
+        """Returns how many frames wait."""
+        return len(self._frames)
+
+    def due(self, stamp: float) -> bool:
+        """Returns whether a picture of that time [s] may be looked at, after those before it."""
+        if self._tried is not None and stamp - self._tried < 1.0 / self._config.rate:
+            return False
+        self._tried = stamp
+        return True
+
+    def wants(self, stamp: float, T_base_tool: np.ndarray) -> bool:
+        """Returns whether a frame would be kept: it is newer than the last one, and the tool has moved."""
+        if not self._frames:
+            return True
+        last = self._frames[-1]
+        moved = np.linalg.norm(T_base_tool[:3, 3] - last.T_base_tool_measured[:3, 3])
+        return stamp > last.stamp and bool(moved >= self._config.motion)
+
+    def add(self, frame: KeptFrame, optics: Optics) -> bool:
+        """Keeps a frame. Returns whether it had to drop those before it, because another camera took them."""
+        changed = bool(self._frames) and self._optics is not None and not _same(optics, self._optics)
+        if changed:
+            self._frames.clear()
+        self._optics = optics
+        self._frames.append(frame)
+        return changed
+
+    def clear(self) -> None:
+        """Drops all frames, and the memory of when a picture was last looked at."""
+        self._frames.clear()
+        self._tried = None
+
+    def take(self, until: float) -> KeptFrames | None:
+        """Takes all frames out and returns those that may belong to a grasp at the time `until` [s]; None for none."""
+        rows = [frame for frame in self._frames if until - self._config.longest <= frame.stamp <= until]
+        self._frames.clear()
+        return KeptFrames(self._optics, rows) if rows and self._optics is not None else None
+
+
+def _same(a: Optics, b: Optics) -> bool:
+    return a.crop == b.crop and _same_camera(a.camera, b.camera) and _same_camera(a.real, b.real)
+
+
+def _same_camera(a: CameraModel, b: CameraModel) -> bool:
+    equal = all(np.array_equal(getattr(a, key), getattr(b, key)) for key in "KDRP")
+    return equal and (a.name, a.width, a.height) == (b.name, b.width, b.height)

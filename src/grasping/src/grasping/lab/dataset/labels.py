@@ -1,0 +1,138 @@
+"""The person's grasp against GGCNN's own, seen by the camera: what the second network learns to predict.
+
+A grasp before the camera is a pixel, a depth along the optical axis, an angle in the picture, and the tilt of its
+approach against that axis. GGCNN says the first three, and approaches along the axis. Its rotation is split as
+
+    R_camera_grasp = exp(tilt) Rz(-angle),    tilt = (x, y, 0)
+
+in this order, so that tilt is free of the hand's symmetry: a hand turned by 180 degrees about its approach has the same
+tilt, and the same angle modulo pi. If the picture turns about the optical axis, angle and tilt turn with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from common.camera_model import CameraModel
+from common.poses import pose, read_only
+from common.rotations import rotation_about
+from grasping.lab.dataset.episode import Frame
+from grasping.network.depth_image import NETWORK_SIDE, Crop
+from grasping.pipeline.projection import Grasp, camera_pixel, grasp
+
+NO_TILT_RAD = 1e-9
+AGAINST_RAD = 1e-6
+"""A grasp so near to one that comes from behind the object has no definite tilt."""
+
+
+class RelativeLabel(NamedTuple):
+    """A person's grasp against GGCNN's.
+
+    Attributes:
+        row: of the person's grasp in the map; may lie outside [px of the map].
+        column: likewise.
+        row_shift: that row less GGCNN's [px of the map].
+        column_shift: likewise.
+        depth: of the person's grasp along the optical axis, less GGCNN's [m].
+        angle: in the picture, anticlockwise, less GGCNN's, in [-pi/2, pi/2) [rad].
+        tilt: of the person's approach about the camera's x and y axes, shape (2,) [rad]; GGCNN's is 0.
+    """
+
+    row: float
+    column: float
+    row_shift: float
+    column_shift: float
+    depth: float
+    angle: float
+    tilt: np.ndarray
+
+
+def relative_label(frame: Frame) -> RelativeLabel | None:
+    """Returns the person's grasp against GGCNN's own, in the pixels of the frame's maps.
+
+    None where GGCNN's has no place, for want of a reading near its pixel, or the person's none in the picture: behind
+    the camera, or approaching straight towards it.
+    """
+    own = own_grasp(frame)
+    T = frame.T_camera_grasp
+    if own is None or T[2, 3] <= 0.0:
+        return None
+    try:
+        tilt, angle = tilt_and_angle(T[:3, :3])
+    except ValueError:
+        return None
+    side = frame.maps.shape[-1]
+    row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, side)
+    # GGCNN's pixel is a whole one of the network's picture, and generally none of a smaller map.
+    own_row, own_column = ((i + 0.5) * side / NETWORK_SIDE - 0.5 for i in (frame.peak.row, frame.peak.column))
+    return RelativeLabel(
+        row,
+        column,
+        row - own_row,
+        column - own_column,
+        float(T[2, 3] - own.T_camera_grasp[2, 3]),
+        half_turn(angle - own.angle),
+        read_only(tilt),
+    )
+
+
+def pose_from_label(frame: Frame, label: RelativeLabel) -> np.ndarray:
+    """Returns the pose before the camera, shape (4, 4) [m], that a label means; undoes `relative_label` but for half a
+    turn about the approach.
+
+    Raises:
+        ValueError: GGCNN's own grasp has no place.
+    """
+    own = own_grasp(frame)
+    if own is None:
+        raise ValueError("GGCNN's own grasp has no place: the camera has no reading near its pixel")
+    ray = frame.camera.rays(camera_pixel(label.row, label.column, frame.crop, frame.maps.shape[-1]))
+    R = pin.exp3(np.append(label.tilt, 0.0)) @ rotation_about(2, -(own.angle + label.angle))
+    return pose(R, (own.T_camera_grasp[2, 3] + label.depth) * ray)
+
+
+def own_grasp(frame: Frame) -> Grasp | None:
+    """Returns GGCNN's own grasp before the camera, None where the camera has no reading near its pixel."""
+    window = Crop(0, 0, frame.crop.side)
+    return grasp(frame.peak, window, NETWORK_SIDE, frame.depth_m, windowed(frame.camera, frame.crop))
+
+
+def windowed(camera: CameraModel, crop: Crop) -> CameraModel:
+    """Returns the camera whose whole picture is the window."""
+    K, P = camera.K.copy(), camera.P.copy()
+    K[:2, 2] -= (crop.column, crop.row)
+    P[:2, 2] -= (crop.column, crop.row)
+    return replace(camera, width=crop.side, height=crop.side, K=read_only(K), P=read_only(P))
+
+
+def map_pixel(pixel: np.ndarray, crop: Crop, side: int) -> tuple[float, float]:
+    """Returns row and column in a map with `side` rows and columns of a pixel u, v of the camera's picture; undoes
+    `projection.camera_pixel`."""
+    u, v = (float(p) for p in pixel)
+    scale = side / crop.side
+    return (v - crop.row + 0.5) * scale - 0.5, (u - crop.column + 0.5) * scale - 0.5
+
+
+def tilt_and_angle(R: np.ndarray) -> tuple[np.ndarray, float]:
+    """Returns tilt, shape (2,) [rad], and angle [rad] of a grasp's rotation before the camera, shape (3, 3).
+
+    Raises:
+        ValueError: the grasp approaches straight towards the camera, where the tilt may have any direction.
+    """
+    x, y, z = R[:, 2]
+    across = np.hypot(x, y)
+    inclination = np.arctan2(across, z)
+    if np.pi - inclination < AGAINST_RAD:
+        raise ValueError("a grasp that approaches straight towards the camera has no definite tilt")
+    tilt = np.zeros(2) if inclination < NO_TILT_RAD else inclination / across * np.array([-y, x])
+    turn = pin.exp3(np.append(tilt, 0.0)).T @ R
+    return tilt, -float(np.arctan2(turn[1, 0], turn[0, 0]))
+
+
+def half_turn(angle: float) -> float:
+    """Returns the angle modulo pi, in [-pi/2, pi/2): a grasp is the same after half a turn."""
+    return (angle + 0.5 * np.pi) % np.pi - 0.5 * np.pi

@@ -1,0 +1,243 @@
+"""The file of an episode: a numpy archive (.npz), one array for each entry of `LAYOUT`, without pickled objects.
+
+`meta` is a JSON object with the schema version, the entries of `Metadata`, the fingerprint, and the camera's name and
+size. Every array has a checksum in the archive, so that a torn or damaged file is noticed.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from dataclasses import asdict, fields
+from datetime import datetime, timezone
+from typing import Any, NoReturn
+
+import numpy as np
+
+from common.camera_model import CameraModel
+from common.errors import RigError
+from common.poses import check_pose
+from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION, Episode, Metadata
+from grasping.network.depth_image import NETWORK_SIDE, Crop
+
+SCHEMA = 1
+MAGIC, ENCRYPTED, PACKED = b"PK\3\4", 0x1, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""How an archive begins; the bit of a file's flags that says that it is encrypted; how numpy packs files."""
+ARRAY = ".npy"
+META = f"meta{ARRAY}"
+PREFIX, SUFFIX = "episode_", ".npz"
+NAME = PREFIX + "%Y%m%dT%H%M%S_%f"
+LAYOUT = {
+    "meta": ("U", ()),
+    "camera_K": ("f8", (3, 3)),
+    "camera_D": ("f8", (5,)),
+    "camera_R": ("f8", (3, 3)),
+    "camera_P": ("f8", (3, 4)),
+    "crop": ("i4", (3,)),
+    "T_flange_tool": ("f8", (4, 4)),
+    "T_tool_grasp": ("f8", (4, 4)),
+    "T_base_tool_closed": ("f8", (4, 4)),
+    "T_base_grasp": ("f8", (4, 4)),
+    "t_grasp": ("f8", ()),
+    "held": ("?", ()),
+    "stamp": ("f8", ("n",)),
+    "depth": ("u2", ("n", "side", "side")),
+    "maps": ("f2", ("n", 4, "m", "m")),
+    "mean": ("f4", ("n",)),
+    "peak": ("f8", ("n", 5)),
+    "T_base_camera": ("f8", ("n", 4, 4)),
+    "T_base_tool_measured": ("f8", ("n", 4, 4)),
+    "T_base_tool_desired": ("f8", ("n", 4, 4)),
+    "finger_angles": ("f4", ("n", 4)),
+    "teleop_active": ("?", ("n",)),
+}
+"""Type and shape of each array; n frames, `side` of the crop, m rows of a map."""
+MAY_BE_NAN = {"T_base_tool_desired", "finger_angles"}
+POSES = [name for name in LAYOUT if name.startswith("T_")]
+TEXTS = [f.name for f in fields(Metadata) if f.name != "configuration"]
+GRASP_TOLERANCE = 1e-9
+
+
+class DatasetError(RigError):
+    """A file holds no episode that can be used."""
+
+
+def file_name(episode: Episode) -> str:
+    """Returns the name of the file of an episode: the moment of its grasp, UTC, to the millisecond."""
+    moment = datetime.fromtimestamp(episode.t_grasp, timezone.utc)
+    return f"{moment.strftime(NAME)[:-3]}{SUFFIX}"
+
+
+def grasp_time(name: str) -> float | None:
+    """Returns the moment of the grasp [s] of a file of that name; None if it is not named by `file_name`."""
+    try:
+        return datetime.strptime(name, NAME + SUFFIX).replace(tzinfo=timezone.utc).timestamp()
+    except ValueError:
+        return None
+
+
+def unfinished(name: str) -> bool:
+    """Returns whether a file of that name was left by a process that died while it wrote an episode."""
+    return name.startswith(f".{PREFIX}") and SUFFIX in name
+
+
+def encode(episode: Episode) -> bytes:
+    """Returns the content of the file of an episode.
+
+    Raises:
+        DatasetError: the episode is none; its arrays do not fit together or are not finite.
+    """
+    camera = episode.camera
+    meta = {
+        "schema": SCHEMA,
+        **asdict(episode.metadata),
+        "fingerprint": episode.metadata.fingerprint,
+        "camera": {"name": camera.name, "width": camera.width, "height": camera.height},
+    }
+    values: dict[str, Any] = {name: getattr(episode, name) for name in LAYOUT if hasattr(episode, name)}
+    values.update(meta=json.dumps(meta, allow_nan=False), crop=episode.crop)
+    values.update({f"camera_{key}": getattr(camera, key) for key in "KDRP"})
+    arrays = {
+        name: np.asarray(values[name], dtype=None if kind == "U" else np.dtype(kind).newbyteorder("<"))
+        for name, (kind, _) in LAYOUT.items()
+    }
+    _check(arrays)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def decode(data: bytes) -> Episode:
+    """Returns the episode in the content of a file.
+
+    Raises:
+        DatasetError: it is torn, damaged, of another schema, or no episode at all.
+    """
+    files = _files(data)
+    meta = _meta(files)
+    arrays = _arrays(files)
+    _check(arrays)
+    for array in arrays.values():
+        array.setflags(write=False)
+    try:
+        metadata = Metadata(**{name: str(meta[name]) for name in TEXTS}, configuration=dict(meta["configuration"]))
+        named = meta["camera"]
+        camera = CameraModel(
+            str(named["name"]), int(named["width"]), int(named["height"]), *(arrays[f"camera_{key}"] for key in "KDRP")
+        )
+        fingerprint = meta["fingerprint"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"The file's metadata lack or distort {error}.") from None
+    if metadata.fingerprint != fingerprint:
+        raise DatasetError("The file is damaged: the fingerprint is not that of the rig's configuration.")
+    if metadata.source not in (EXECUTION, TELEOPERATION):
+        raise DatasetError(f"The file's source is {metadata.source!r}, not {EXECUTION} or {TELEOPERATION}.")
+    own = {f.name for f in fields(Episode)}
+    return Episode(
+        metadata=metadata,
+        camera=camera,
+        crop=Crop(*(int(i) for i in arrays["crop"])),
+        t_grasp=float(arrays["t_grasp"]),
+        held=bool(arrays["held"]),
+        **{name: arrays[name] for name in LAYOUT if name in own and name not in ("crop", "t_grasp", "held")},
+    )
+
+
+def _files(data: bytes) -> dict[str, bytes]:
+    """Returns the files of the archive, each as its checksum says it was written."""
+    if not MAGIC.startswith(data[: len(MAGIC)]):
+        raise DatasetError("The file is no episode: it is no archive.")
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for file in archive.infolist():
+                if file.flag_bits & ENCRYPTED or file.compress_type not in PACKED:
+                    raise zipfile.BadZipFile(f"{file.filename} is packed in another way")
+            return {file.filename: archive.read(file) for file in archive.infolist()}
+    # The last two are raised where the archive's list of files is damaged: unknown versions, places before its start.
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, ValueError) as error:
+        raise DatasetError(f"The file is torn or damaged: {error}.") from None
+
+
+def _meta(files: dict[str, bytes]) -> dict[str, Any]:
+    """Returns the metadata, after the schema was checked."""
+    if META not in files:
+        raise DatasetError("The file is no episode: it has no metadata.")
+    text = str(_array(META, files[META]))
+    try:
+        meta = json.loads(text, parse_constant=_refuse)
+    except ValueError:
+        raise DatasetError("The file is no episode: its metadata are no JSON.") from None
+    if not isinstance(meta, dict) or "schema" not in meta:
+        raise DatasetError("The file is no episode: its metadata name no schema.")
+    if meta["schema"] != SCHEMA:
+        raise DatasetError(
+            f"The file has the schema {meta['schema']!r}, but this version of the package reads {SCHEMA}."
+        )
+    return meta
+
+
+def _refuse(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no JSON")
+
+
+def _arrays(files: dict[str, bytes]) -> dict[str, np.ndarray]:
+    """Returns the arrays by the names in the layout, unchecked."""
+    wanted = {f"{name}{ARRAY}": name for name in LAYOUT}
+    if files.keys() != wanted.keys():
+        odd = ", ".join(sorted(name.replace(ARRAY, "") for name in files.keys() ^ wanted.keys()))
+        raise DatasetError(f"The file is no episode of schema {SCHEMA}: {odd} missing or unknown.")
+    return {wanted[name]: _array(name, data) for name, data in files.items()}
+
+
+def _array(name: str, data: bytes) -> np.ndarray:
+    try:
+        return np.lib.format.read_array(  # type: ignore[no-untyped-call]
+            io.BytesIO(data), allow_pickle=False
+        )
+    except ValueError as error:
+        raise DatasetError(f"The file is no episode: {name}: {' '.join(str(error).split())}.") from None
+
+
+def _check(arrays: dict[str, np.ndarray]) -> None:
+    """Refuses arrays that are of another type or shape, not finite, or no poses.
+
+    Raises:
+        DatasetError: with the first fault.
+    """
+    sizes: dict[str, int] = {}
+    for name, (kind, shape) in LAYOUT.items():
+        array = arrays[name]
+        found = array.dtype.kind == "U" if kind == "U" else array.dtype == np.dtype(kind)
+        fits = len(array.shape) == len(shape) and all(
+            size == (sizes.setdefault(want, size) if isinstance(want, str) else want)
+            for size, want in zip(array.shape, shape)
+        )
+        if not (found and fits):
+            raise DatasetError(f"The array {name} is {array.dtype}, shape {array.shape}, but must be {kind}, {shape}.")
+        if array.dtype.kind == "f" and name not in MAY_BE_NAN and not np.isfinite(array).all():
+            raise DatasetError(f"The array {name} holds values that are not finite.")
+    _check_meaning(arrays, sizes)
+
+
+def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int]) -> None:
+    """Refuses arrays whose values do not fit together."""
+    stamp, t_grasp = arrays["stamp"], float(arrays["t_grasp"])
+    if not sizes["n"]:
+        raise DatasetError("The episode has no frame.")
+    if np.any(np.diff(stamp) <= 0.0) or stamp[-1] > t_grasp:
+        raise DatasetError("The stamps do not rise up to the moment of the grasp.")
+    if sizes["side"] != arrays["crop"][2] or NETWORK_SIDE % sizes["m"]:
+        raise DatasetError(f"Pictures of {sizes['side']} px and maps of {sizes['m']} px do not belong together.")
+    for name in POSES:
+        for T in arrays[name].reshape(-1, 4, 4):
+            if name in MAY_BE_NAN and np.isnan(T).all():
+                continue
+            try:
+                check_pose(T)
+            except ValueError as error:
+                raise DatasetError(f"The array {name} holds no pose: {error}.") from None
+    T = arrays["T_base_tool_closed"] @ arrays["T_tool_grasp"]
+    if np.abs(arrays["T_base_grasp"] - T).max() > GRASP_TOLERANCE:
+        raise DatasetError("T_base_grasp is not the grasp of the tool where the fingers closed.")

@@ -1,0 +1,123 @@
+"""How well the hand's attitude and opening are foretold where the person grasped.
+
+Which of several grasps a person takes is another question (`likelihood`), and would hide this one: so here it is taken
+as known. Asked is how far the expected attitude is from the person's, and how probable the person's was. What says no
+spread of its own gets the constant one that suits it best on episodes that are not tested.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import torch
+
+from common.rotations import rotation_about
+from grasping.lab.evaluation.operator_errors import rotation_miss
+from grasping.lab.training.refinement_batches import Targets
+from grasping.lab.training.refinement_examples import Offset
+from grasping.network.refinement import COS, LEAN_X, LEAN_Y, OPENING, SIN, Change, RefinementNetwork
+
+CONCENTRATIONS = np.geomspace(0.1, 100.0, 61)
+
+
+class Expected(NamedTuple):
+    """What is expected at the persons' n places, each shape (n,).
+
+    Attributes:
+        angle: of the line through the fingers in the picture [rad].
+        tilt_x, tilt_y: of the approach [rad].
+        opening: of the hand [GGCNN's unit x m].
+        concentration: of twice the angle.
+        tilt_spread: scale of the Laplace distribution of the lean [rad].
+    """
+
+    angle: np.ndarray
+    tilt_x: np.ndarray
+    tilt_y: np.ndarray
+    opening: np.ndarray
+    concentration: np.ndarray
+    tilt_spread: np.ndarray
+
+
+def expected(seen: torch.Tensor, target: Targets, network: RefinementNetwork, offset: Offset) -> Expected:
+    """Returns what a network says, untrained if it is only to add the offset.
+
+    Args:
+        seen: its input, shape (n, LEAN_Y + 1, h, w).
+        target: of n pictures, without `offset`.
+        network: the second one.
+        offset: constant one, which the answer has.
+    """
+    at = target.place.flatten(1).argmax(1)
+    n = torch.arange(len(at))
+    with torch.no_grad():
+        said = Change.of(network(seen))
+    of = {name: value.flatten(1)[n, at].double().numpy() for name, value in said._asdict().items()}
+    cos, sin, lean_x, lean_y, opening = (
+        seen[:, i].flatten(1)[n, at].double().numpy() for i in (COS, SIN, LEAN_X, LEAN_Y, OPENING)
+    )
+    turn = np.arctan2(of["turn_sin"], of["turn_cos"])
+    return Expected(
+        0.5 * (np.arctan2(sin, cos) + turn) + offset.angle,
+        of["tilt_x"] + of["follow"] * lean_x + offset.tilt_x,
+        of["tilt_y"] + of["follow"] * lean_y + offset.tilt_y,
+        opening + of["opening"] + offset.opening,
+        np.hypot(of["turn_cos"], of["turn_sin"]),
+        of["tilt_spread"],
+    )
+
+
+def persons(target: Targets, offset: Offset) -> Expected:
+    """Returns what the persons did, without any spread.
+
+    Args:
+        target: of n pictures, without `offset`.
+        offset: constant one, which the answer has.
+    """
+    cos, sin, x, y, opening = (
+        value.double().numpy() for value in (target.cos, target.sin, target.tilt_x, target.tilt_y, target.opening)
+    )
+    angle = 0.5 * np.arctan2(sin, cos) + offset.angle
+    nothing = np.zeros_like(angle)
+    return Expected(angle, x + offset.tilt_x, y + offset.tilt_y, opening + offset.opening, nothing, nothing)
+
+
+def errors(found: Expected, did: Expected) -> np.ndarray:
+    """Returns the angles between attitudes, half a turn about the approach being none, shape (n,) [rad]."""
+    return np.array([rotation_miss(a, b) for a, b in zip(_rotations(did), _rotations(found))])
+
+
+def log_likelihoods(found: Expected, did: Expected) -> np.ndarray:
+    """Returns the log-likelihood of each attitude, angle and lean together, shape (n,) [nats, of densities by rad]."""
+    k, b = found.concentration, found.tilt_spread
+    off = 2.0 * (did.angle - found.angle)
+    scale = np.log(torch.special.i0e(torch.from_numpy(k)).numpy()) + k
+    lean = np.hypot(did.tilt_x - found.tilt_x, did.tilt_y - found.tilt_y)
+    return k * np.cos(off) - scale - np.log(np.pi) - lean / b - np.log(2.0 * np.pi * b**2)
+
+
+def with_constant_spread(found: Expected, known: Expected, did: Expected) -> Expected:
+    """Returns what is expected with the constant spread that suits best what is known.
+
+    Args:
+        found: what is expected.
+        known: the same of other episodes.
+        did: what the person did in these.
+    """
+    b = 0.5 * float(np.hypot(did.tilt_x - known.tilt_x, did.tilt_y - known.tilt_y).mean())
+
+    def spread(one: Expected, k: float) -> Expected:
+        n = len(one.angle)
+        return one._replace(concentration=np.full(n, k), tilt_spread=np.full(n, b))
+
+    best = max(CONCENTRATIONS, key=lambda k: float(log_likelihoods(spread(known, k), did).mean()))
+    return spread(found, float(best))
+
+
+def _rotations(of: Expected) -> list[np.ndarray]:
+    return [
+        pin.exp3(np.array([x, y, 0.0])) @ rotation_about(2, -angle)
+        for angle, x, y in zip(of.angle, of.tilt_x, of.tilt_y)
+    ]

@@ -1,0 +1,243 @@
+"""Compares grasp methods on held-out objects, by lifting in MuJoCo and by the rectangle metric; resumable.
+
+Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md. With
+--export scenes and grasps go to a file instead, for whoever lifts with another hand (rosrun rig_simulation
+lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines that are there are not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import multiprocessing
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import mujoco
+import numpy as np
+import torch
+import yaml
+from tqdm import tqdm
+
+from common.config import parse
+from common.errors import RigError
+from common.statistics import share
+from grasping.lab.evaluation import heuristics, trials
+from grasping.lab.programs.make_dataset import ignore_warning
+from grasping.lab.synthetic.scene import world_xml
+from grasping.network import maps, weights
+from grasping.network.depth_image import Picture
+from grasping.pipeline.predictor import PredictorSettings, frozen, run
+from grasping.pipeline.preference import preferred
+from grasping.pipeline.projection import pixel_size
+from grasping.pipeline.tool_pose import ToolPoseConfig
+
+COLUMNS = ("scene", "objects", "method", *trials.Outcome._fields)
+EXPORT_SCHEMA = 1
+QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
+NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
+"""As the reference experiments smooth; the node's wider blur is for the moving camera."""
+
+
+class Trained(NamedTuple):
+    """A network to be tried.
+
+    Attributes:
+        file: of its weights.
+        tool: the hand whose openings it prefers, None where it knows no hand.
+    """
+
+    file: Path
+    tool: ToolPoseConfig | None
+
+
+class Task(NamedTuple):
+    """A scene to be tried.
+
+    Attributes:
+        split, number: of the scene.
+        methods: names of the methods.
+        trained: the networks among them.
+    """
+
+    split: str
+    number: int
+    methods: list[str]
+    trained: dict[str, Trained]
+
+
+@lru_cache(maxsize=8)
+def network(file: Path) -> torch.jit.ScriptModule:
+    """Returns the network of a weight file."""
+    return frozen(weights.load(file.read_bytes()).network)
+
+
+def network_grasp(picture: Picture, trained: Trained) -> maps.Peak:
+    """Returns the best grasp of a network."""
+    found = maps.smoothed(run(network(trained.file), picture.input), picture.valid, NETWORK_SMOOTHING)
+    if trained.tool is not None:
+        size = pixel_size(picture, trials.camera())
+        found = preferred(found, size, trained.tool, PredictorSettings.threshold)
+    return maps.highest(found)
+
+
+def try_scene(task: Task) -> list[dict]:
+    """Returns the rows of all methods that are still missing for one scene."""
+    split, number, missing, trained = task
+    of, chosen = chosen_grasps(split, number, missing, trained)
+    row = {"scene": number, "objects": len(of.view.scene.objects)}
+    return [{**row, "method": name, **trials.judge(of, peak)._asdict()} for name, peak in chosen.items()]
+
+
+def export_scene(task: Task) -> dict:
+    """Returns one scene and all methods' grasps in it, as the file of --export has them."""
+    split, number, names, trained = task
+    of, chosen = chosen_grasps(split, number, names, trained)
+    tried = {name: trials.executed(of, peak) for name, peak in chosen.items()}
+    friction = next((t.friction for t in tried.values() if t is not None), trials.FRICTION[0])
+    return {
+        "scene": number,
+        "objects": len(of.view.scene.objects),
+        "mjcf": world_xml(of.view.scene.objects, friction),
+        "qpos": of.view.scene.state.tolist(),
+        "grasps": [
+            {
+                "method": name,
+                "T_world_grasp": None if t is None else t.T_world_grasp.tolist(),
+                "width": None if t is None else t.width,
+            }
+            for name, t in tried.items()
+        ],
+    }
+
+
+def chosen_grasps(
+    split: str, number: int, names: Iterable[str], trained: Mapping[str, Trained]
+) -> tuple[trials.Situation, dict[str, maps.Peak | None]]:
+    """Returns a scene and what each method chooses in it."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    mujoco.set_mju_user_warning(ignore_warning)
+    of = trials.situation(split, number, 1 if number % 2 == 0 else 3 + number // 2 % 3)
+    chosen: dict[str, maps.Peak | None] = {}
+    for name in names:
+        if name == "oracle":
+            chosen[name] = trials.oracle(of)
+        elif name in trained:
+            chosen[name] = network_grasp(of.picture, trained[name])
+        else:
+            chosen[name] = heuristics.HEURISTICS[name](of.picture, of.widest, np.random.default_rng([7, number]))
+    return of, chosen
+
+
+def table(rows: list[dict], methods: Iterable[str]) -> str:
+    """Returns the results as a Markdown table."""
+    lines = [
+        "| method | one object: lifted % | clutter: lifted % | one object: rectangle % | clutter: rectangle % |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for method in methods:
+        cells = []
+        for field in ("lifted", "rectangle"):
+            for single in (True, False):
+                chosen = [r for r in rows if r["method"] == method and (int(r["objects"]) == 1) == single]
+                cells.append(_cell([str(r[field]) == "True" for r in chosen]))
+        lines.append(f"| {method} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def calibration(rows: list[dict], methods: Iterable[str]) -> str:
+    """Returns, as a Markdown table, how many grasps were lifted by the quality that the method gave them."""
+    ranges = list(zip((-np.inf, *QUALITY_LIMITS), (*QUALITY_LIMITS, np.inf)))
+    names = [f"< {QUALITY_LIMITS[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {QUALITY_LIMITS[-1]}"]
+    lines = [f"| lifted %, quality | {' | '.join(names)} |", "| --- |" + " --- |" * len(names)]
+    for method in methods:
+        cells = []
+        for low, high in ranges:
+            chosen = [r for r in rows if r["method"] == method and low <= float(r["quality"]) < high]
+            cells.append(_cell([str(r["lifted"]) == "True" for r in chosen]))
+        lines.append(f"| {method} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(outcomes: list[bool]) -> str:
+    return str(share(outcomes)) if outcomes else "-"
+
+
+def kept_rows(path: Path) -> list[dict]:
+    """Returns the rows of a file of results, none where it is not there."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
+    """Writes the file of --export."""
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        scenes = list(tqdm(pool.imap(export_scene, tasks), total=len(tasks), unit="scene"))
+    path.write_text(json.dumps({"schema": EXPORT_SCHEMA, "scenes": scenes}) + "\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, nargs="?", help="where the results go")
+    parser.add_argument("--scenes", type=int, default=300, help="how many")
+    parser.add_argument("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
+    parser.add_argument(
+        "--split",
+        choices=("test", "validation"),
+        default="test",
+        help="test: families that training never saw; validation: new scenes of its own, to choose by",
+    )
+    parser.add_argument(
+        "--tool",
+        type=Path,
+        metavar="FILE",
+        help="a tool_pose.yaml: try each network with that hand's preferred openings as well",
+    )
+    parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
+    parser.add_argument("--export", type=Path, metavar="FILE", help="write scenes and grasps there, lift nothing")
+    arguments = parser.parse_args()
+    if (arguments.folder is None) == (arguments.export is None):
+        parser.error("Either a folder for the results is needed, or --export.")
+    trained = {}
+    try:
+        tool = arguments.tool and parse(ToolPoseConfig, yaml.safe_load(arguments.tool.read_text(encoding="utf-8")))
+        for name, file in arguments.weights:
+            weights.load(Path(file).read_bytes())
+            trained[name] = Trained(Path(file), None)
+            if tool:
+                trained[f"{name}, preferred openings"] = Trained(Path(file), tool)
+    except (OSError, RigError, yaml.YAMLError) as error:
+        parser.error(str(error))
+    methods = ["oracle", *heuristics.HEURISTICS, *trained]
+    if arguments.export is not None:
+        every = [Task(arguments.split, number, methods, trained) for number in range(arguments.scenes)]
+        export(arguments.export, every, arguments.processes)
+        return
+    results = arguments.folder / "results.csv"
+    try:
+        arguments.folder.mkdir(parents=True, exist_ok=True)
+        rows = kept_rows(results)
+    except OSError as error:
+        parser.error(f"{error.filename} cannot be used: {error.strerror}.")
+    done = {(int(r["scene"]), r["method"]) for r in rows}
+    tasks = []
+    for number in range(arguments.scenes):
+        missing = [m for m in methods if (number, m) not in done]
+        if missing:
+            tasks.append(Task(arguments.split, number, missing, trained))
+    with results.open("a", newline="") as file, multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        if not rows:
+            writer.writeheader()
+        for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
+            writer.writerows(new)
+            file.flush()
+            rows += new
+    (arguments.folder / "table.md").write_text(table(rows, methods) + "\n" + calibration(rows, trained))

@@ -1,0 +1,366 @@
+"""Compares what predicts a person's grasps, on episodes that no training saw; resumable.
+
+GGCNN alone, with the person's constant offset, the nearest neighbour among the training episodes, and GGCNN with the
+second network: how far from the person's grasp, in the last frame of each episode whose grasp held. GGCNN's maps are
+those that the episodes recorded, and all are smoothed alike. Where the episodes are simulated, each grasp is tried by
+lifting in MuJoCo too, hand wide open, and the bound is what the simulated person intended: the grasp without the
+tremor, which nobody can foresee. Results go to results.csv, one line a grasp, and table.md, with the differences over
+the same episodes, and with the likelihood of the person's places: which of several equal grasps it is to be, nobody can
+foresee either; and, taking the place as known, how far attitude and opening of the hand are from the person's, and how
+likely the attitude was. Where second networks learned from different numbers of episodes, as settings.json beside their
+files says, curve.png shows what more of them bring.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+from pathlib import Path
+from typing import Callable, Dict, List, NamedTuple, Union
+
+import cv2
+import mujoco
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from common.errors import RigError
+from common.poses import inverse
+from common.statistics import median, paired_difference, share
+from grasping.lab.dataset.episode import Frame
+from grasping.lab.dataset.labels import own_grasp, pose_from_label
+from grasping.lab.evaluation import attitude, learning_curve
+from grasping.lab.evaluation.likelihood import calibrated, log_likelihoods
+from grasping.lab.evaluation.operator_errors import NEAR_M, Neighbours, miss
+from grasping.lab.programs import episode_reading
+from grasping.lab.programs.evaluate import NETWORK_SMOOTHING, kept_rows
+from grasping.lab.programs.make_dataset import ignore_warning
+from grasping.lab.synthetic import episodes
+from grasping.lab.training.refinement_batches import Targets, batch
+from grasping.lab.training.refinement_examples import Offset, constant_offset, example, offset_label
+from grasping.network import refinement_file
+from grasping.network.depth_image import NETWORK_SIDE, Crop, Picture, prepare
+from grasping.network.maps import Peak, peaks, smoothed
+from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.refinement import Refinement, RefinementNetwork
+from grasping.pipeline.projection import Grasp
+from grasping.pipeline.refined_grasp import refined_grasp
+
+FIRST = 3
+"""So many of a method's grasps are what a person is offered."""
+COLUMNS = ("episode", "object", "method", "position_mm", "rotation_deg", "near", "nearest_of_3_mm", "lifted")
+Row = Dict[str, Union[str, float]]
+"""A line of results.csv, as it was made or as it was read."""
+Method = Callable[[Frame], List[np.ndarray]]
+ALONE, OFFSET, NEIGHBOUR, BOUND = "GGCNN alone", "GGCNN + constant offset", "nearest neighbour", "bound: without tremor"
+MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = {
+    "position error mm, median": (np.median, lambda r: float(r["position_mm"] or "inf")),
+    "within 20 mm %": (np.mean, lambda r: 100.0 * _within(r["position_mm"])),
+    "rotation error deg, median": (np.median, lambda r: float(r["rotation_deg"] or "inf")),
+    "within 20 mm and 15 deg %": (np.mean, lambda r: 100.0 * (r["near"] == "True")),
+    "one of three within 20 mm %": (np.mean, lambda r: 100.0 * _within(r["nearest_of_3_mm"])),
+    "lifted %": (np.mean, lambda r: 100.0 * (r["lifted"] == "True")),
+}
+"""Columns of the tables: what is made of the episodes' values, and the value of a line of results.csv."""
+
+
+def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Named]) -> dict[str, Refinement]:
+    """Returns the second networks of weight files by their names.
+
+    Args:
+        files: names and weight files.
+        test: episodes on which they are to be tested.
+
+    Raises:
+        RigError: a weight file cannot be used, or not for these episodes.
+        OSError: likewise.
+    """
+    found, rig = {}, episode_reading.origin_of(test, mixed=True)
+    for name, file in files:
+        found[name], origin = refinement_file.load(Path(file).read_bytes())
+        if objection := origin.objection(rig):
+            raise RigError(f"The second network in {file} {objection} in the episodes.")
+    return found
+
+
+def methods(training: list[episode_reading.Named], offset: Offset, second: dict[str, Refinement]) -> dict[str, Method]:
+    """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first.
+
+    Args:
+        training: episodes that teach the neighbours.
+        offset: the person's.
+        second: second networks by their names.
+    """
+    neighbours = Neighbours([f for named in training if named.episode.held for f in named.episode.frames()])
+
+    def own(frame: Frame) -> list[tuple[Frame, Grasp]]:
+        frames = (frame._replace(peak=peak) for peak in _best(*_seen(frame)))
+        return [(f, grasp) for f in frames if (grasp := own_grasp(f)) is not None]
+
+    found: dict[str, Method] = {
+        ALONE: lambda frame: [grasp.T_camera_grasp for _, grasp in own(frame)],
+        OFFSET: lambda frame: [pose_from_label(f, offset_label(f, offset)) for f, _ in own(frame)],
+        NEIGHBOUR: lambda frame: [neighbours.grasp(f) for f, _ in own(frame)[:1]],
+    }
+    for name, network in second.items():
+        found[name] = _refined(network)
+    return found
+
+
+def _seen(frame: Frame) -> tuple[np.ndarray, Picture]:
+    """Returns GGCNN's maps as they were recorded, at their full size, shape (4, 300, 300), and what it saw."""
+    output = [cv2.resize(m.astype(np.float32), (NETWORK_SIDE, NETWORK_SIDE)) for m in frame.maps]
+    return np.stack(output), prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
+
+
+def _best(output: np.ndarray, picture: Picture) -> list[Peak]:
+    return peaks(smoothed(output, picture.valid, NETWORK_SMOOTHING), FIRST, threshold=-np.inf)
+
+
+def _refined(second: Refinement) -> Method:
+    def grasps(frame: Frame) -> list[np.ndarray]:
+        output, picture = _seen(frame)
+        refined = second.apply(output, picture)
+        found = [(peak, own_grasp(frame._replace(peak=peak))) for peak in _best(refined.output, picture)]
+        return [refined_grasp(grasp, refined, peak).T_camera_grasp for peak, grasp in found if grasp is not None]
+
+    return grasps
+
+
+def row(
+    named: episode_reading.Named, scene: episodes.Situation | None, name: str, method: Method | None, lift: bool
+) -> dict[str, str | float]:
+    """Returns the line of one method's grasp in an episode.
+
+    Args:
+        named: the episode.
+        scene: that it shows, None where it is no simulated one; only then the bound is known, and grasps are lifted.
+        name: of the method.
+        method: as `methods` has it; None: the bound.
+        lift: whether to lift.
+    """
+    frame = named.episode.frame(len(named.episode) - 1)
+    line: dict[str, str | float] = dict.fromkeys(COLUMNS, "")
+    line.update(episode=named.name, object=named.episode.metadata.object, method=name, near="False")
+    if method is None:
+        assert scene is not None, "the bound is known of simulated scenes alone"
+        found = [inverse(frame.T_base_camera) @ episodes.intended(scene, named.episode)]
+    else:
+        found = method(frame)
+    if not found:
+        return {**line, "lifted": "False" if lift and scene is not None else ""}
+    misses = [miss(frame.T_camera_grasp, T) for T in found]
+    line["position_mm"] = 1000.0 * misses[0].position
+    line["rotation_deg"] = float(np.degrees(misses[0].rotation))
+    line["near"] = str(misses[0].is_near)
+    line["nearest_of_3_mm"] = 1000.0 * min(m.position for m in misses)
+    if lift and scene is not None:
+        line["lifted"] = str(episodes.held(scene, frame.T_base_camera @ found[0]))
+    return line
+
+
+class Seen(NamedTuple):
+    """Pictures as second networks see them.
+
+    Attributes:
+        seen: input of a second network.
+        target: what the person did.
+        pixel_size: of a pixel of the network's picture, by the distance, shape (n,).
+    """
+
+    seen: torch.Tensor
+    target: Targets
+    pixel_size: np.ndarray
+
+
+def _within(millimetres: str | float) -> bool:
+    return millimetres != "" and float(millimetres) < 1000.0 * NEAR_M
+
+
+def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
+    """Returns the results as Markdown, and the differences of the second networks to GGCNN alone and with the offset;
+    in brackets the 95 % intervals.
+
+    Args:
+        rows: lines of results.csv.
+        names: of all methods.
+        second: of second networks.
+    """
+    of = {name: {r["episode"]: r for r in rows if r["method"] == name} for name in (*names, *second)}
+    measures = {k: v for k, v in MEASURES.items() if k != "lifted %" or any(r["lifted"] != "" for r in rows)}
+    lines = [_line("method", *measures), _line(*["---"] * (1 + len(measures)))]
+    for name in names:
+        cells = []
+        for statistic, value in measures.values():
+            values = [value(r) for r in of[name].values()]
+            cells.append(str(median(values) if statistic is np.median else share(np.array(values) > 0.0)))
+        lines.append(_line(name, *cells))
+    lines += ["", _line("difference", *measures), _line(*["---"] * (1 + len(measures)))]
+    for name in second:
+        for other in (ALONE, OFFSET):
+            episodes_of = sorted(of[name].keys() & of[other].keys())
+            cells = []
+            for statistic, value in measures.values():
+                one, less = ([value(of[method][e]) for e in episodes_of] for method in (name, other))
+                cells.append(str(paired_difference(one, less, statistic)))
+            lines.append(_line(f"{name} less {other}", *cells))
+    return "\n".join(lines) + "\n"
+
+
+def likelihoods(known: Seen, test: Seen, second: dict[str, Refinement]) -> str:
+    """Returns, as Markdown, how probable the maps make the person's places, all with the same constant offset.
+
+    Args:
+        known: pictures that say how each map is best taken as a distribution.
+        test: others.
+        second: second networks by their names.
+    """
+    places = [of.target.place.numpy() for of in (known, test)]
+
+    def found(network: RefinementNetwork) -> np.ndarray:
+        with torch.no_grad():
+            before, now = ((of.seen[:, 0] + network(of.seen)[:, 0]).numpy() for of in (known, test))
+        return log_likelihoods(now, places[1], calibrated(before, places[0]))
+
+    plain = found(RefinementNetwork())
+    lines = [
+        _line("map", "log-likelihood of the person's place [nats], mean", "more than GGCNN's"),
+        _line(*["---"] * 3),
+        _line(OFFSET, f"{plain.mean():.2f}", ""),
+    ]
+    for name, one in second.items():
+        values = found(one.network)
+        lines.append(_line(name, f"{values.mean():.2f}", f"{paired_difference(values, plain):.2f}"))
+    return "\n".join(lines) + "\n"
+
+
+def attitudes(known: Seen, test: Seen, offset: Offset, second: dict[str, Refinement]) -> str:
+    """Returns, as Markdown, how well attitude and opening of the hand are foretold at the person's places.
+
+    Args:
+        known: pictures that say how spread the attitudes are where a method does not say it.
+        test: others.
+        offset: the person's.
+        second: second networks by their names.
+    """
+    untrained = RefinementNetwork()
+    did = attitude.persons(test.target, offset)
+    metres = WIDTH_SCALE_PX * test.pixel_size
+
+    def measured(network: RefinementNetwork, added: Offset, own_spread: bool) -> list[np.ndarray]:
+        found = attitude.expected(test.seen, test.target, network, added)
+        if not own_spread:
+            before = attitude.expected(known.seen, known.target, network, added)
+            found = attitude.with_constant_spread(found, before, attitude.persons(known.target, offset))
+        turned = np.degrees(attitude.errors(found, did))
+        return [turned, attitude.log_likelihoods(found, did), 1000.0 * metres * np.abs(found.opening - did.opening)]
+
+    of = {ALONE: measured(untrained, Offset(), False), OFFSET: measured(untrained, offset, False)}
+    of.update({name: measured(one.network, offset, True) for name, one in second.items()})
+    opens = np.isfinite(did.opening)
+    names = ["rotation error at the person's place deg, median", "log-likelihood of the rotation [nats], mean"]
+    names += ["opening error mm, median"] * bool(opens.any())
+    lines = [_line("method", *names), _line(*["---"] * (1 + len(names)))]
+    for name, (turned, likely, opened) in of.items():
+        cells = [str(median(turned)), f"{likely.mean():.2f}", *([str(median(opened[opens]))] * bool(opens.any()))]
+        lines.append(_line(name, *cells))
+    lines += ["", _line("difference", *names), _line(*["---"] * (1 + len(names)))]
+    for name in second:
+        for other in (ALONE, OFFSET):
+            one, less = of[name], of[other]
+            cells = [str(paired_difference(one[0], less[0], np.median)), f"{paired_difference(one[1], less[1]):.2f}"]
+            if opens.any():
+                cells.append(str(paired_difference(one[2][opens], less[2][opens], np.median)))
+            lines.append(_line(f"{name} less {other}", *cells))
+    return "\n".join(lines) + "\n"
+
+
+def seen_of(part: list[episode_reading.Named], offset: Offset) -> Seen:
+    """Returns the last pictures of episodes whose grasps held, and what the person did, without the constant offset."""
+    frames = [n.episode.frame(len(n.episode) - 1) for n in part if n.episode.held]
+    pairs = [(f, one) for f in frames if (one := example(f, held=True)) is not None]
+    sizes = [f.crop.side / NETWORK_SIDE / f.camera.K[0, 0] for f, _ in pairs]
+    return Seen(*batch([one for _, one in pairs], offset), np.array(sizes))
+
+
+def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
+    """Draws the learning curve if there is one.
+
+    Args:
+        rows: lines of results.csv.
+        second: names and weight files of second networks.
+        path: of the picture.
+    """
+    counts = {}
+    for name, file in second:
+        about = Path(file).with_name("settings.json")
+        if about.exists():
+            counts[json.loads(about.read_text())["episodes"]] = name
+    if len(counts) < 2:
+        return
+    _, error = next(iter(MEASURES.values()))
+    of = {name: [error(r) for r in rows if r["method"] == name] for name in (*counts.values(), ALONE, OFFSET, BOUND)}
+    others = {name: of[name] for name in (ALONE, OFFSET, BOUND) if of[name]}
+    learning_curve.draw(path, {n: of[name] for n, name in counts.items()}, others, 1000.0 * NEAR_M)
+
+
+def _line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("training", type=Path, help="folder of the episodes that training saw")
+    parser.add_argument("test", type=Path, help="folder of episodes that it did not see")
+    parser.add_argument("folder", type=Path, help="where the results go")
+    parser.add_argument(
+        "--refinement", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a second network"
+    )
+    parser.add_argument("--held-out", action="store_true", help="test on the episodes that training holds out alone")
+    parser.add_argument("--no-lifting", action="store_true", help="lift nothing")
+    parser.add_argument("--only", action="append", default=[], metavar="OBJECT", help="test on these things alone")
+    parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="as training had it")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    mujoco.set_mju_user_warning(ignore_warning)
+    try:
+        every = episode_reading.read(arguments.training, without=arguments.without)
+        training = [named for named in every if not episode_reading.is_held_out(named.name)]
+        known = [named for named in every if episode_reading.is_held_out(named.name) and named.episode.held]
+        test = [named for named in episode_reading.read(arguments.test, only=arguments.only) if named.episode.held]
+        if arguments.held_out:
+            test = [named for named in test if episode_reading.is_held_out(named.name)]
+        if not test or not any(named.episode.held for named in training):
+            raise RigError(f"Of {len(test)} episodes to test on and {len(training)} to learn from, too few held.")
+        offset = constant_offset([f for named in training if named.episode.held for f in named.episode.frames()])
+        second = second_networks(arguments.refinement, test)
+        found: dict[str, Method | None] = {**methods(training, offset, second)}
+    except (RigError, OSError) as error:
+        parser.error(str(error))
+    if all(episodes.scene_of(named.name) for named in test):
+        found[BOUND] = None
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    results = arguments.folder / "results.csv"
+    rows = kept_rows(results)
+    done = {(r["episode"], r["method"]) for r in rows}
+    with results.open("a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        if not rows:
+            writer.writeheader()
+        for named in tqdm(test, unit="episode"):
+            missing = [name for name in found if (named.name, name) not in done]
+            at = episodes.scene_of(named.name)
+            scene = episodes.situation(*at) if at and missing else None
+            for name in missing:
+                line = row(named, scene, name, found[name], not arguments.no_lifting)
+                writer.writerow(line)
+                rows.append(line)
+            file.flush()
+    text = tables(rows, list(found), [name for name, _ in arguments.refinement])
+    if known:
+        shown = seen_of(known, offset), seen_of(test, offset)
+        text += "\n" + likelihoods(*shown, second) + "\n" + attitudes(*shown, offset, second)
+    (arguments.folder / "table.md").write_text(text)
+    curve(rows, arguments.refinement, arguments.folder / "curve.png")

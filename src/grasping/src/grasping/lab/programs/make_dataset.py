@@ -1,0 +1,48 @@
+"""Makes the synthetic data set: shards of labelled depth pictures, `SHARD` scenes each, resumable."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+
+from grasping.lab.programs.making import make_all
+from grasping.lab.synthetic import samples
+
+SHARD = 50
+
+
+def make_shard(task: tuple[Path, str, range]) -> Path:
+    """Writes one shard unless it is there; an unfinished file never bears the shard's name."""
+    path, split, seeds = task
+    if not path.exists():
+        cv2.setNumThreads(1)
+        mujoco.set_mju_user_warning(ignore_warning)
+        made = [samples.sample(samples.view(split, seed)) for seed in seeds]
+        part = path.with_suffix(".part.npz")
+        np.savez_compressed(part, **{name: np.stack([getattr(s, name) for s in made]) for name in made[0]._fields})
+        part.replace(path)
+    return path
+
+
+def ignore_warning(_text: str) -> None:
+    """MuJoCo would write a log file; scenes and trials with a warning are thrown away by their own checks."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the shards go")
+    parser.add_argument("--split", choices=sorted(samples.SPLITS), default="train", help="which scenes")
+    parser.add_argument("--scenes", type=int, default=3000, help=f"how many, a multiple of {SHARD}")
+    parser.add_argument("--processes", type=int, default=1, help="how many at a time")
+    arguments = parser.parse_args()
+    if arguments.scenes < 1 or arguments.scenes % SHARD:
+        parser.error(f"--scenes is {arguments.scenes}, but must be a multiple of {SHARD}.")
+    tasks = [
+        (arguments.folder / f"{arguments.split}_{first:06d}.npz", arguments.split, range(first, first + SHARD))
+        for first in range(0, arguments.scenes, SHARD)
+    ]
+    make_all(parser, arguments.folder, make_shard, tasks, arguments.processes, "shard")

@@ -1,0 +1,1 @@
+"""ROS around the laboratory: the node that records grasp episodes."""

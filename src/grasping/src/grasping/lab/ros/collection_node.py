@@ -1,0 +1,321 @@
+"""The node grasp_collection: records what the camera saw and where a person then grasped, one file an episode.
+
+In: the depth pictures of the node ggcnn with their camera_info, tf, reflex_takktile/hand_state, leap_kuka/stream, and
+from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
+grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
+
+The network runs here, on the frames that are kept: its maps before smoothing, which the second network needs, are no
+topic, and a few frames a second cost less than four maps of 300 x 300 numbers on topics for every picture. It sees what
+the network of the node ggcnn sees, as it has the same parameters.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import SetBool, SetBoolResponse
+
+from common.errors import RigError
+from common.frames import BASE, FLANGE_MEASURED, TOOL_DESIRED
+from common.ros.conversions import pose_from_transform, pose_in
+from common.ros.diagnostics import Diagnostics
+from common.ros.images import camera_model_from_info, depth_from_image
+from common.ros.node import run, while_running
+from common.ros.params import private_values
+from grasp_msgs.msg import GraspOutcome
+from grasping.execution.grasp_watch import HandState, SeenGrasp
+from grasping.lab.dataset.collector import Collector, Finished
+from grasping.lab.dataset.episode import Episode, Metadata
+from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, on_hand
+from grasping.lab.dataset.network_view import look
+from grasping.lab.ros.collection_setup import CollectionSetup, read_setup
+from grasping.lab.ros.episode_files import EpisodeFiles
+from grasping.pipeline.rig_configuration import rig_configuration
+from grasping.pipeline.view import NoView
+from reflex_msgs.msg import Hand
+
+BUFFER_BYTES = 2**22
+"""Room for several pictures: rospy drops all but the newest only among those that it has read."""
+EXECUTING = ("approaching", "waiting_for_hand", "person")
+"""States of grasping/state in which the outcome of a proposal is awaited."""
+STALE_S = 0.5
+SILENT_S = 3.0
+THROTTLE_S = 10.0
+NOWHERE = np.full((4, 4), np.nan)
+PLAYER, PLAYER_S = "collection_bag/pause_playback", 30.0
+
+
+class GraspCollection:
+    """Hands messages to the collector, and what it finishes to the files."""
+
+    def __init__(self, setup: CollectionSetup) -> None:
+        self._setup = setup
+        self._T_flange_tool = setup.kuka.T_flange_tool
+        self._tf = tf2_ros.Buffer()
+        tf2_ros.TransformListener(self._tf)
+        self._lock = threading.Lock()
+        self._views, self._live = setup.ggcnn.views(), setup.ggcnn.live(setup.up)
+        self._collector = Collector(setup.frames, setup.watch, setup.up)
+        self._files = EpisodeFiles(setup.folder, self._written)
+        self._info: CameraInfo | None = None
+        self._T_base_camera = NOWHERE
+        self._fingers = np.full(4, np.nan)
+        self._heard = {"depth pictures": 0.0, "the state of the hand": 0.0}
+        self._waits_for = ""
+        self._episodes = self._held = self._on_robot = 0
+        topics = setup.ggcnn.input
+        self._subscribers = [
+            rospy.Subscriber(topics.info_topic, CameraInfo, self._on_info, queue_size=1),
+            rospy.Subscriber(
+                topics.depth_topic, Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
+            ),
+            rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand, queue_size=10),
+        ]
+        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
+        rospy.Subscriber("grasping/state", DiagnosticStatus, self._on_state, queue_size=10)
+        rospy.Subscriber("grasping/outcome", GraspOutcome, self._on_outcome, queue_size=10)
+        rospy.Service("grasping/collection_label", SetBool, self._on_label)
+        Diagnostics("grasp_collection", self._diagnose)
+        rospy.loginfo("Episodes go to %s.", setup.folder)
+
+    def wait_for_publishers(self, seconds: float) -> bool:
+        """Waits until somebody publishes all pictures and the hand's state; returns whether somebody does."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and not rospy.is_shutdown():
+            if all(subscriber.get_num_connections() for subscriber in self._subscribers):
+                return True
+            time.sleep(0.05)
+        return False
+
+    def close(self) -> None:
+        """Writes what is decided; says what is not."""
+        with self._lock:
+            if self._collector.waiting:
+                rospy.loginfo("%d frames that no grasp labelled are dropped.", self._collector.waiting)
+        self._files.close()
+
+    def _on_info(self, message: CameraInfo) -> None:
+        self._info = message
+
+    def _on_depth(self, message: Image) -> None:
+        self._heard["depth pictures"] = time.monotonic()
+        with while_running():
+            try:
+                self._take_picture(message)
+            except (ValueError, NoView, tf2_ros.TransformException) as error:
+                self._waits_for = _clause(error)
+                rospy.logwarn_throttle(THROTTLE_S, f"A picture was left out: {self._waits_for}.")
+
+    def _take_picture(self, message: Image) -> None:
+        """Raises ValueError, NoView or TransformException with what is missing for a frame."""
+        stamp, wait = message.header.stamp, self._setup.config.tf_wait
+        if stamp.is_zero():
+            raise ValueError("the picture has no stamp")
+        with self._lock:
+            self._take_time(rospy.Time.now())
+            if not self._collector.due(stamp.to_sec()):
+                return
+            teleop, fingers = self._collector.teleop, self._fingers
+        if self._info is None:
+            raise ValueError(f"nobody publishes {rospy.resolve_name(self._setup.ggcnn.input.info_topic)}")
+        camera = camera_model_from_info(self._info)
+        T_base_camera = self._place(message.header.frame_id, stamp, wait)
+        T_base_tool = self._place(FLANGE_MEASURED, stamp, wait) @ self._T_flange_tool
+        self._waits_for = ""
+        with self._lock:
+            if not self._collector.wants(stamp.to_sec(), T_base_tool):
+                return
+        depth = depth_from_image(message)
+        if depth.shape != (camera.height, camera.width):
+            raise ValueError(f"a picture of {depth.shape[1]} x {depth.shape[0]} is not of the described camera")
+        view = self._views.step(depth, camera)
+        kept, T_view_own = look(self._setup.network, view, self._live)
+        T_base_view = T_base_camera @ view.T_camera_view
+        if T_view_own is not None and on_hand((T_base_view @ T_view_own)[:3, 3], T_base_tool, self._setup.frames):
+            self._on_robot += 1
+            return
+        frame = KeptFrame(
+            stamp=stamp.to_sec(),
+            **kept._asdict(),
+            T_base_camera=T_base_view,
+            T_base_tool_measured=T_base_tool,
+            T_base_tool_desired=self._desired(stamp) if teleop else NOWHERE,
+            finger_angles=fingers,
+            teleop_active=teleop,
+        )
+        with self._lock:
+            self._T_base_camera = T_base_camera
+            if self._collector.add(frame, Optics(view.camera, view.picture.crop, camera)):
+                rospy.logwarn("The camera changed: the frames before are dropped.")
+
+    def _place(self, frame: str, stamp: rospy.Time, wait: float) -> np.ndarray:
+        found = self._tf.lookup_transform(BASE, frame, stamp, rospy.Duration(wait))
+        return pose_from_transform(found.transform)
+
+    def _desired(self, stamp: rospy.Time) -> np.ndarray:
+        try:
+            return self._place(TOOL_DESIRED, stamp, 0.0)
+        except tf2_ros.TransformException:
+            return NOWHERE
+
+    def _on_hand(self, message: Hand) -> None:
+        self._heard["the state of the hand"] = time.monotonic()
+        now = rospy.Time.now()
+        angles = np.array([motor.joint_angle for motor in message.motor])
+        pressures = np.array([finger.pressure for finger in message.finger])
+        hand = HandState(angles[:3], pressures, np.array([motor.load for motor in message.motor[:3]]))
+        with while_running():
+            try:
+                found = self._tf.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
+                if abs((now - found.header.stamp).to_sec()) > STALE_S:
+                    raise ValueError(f"the place of the tool is older than {STALE_S:g} s")
+                T_base_tool = pose_from_transform(found.transform) @ self._T_flange_tool
+            except (ValueError, tf2_ros.TransformException) as error:
+                rospy.logwarn_throttle(THROTTLE_S, f"The hand is watched without effect: {_clause(error)}.")
+                return
+            with self._lock:
+                self._take_time(now)
+                self._fingers = angles
+                finished = self._collector.hand(hand, T_base_tool, now.to_sec())
+            self._store(finished)
+
+    def _on_stream(self, message: DiagnosticStatus) -> None:
+        with self._lock:
+            self._collector.stream(message.level == DiagnosticStatus.OK)
+
+    def _on_state(self, message: DiagnosticStatus) -> None:
+        values = {value.key: value.value for value in message.values}
+        with self._lock:
+            self._collector.executing(values.get("state") in EXECUTING)
+
+    def _on_outcome(self, message: GraspOutcome) -> None:
+        if not message.tool.header.frame_id:
+            rospy.loginfo("The proposal %d is no episode: %s", message.proposal.id, message.reason)
+            return
+        try:
+            T_base_tool = pose_in(BASE, message.tool)
+        except ValueError as error:
+            rospy.logerr("An outcome on grasping/outcome is of no use: %s.", error)
+            return
+        with self._lock:
+            finished = self._collector.outcome(
+                SeenGrasp(message.header.stamp.to_sec(), T_base_tool, message.held, message.reason)
+            )
+        self._store(finished)
+
+    def _take_time(self, now: rospy.Time) -> None:
+        """The lock is held."""
+        if self._collector.went_back(now.to_sec()):
+            rospy.logwarn("Time went back: the frames before are dropped.")
+
+    def _store(self, finished: Finished | None) -> None:
+        """Makes an episode of a grasp whose fate is known."""
+        if finished is None:
+            return
+        grasp, frames, setup = finished.grasp, finished.frames, self._setup
+        if frames is None:
+            rospy.logwarn(
+                "A grasp is no episode: no frame was kept since the person began; in %d so far GGCNN took the robot "
+                "for an object.",
+                self._on_robot,
+            )
+            return
+        metadata = Metadata(
+            version=setup.version,
+            revision=setup.revision,
+            date=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(grasp.time)),
+            operator=setup.config.operator,
+            object=str(private_values().get("object", setup.config.object)),
+            source=finished.source,
+            reason=grasp.reason,
+            configuration=rig_configuration(
+                setup.kuka.identity,
+                self._T_flange_tool,
+                setup.T_tool_grasp,
+                frames.optics.real,
+                self._T_base_camera,
+                setup.ggcnn,
+                setup.weights_sha256,
+            ),
+        )
+        self._files.put(frames.episode(grasp, metadata, self._T_flange_tool, setup.T_tool_grasp))
+
+    def _written(self, episode: Episode, file, size: int) -> None:
+        self._episodes += 1
+        self._held += episode.held
+        rospy.loginfo(
+            "Episode %d (%s, %s): %s. %d frames, %.1f MB in %s. %s",
+            self._episodes,
+            episode.metadata.object,
+            episode.metadata.source,
+            "held" if episode.held else "not held",
+            len(episode),
+            1e-6 * size,
+            file,
+            episode.metadata.reason,
+        )
+
+    def _on_label(self, request: SetBool) -> SetBoolResponse:
+        success, sentence = self._files.keep_last(request.data)
+        rospy.loginfo(sentence)
+        return SetBoolResponse(success, sentence)
+
+    def _diagnose(self) -> tuple[int, str, dict[str, object]]:
+        values = {
+            "episodes": self._episodes,
+            "held": self._held,
+            "lost": self._files.lost,
+            "waiting": self._files.waiting,
+            "frames_kept": self._collector.kept,
+            "frames_on_hand": self._on_robot,
+            "frames_waiting": self._collector.waiting,
+            "folder": self._setup.folder,
+        }
+        if self._files.fault:
+            return DiagnosticStatus.ERROR, self._files.fault, values
+        silent = [what for what, when in self._heard.items() if time.monotonic() - when > SILENT_S]
+        if silent or self._waits_for:
+            return DiagnosticStatus.WARN, f"waits for {' and '.join(silent)}" if silent else self._waits_for, values
+        return DiagnosticStatus.OK, f"{self._episodes} episodes, {self._held} held", values
+
+
+def _clause(error: Exception) -> str:
+    """Returns what an exception says as one line without the full stop that those of tf2 have."""
+    return " ".join(str(error).split()).rstrip(". ")
+
+
+def _play() -> None:
+    """Starts the recording that is paused until this node listens.
+
+    Raises:
+        RigError: there is none.
+    """
+    try:
+        rospy.wait_for_service(PLAYER, PLAYER_S)
+        rospy.ServiceProxy(PLAYER, SetBool)(False)
+    except (rospy.ROSException, rospy.ServiceException) as error:
+        if rospy.is_shutdown():
+            return
+        raise RigError(f"The recording cannot be played: {error}.") from None
+
+
+def _run() -> None:
+    setup = read_setup()
+    node = GraspCollection(setup)
+    rospy.on_shutdown(node.close)
+    if setup.config.from_bag:
+        if not node.wait_for_publishers(PLAYER_S):
+            raise RigError("The recording holds no depth pictures, camera_info or hand_state under their names.")
+        _play()
+    rospy.spin()
+
+
+def main() -> None:
+    """Runs the node until ROS shuts down."""
+    run("grasp_collection", _run, disposable=True)

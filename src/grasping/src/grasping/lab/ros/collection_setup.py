@@ -1,0 +1,135 @@
+"""The parameters of the node grasp_collection, and what is made of them before the first picture."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import rospkg
+import rospy
+import torch
+
+from common.config import parse, path, required, text
+from common.mounting import mounting_field, rotation_of_mounting
+from common.ros.params import private_config, private_values, wait_for_param
+from common.tool import ToolConfig
+from grasping.execution.grasp_watch import GraspWatchConfig
+from grasping.lab.dataset.collection_config import CollectionConfig
+from grasping.lab.dataset.frame_buffer import FrameBufferConfig
+from grasping.pipeline.predictor import frozen
+from grasping.pipeline.rig_configuration import grasp_in_tool
+from grasping.pipeline.settings import GgcnnSettings, overlaid, settings_from
+from grasping.ros.weight_files import load_network, own_yaml, package_folder
+
+SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
+GGCNN = "ggcnn"
+"""Section with the parameters of the node ggcnn, whose network and view are used here."""
+GIT_S = 5.0
+
+
+@dataclass(frozen=True)
+class KukaConfig(ToolConfig):
+    """What the parameters under kuka/ tell of the arm."""
+
+    robot: str = text(doc="LBR7R800 or LBR14R820")
+    flange: str = text(doc="media flange")
+    mounting: np.ndarray = mounting_field()
+    dh_parameters: str = path(absent="", doc="file of a calibrated arm")
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Robot, flange, mounting and calibrated parameters as JSON can hold them."""
+        values = {key: getattr(self, key) for key in ("robot", "flange", "dh_parameters")}
+        return {**values, "mounting": self.mounting.tolist()}
+
+
+@dataclass(frozen=True, eq=False)
+class CollectionSetup:
+    """All that the node needs.
+
+    Attributes:
+        config: its own parameters.
+        ggcnn: the network, what it sees, and the hand on the tool.
+        frames: which frames are kept.
+        watch: how a grasp is seen.
+        kuka: the arm and its tool.
+        T_tool_grasp: grasp in the tool, shape (4, 4) [m].
+        up: the vertical in the base frame, shape (3,).
+        network: ready to be run.
+        weights_sha256: of its file.
+        folder: of the episodes.
+        version, revision: of this package.
+    """
+
+    config: CollectionConfig
+    ggcnn: GgcnnSettings
+    frames: FrameBufferConfig
+    watch: GraspWatchConfig
+    kuka: KukaConfig
+    T_tool_grasp: np.ndarray
+    up: np.ndarray
+    network: torch.jit.ScriptModule
+    weights_sha256: str
+    folder: Path
+    version: str
+    revision: str
+
+
+def read_setup() -> CollectionSetup:
+    """Returns the setup; waits for the parameters of the arm.
+
+    Raises:
+        RigError: a parameter is wrong, or the weight file cannot be used.
+    """
+    config = private_config(CollectionConfig, others=(*SECTIONS, GGCNN))
+    sections = {name: private_config(schema, name) for name, schema in SECTIONS.items()}
+    own = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}
+    settings = settings_from(overlaid(own, private_values().get(GGCNN, {})), prefix=f"~{GGCNN}/")
+    rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in (*sections.values(), settings)))
+    loaded = load_network(settings.network)
+    torch.set_num_threads(settings.network.threads)
+    cv2.setNumThreads(settings.network.threads)
+    for name in required(KukaConfig):
+        wait_for_param(f"kuka/{name}")
+    given = rospy.get_param("kuka")
+    kuka = parse(KukaConfig, given, "kuka/", others=given)
+    package = package_folder()
+    return CollectionSetup(
+        config=config,
+        ggcnn=settings,
+        frames=sections["frames"],
+        watch=sections["watch"],
+        kuka=kuka,
+        T_tool_grasp=grasp_in_tool(settings.tool),
+        up=rotation_of_mounting(kuka.mounting)[2],
+        network=frozen(loaded.network),
+        weights_sha256=loaded.sha256,
+        folder=Path(config.folder) if config.folder else Path(rospkg.get_ros_home()) / "leap_rig" / "grasps",
+        version=ElementTree.parse(package / "package.xml").findtext("version"),
+        revision=revision(package),
+    )
+
+
+def revision(folder: Path) -> str:
+    """Returns the commit that last changed the folder, with a plus if it was changed since; empty outside of git."""
+    answers = []
+    for question in (("log", "-1", "--format=%H"), ("status", "--porcelain")):
+        try:
+            answers.append(
+                subprocess.run(
+                    ("git", "-C", str(folder), *question, "--", "."),
+                    capture_output=True,
+                    text=True,
+                    timeout=GIT_S,
+                    check=True,
+                ).stdout.strip()
+            )
+        except (OSError, subprocess.SubprocessError):
+            return ""
+    commit, changes = answers
+    return f"{commit}+" if commit and changes else commit

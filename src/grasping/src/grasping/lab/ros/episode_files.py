@@ -1,0 +1,165 @@
+"""Writes episodes from a thread of its own, each whole or not at all, and sets the last one aside on demand.
+
+An episode that the disk does not take stays in memory and is tried again, until it is written or the node ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import rospy
+
+from common.ros.files import write_bytes_whole
+from grasping.lab.dataset.collector import SAME_GRASP_S
+from grasping.lab.dataset.episode import Episode
+from grasping.lab.dataset.store import SUFFIX, DatasetError, encode, file_name, grasp_time, unfinished
+
+WAITING = 2
+"""Episodes that may wait to be packed; each is up to half a megabyte a frame."""
+WAITING_BYTES = 500_000_000
+"""Packed episodes that the disk did not take may need so much memory."""
+RETRY_S = 2.0
+"""They are tried again after so long."""
+FLUSH_S = 6.0
+"""Twice as long is less than the 15 s that roslaunch gives a node to end."""
+ASIDE = ".discarded"
+
+
+class _Packed(NamedTuple):
+    episode: Episode
+    file: Path
+    content: bytes
+
+
+class EpisodeFiles:
+    """The folder of the dataset.
+
+    Args:
+        folder: is made with the first episode.
+        on_written: is told each file that was written.
+
+    Attributes:
+        lost: how many episodes will not be written.
+        waiting: how many the disk did not take so far.
+        fault: what is wrong, as a sentence; empty if the last episode was written.
+    """
+
+    def __init__(self, folder: Path, on_written: Callable[[Episode, Path, int], None]) -> None:
+        self._folder, self._on_written = folder, on_written
+        self._queue: queue.Queue[Episode | None] = queue.Queue(maxsize=WAITING)
+        self._last: Path | None = None
+        self._aside = False
+        self._lock = threading.Lock()
+        self._packed: list[_Packed] = []
+        self.lost = 0
+        self._loss = self._hindrance = ""
+        for file in sorted(folder.glob(".*")):
+            if unfinished(file.name):
+                rospy.logwarn("The episode in %s is lost: the process that wrote it died; the file can go.", file)
+        self._thread = threading.Thread(target=self._loop, name="episodes", daemon=True)
+        self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        return len(self._packed)
+
+    @property
+    def fault(self) -> str:
+        return " ".join(filter(None, (self._loss, self._hindrance)))
+
+    def put(self, episode: Episode) -> None:
+        """Hands an episode over; it is lost if the disk is too slow for those before it."""
+        try:
+            self._queue.put_nowait(episode)
+        except queue.Full:
+            self._lose(f"{WAITING} episodes before it are still being written.")
+
+    def close(self) -> None:
+        """Waits for what is still to be written, and says what the disk does not take even now."""
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=FLUSH_S)
+            self._thread.join(FLUSH_S)
+        if self._thread.is_alive():
+            rospy.logerr("The episode that is being written is lost: the disk took longer than %g s.", FLUSH_S)
+
+    def keep_last(self, keep: bool) -> tuple[bool, str]:
+        """Sets the file of the last episode aside, or takes it back; returns success and a sentence."""
+        with self._lock:
+            if self._last is None:
+                return False, "No episode was written yet."
+            aside = self._last.with_name(self._last.name + ASIDE)
+            if keep == (not self._aside):
+                return True, f"The episode {self._last} {'counts' if keep else 'is aside'} already."
+            try:
+                (aside if keep else self._last).rename(self._last if keep else aside)
+            except OSError as error:
+                return False, f"The episode {self._last} stays as it is: {error.strerror}."
+            self._aside = not keep
+            return True, f"The episode {self._last} {'counts again' if keep else f'is set aside as {aside.name}'}."
+
+    def _loop(self) -> None:
+        while True:
+            try:
+                episode = self._queue.get(timeout=RETRY_S if self._packed else None)
+            except queue.Empty:
+                self._write()
+                continue
+            if episode is not None:
+                self._pack(episode)
+            self._write()
+            if episode is None:
+                for packed in self._packed:
+                    self._lose(f"{packed.file} could not be written until the end.")
+                return
+
+    def _pack(self, episode: Episode) -> None:
+        there = self._same_grasp(episode.t_grasp)
+        if there is not None:
+            self._lose(f"{there} holds that grasp already.")
+            return
+        try:
+            packed = _Packed(episode, self._folder / file_name(episode), encode(episode))
+        except DatasetError as error:
+            self._lose(str(error))
+            return
+        if sum(len(p.content) for p in (*self._packed, packed)) > WAITING_BYTES:
+            self._lose(f"{self.waiting} before it wait for the disk and fill the memory that they may.")
+            return
+        self._packed.append(packed)
+
+    def _write(self) -> None:
+        """Writes what waits, the oldest first, until the disk takes no more."""
+        while self._packed:
+            episode, file, content = self._packed[0]
+            try:
+                with self._lock:
+                    write_bytes_whole(file, content)
+                    self._last, self._aside = file, False
+            except OSError as error:
+                hindrance = f"An episode waits in memory: {file} cannot be written: {error.strerror}. Make room."
+                if hindrance != self._hindrance:
+                    rospy.logerr(hindrance)
+                self._hindrance = hindrance
+                return
+            del self._packed[0]
+            self._loss = self._hindrance = ""
+            self._on_written(episode, file, len(content))
+
+    def _same_grasp(self, t_grasp: float) -> Path | None:
+        """Returns the file of that grasp, as where a recording is played again; it may be set aside."""
+        for file in self._folder.glob(f"*{SUFFIX}*"):
+            time = grasp_time(file.name[: -len(ASIDE)] if file.name.endswith(ASIDE) else file.name)
+            if time is not None and abs(time - t_grasp) < SAME_GRASP_S:
+                return file
+        times = ((packed.file, packed.episode.t_grasp) for packed in self._packed)
+        return next((file for file, time in times if abs(time - t_grasp) < SAME_GRASP_S), None)
+
+    def _lose(self, why: str) -> None:
+        self.lost += 1
+        self._loss = f"An episode is lost: {why}"
+        rospy.logerr(self._loss)

@@ -1,0 +1,184 @@
+"""Heaps of random objects on a table, settled by MuJoCo, and what a depth camera above sees of them.
+
+The world's z points up and the table's top is z = 0. The camera's axes are those of a picture: x right, y down,
+z forward. Depths are distances along the optical axis [m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Callable, NamedTuple
+
+import mujoco
+import numpy as np
+
+from grasping.lab.synthetic import shapes
+
+FAR_M = 100.0
+"""Distance of the eye that stands in for one at infinity: 0.1 m of height shift a point by 0.1 % of its offset."""
+DOWN_TO_X = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+SETTLE_S = 2.0
+MAX_RADIUS_M = 0.13
+"""Scenes with an object beyond this distance from the camera's axis are thrown away."""
+MAX_SPEED = 0.05
+MAX_TURNING = 1.0
+"""Fastest object of a scene that counts as settled [m/s and rad/s]; an egg rocks for long."""
+DENSITY = 350.0
+"""Of the objects [kg/m^3]."""
+
+WORLD = """<mujoco><compiler angle="radian"/>
+<option timestep="0.004" integrator="implicitfast" cone="elliptic" noslip_iterations="{noslip}"/>
+<size memory="64M"/>
+<default><geom condim="6" friction="{friction} 0.005 0.002" solref="0.006 1"/></default>
+<asset>{assets}</asset>
+<worldbody><geom name="table" type="plane" size="2 2 0.1"/>{bodies}</worldbody>{rest}</mujoco>"""
+
+
+class Camera(NamedTuple):
+    """A depth camera above the table.
+
+    Attributes:
+        position: of the optical centre in the world, shape (3,) [m].
+        R: attitude of the camera's axes in the world, shape (3, 3).
+        focal: focal length [px].
+        side: rows and columns of its square picture [px].
+    """
+
+    position: np.ndarray
+    R: np.ndarray
+    focal: float
+    side: int
+
+
+class Scene(NamedTuple):
+    """A settled scene.
+
+    Attributes:
+        xml: the model.
+        state: positions of all joints, as MuJoCo counts them.
+        objects: the shapes in the order of the bodies `object0`, `object1`, ...
+        families: their names.
+    """
+
+    xml: str
+    state: np.ndarray
+    objects: tuple[shapes.Shape, ...]
+    families: tuple[str, ...]
+
+
+def world_xml(
+    objects: Iterable[shapes.Shape], friction: float = 0.6, noslip: int = 0, bodies: str = "", rest: str = ""
+) -> str:
+    """Returns the model of a table with `objects`, each with a free joint, and what else is given as XML."""
+    assets, xml = [], []
+    for i, shape in enumerate(objects):
+        geoms = []
+        for j, geom in enumerate(shape):
+            attributes = f'type="{geom.kind}" size="{_text(geom.size)}"'
+            if geom.kind == "mesh":
+                assets.append(f'<mesh name="mesh{i}_{j}" vertex="{_text(np.ravel(geom.vertices))}"/>')
+                attributes = f'type="mesh" mesh="mesh{i}_{j}"'
+            geoms.append(
+                f'<geom {attributes} pos="{_text(geom.position)}" quat="{_text(geom.quaternion)}" density="{DENSITY}"/>'
+            )
+        xml.append(f'<body name="object{i}"><freejoint/>{"".join(geoms)}</body>')
+    return WORLD.format(
+        assets="".join(assets), bodies="".join(xml) + bodies, friction=friction, noslip=noslip, rest=rest
+    )
+
+
+def settled_scene(
+    rng: np.random.Generator, families: Sequence[Callable[[np.random.Generator], shapes.Shape]], count: int
+) -> Scene | None:
+    """Returns `count` objects that were dropped on the table, or None when they ran away or do not lie still."""
+    chosen = [families[i] for i in rng.integers(0, len(families), count)]
+    objects = tuple(family(rng) for family in chosen)
+    xml = world_xml(objects)
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    for i in range(count):
+        spread = 0.02 if count == 1 else 0.06
+        place = [*rng.uniform(-spread, spread, 2), 0.07 + 0.08 * i]
+        data.qpos[7 * i : 7 * i + 7] = [*place, *shapes.random_quaternion(rng)]
+    mujoco.mj_step(model, data, nstep=int(SETTLE_S / model.opt.timestep))
+    places = data.qpos.reshape(count, 7)[:, :3]
+    speeds = np.abs(data.qvel).reshape(count, 2, 3).max(axis=(0, 2))
+    still = speeds[0] < MAX_SPEED and speeds[1] < MAX_TURNING and not data.warning.number.any()
+    if not still or np.linalg.norm(places[:, :2], axis=1).max() > MAX_RADIUS_M or places[:, 2].min() < 0.0:
+        return None
+    return Scene(xml, data.qpos.copy(), objects, tuple(f.__name__ for f in chosen))
+
+
+def random_camera(rng: np.random.Generator, focal: float, side: int, max_tilt: float) -> Camera:
+    """Returns a camera 0.55 to 0.85 m above the table that looks almost straight down near its middle."""
+    turn, away, tilt = *rng.uniform(-np.pi, np.pi, 2), rng.uniform(0.0, max_tilt)
+    down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+    axis = np.array([np.cos(away), np.sin(away), 0.0])
+    quaternion, tilted = np.zeros(4), np.zeros(9)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, tilt)
+    mujoco.mju_quat2Mat(tilted, quaternion)
+    c, s = np.cos(turn), np.sin(turn)
+    R = tilted.reshape(3, 3) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ down
+    target = np.array([*rng.uniform(-0.03, 0.03, 2), 0.0])
+    return Camera(target - rng.uniform(0.55, 0.85) * R[:, 2], R, focal, side)
+
+
+def rays(camera: Camera) -> np.ndarray:
+    """Returns the viewing direction of each pixel in the camera's axes with z = 1, shape (side * side, 3)."""
+    c = (np.arange(camera.side) - 0.5 * (camera.side - 1)) / camera.focal
+    x, y = np.meshgrid(c, c)
+    return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+
+
+def depth_image(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera) -> np.ndarray:
+    """Returns the exact depth of each pixel, shape (side, side) [m]."""
+    return _cast(model, data, camera.position, rays(camera) @ camera.R.T, camera.side)
+
+
+def height_map(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera, cell: float, side: int) -> np.ndarray:
+    """Returns the depth below the camera in a parallel view along its axis, shape (side, side) [m].
+
+    Args:
+        model: the world.
+        data: its state.
+        camera: gives the axes; the map's middle is the optical axis.
+        cell: width of a cell [m].
+        side: cells a row.
+    """
+    eye = Camera(camera.position - FAR_M * camera.R[:, 2], camera.R, FAR_M / cell, side)
+    return _cast(model, data, eye.position, rays(eye) @ camera.R.T, side) - FAR_M
+
+
+def table_depth(camera: Camera, cell: float, side: int) -> np.ndarray:
+    """Returns the depth of the bare table in the same parallel view, shape (side, side) [m]."""
+    c = cell * (np.arange(side) - 0.5 * (side - 1))
+    x, y = np.meshgrid(c, c)
+    return -(camera.position[2] + camera.R[2, 0] * x + camera.R[2, 1] * y) / camera.R[2, 2]
+
+
+def _cast(
+    model: mujoco.MjModel, data: mujoco.MjData, origin: np.ndarray, directions: np.ndarray, side: int
+) -> np.ndarray:
+    """Returns how many times its direction each ray goes until it meets something, shape (side, side).
+
+    MuJoCo 3.2 sorts out objects by azimuth and elevation and loses some of those near the poles, straight above and
+    below the eye. So a copy of the world is turned until down is its x axis.
+    """
+    turned = mujoco.MjData(model)
+    turned.qpos[:] = data.qpos
+    mujoco.mj_kinematics(model, turned)
+    for name in ("xpos", "xipos", "geom_xpos"):
+        getattr(turned, name)[:] = getattr(turned, name) @ DOWN_TO_X.T
+    for name in ("xmat", "ximat", "geom_xmat"):
+        matrices = getattr(turned, name)
+        matrices[:] = (DOWN_TO_X @ matrices.reshape(-1, 3, 3)).reshape(matrices.shape)
+    n = len(directions)
+    lengths = np.linalg.norm(directions, axis=1)
+    units = (directions / lengths[:, None]) @ DOWN_TO_X.T
+    distance, geom = np.zeros(n), np.zeros(n, dtype=np.int32)
+    mujoco.mj_multiRay(model, turned, DOWN_TO_X @ origin, np.ravel(units), None, 1, -1, geom, distance, n, 10.0 * FAR_M)
+    return (distance / lengths).reshape(side, side)
+
+
+def _text(values: Iterable[float]) -> str:
+    return " ".join(f"{v:.6g}" for v in values)

@@ -1,0 +1,82 @@
+"""Batches for the second network, and what it should say of them.
+
+Examples are taken as they are: what the network looks at does not change when the picture is turned or shifted.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from grasping.lab.training.refinement_examples import Example, Offset
+from grasping.network.refinement import SHRINK, SIDE
+
+SIGMA_PX = 1.25
+"""Of the target about the person's pixel, 5 px of the network's picture."""
+
+
+class Targets(NamedTuple):
+    """What the second network should say of n pictures; the constant offset is taken off all.
+
+    Attributes:
+        place: about the person's pixel, sum 1, shape (n, SIDE, SIDE).
+        held: 1 where the person's grasp held, 0 where it failed, shape (n,).
+        height: of the grasp above the table, along the optical axis, shape (n,) [m].
+        cos: of twice the angle of the line through the fingers, shape (n,).
+        sin: likewise.
+        tilt_x: of the approach, shape (n,) [rad].
+        tilt_y: likewise.
+        opening: of the hand, shape (n,) [GGCNN's unit x m]; NaN where it is not known.
+    """
+
+    place: torch.Tensor
+    held: torch.Tensor
+    height: torch.Tensor
+    cos: torch.Tensor
+    sin: torch.Tensor
+    tilt_x: torch.Tensor
+    tilt_y: torch.Tensor
+    opening: torch.Tensor
+
+    def to(self, device: torch.device) -> Targets:
+        """Returns the targets on a device."""
+        return Targets(*(value.to(device) for value in self))
+
+
+def batch(examples: list[Example], offset: Offset) -> tuple[torch.Tensor, Targets]:
+    """Returns examples as the network's input, shape (n, features, SIDE, SIDE), and what it should say.
+
+    Args:
+        examples: n of them.
+        offset: the constant one, which is taken off.
+    """
+    seen = torch.from_numpy(np.stack([np.float32(e.features) for e in examples]))
+    places = torch.from_numpy(np.stack([place_target(*place(e, offset)) for e in examples]))
+    rest = [
+        (
+            e.held,
+            e.height + offset.depth,
+            np.cos(2.0 * (e.angle - offset.angle)),
+            np.sin(2.0 * (e.angle - offset.angle)),
+            e.tilt_x - offset.tilt_x,
+            e.tilt_y - offset.tilt_y,
+            e.opening - offset.opening,
+        )
+        for e in examples
+    ]
+    return seen, Targets(places, *torch.tensor(rest, dtype=torch.float32).unbind(1))
+
+
+def place(example: Example, offset: Offset) -> tuple[float, float]:
+    """Returns row and column of the person's grasp without the constant offset."""
+    scale = SHRINK * example.mean
+    return example.row - offset.y / scale, example.column - offset.x / scale
+
+
+def place_target(row: float, column: float) -> np.ndarray:
+    """Returns a bell of sum 1 about a pixel, shape (SIDE, SIDE), zeros where it lies outside."""
+    at = np.arange(SIDE)
+    bell = np.outer(*(np.exp(-0.5 * ((at - c) / SIGMA_PX) ** 2) for c in (row, column)))
+    return (bell / max(float(bell.sum()), 1.0)).astype(np.float32)

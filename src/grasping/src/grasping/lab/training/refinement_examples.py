@@ -1,0 +1,138 @@
+"""What the second network learns from: frames of a person's episodes.
+
+All maps are at the second network's scale, a `SHRINK`th of the first one's. Positions are in its pixels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from grasping.lab.dataset.episode import Frame
+from grasping.lab.dataset.labels import RelativeLabel, map_pixel, relative_label, tilt_and_angle
+from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
+from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.refinement import SHRINK, SIDE, features
+from grasping.network.table_depth import table_depth
+
+SAME_PLACE_M = 0.04
+"""A person's grasp further from GGCNN's was not meant to be the same."""
+
+
+class Example(NamedTuple):
+    """A frame of a person's episode.
+
+    Attributes:
+        features: as `refinement.features` has them, float16.
+        row: of the person's grasp; may lie outside.
+        column: likewise.
+        height: of the grasp above the table, along the optical axis [m].
+        angle: of the line through the fingers in the picture, anticlockwise [rad].
+        tilt_x: of the approach about the camera's x axis [rad].
+        tilt_y: likewise about its y axis.
+        opening: of the hand [GGCNN's unit x m]; NaN where it is not known.
+        held: whether the grasp held.
+        mean: of the picture's depth [m].
+    """
+
+    features: np.ndarray
+    row: float
+    column: float
+    height: float
+    angle: float
+    tilt_x: float
+    tilt_y: float
+    opening: float
+    held: bool
+    mean: float
+
+
+class Offset(NamedTuple):
+    """What a person adds to GGCNN's grasp wherever it is.
+
+    Attributes:
+        x: to the right, and
+        y: down [px of the network's picture x m: divided by the distance it is a shift].
+        depth: along the optical axis [m].
+        angle: in the picture, anticlockwise [rad].
+        tilt_x: of the approach [rad].
+        tilt_y: likewise.
+        opening: of the hand [GGCNN's unit x m: divided by the distance it is GGCNN's unit].
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    depth: float = 0.0
+    angle: float = 0.0
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+    opening: float = 0.0
+
+
+def example(frame: Frame, held: bool) -> Example | None:
+    """Returns the example of a frame; None where the grasp cannot be seen by its camera, or the frame holds nothing."""
+    T = frame.T_camera_grasp
+    if T[2, 3] <= 0.0:
+        return None
+    try:
+        picture = prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
+        (tilt_x, tilt_y), angle = tilt_and_angle(T[:3, :3])
+    except ValueError:
+        return None
+    row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, SIDE)
+    near = tuple(int(np.clip(SHRINK * i, 0, NETWORK_SIDE - 1)) for i in (row, column))
+    height = float(table_depth(picture)[near] - T[2, 3])
+    seen = features(frame.maps, picture).astype(np.float16)
+    opening = opening_units(frame) * picture.mean / T[2, 3]
+    return Example(seen, row, column, height, angle, float(tilt_x), float(tilt_y), opening, held, picture.mean)
+
+
+def constant_offset(frames: list[Frame]) -> Offset:
+    """Returns the median of what the person added to GGCNN's grasps, where both meant about the same place.
+
+    Args:
+        frames: of grasps that held.
+    """
+    shifts, turns, openings = [], [], []
+    for frame in frames:
+        label = relative_label(frame)
+        if label is None:
+            continue
+        scale = NETWORK_SIDE / frame.maps.shape[-1]
+        distance = frame.T_camera_grasp[2, 3]
+        metres = np.hypot(label.row_shift, label.column_shift) * metres_per_pixel(frame)
+        turns.append(label.tilt)
+        if metres < SAME_PLACE_M:
+            x, y = scale * distance * label.column_shift, scale * distance * label.row_shift
+            shifts.append((x, y, label.depth, label.angle))
+            openings.append(opening_units(frame) - distance * frame.peak.width / WIDTH_SCALE_PX)
+    if not shifts:
+        return Offset()
+    known = [o for o in openings if np.isfinite(o)]
+    wider = float(np.median(known)) if known else 0.0
+    x, y, depth, angle = np.median(shifts, axis=0).tolist()
+    tilt_x, tilt_y = np.median(turns, axis=0).tolist()
+    return Offset(x, y, depth, angle, tilt_x, tilt_y, wider)
+
+
+def opening_units(frame: Frame) -> float:
+    """Returns the opening of the person's hand [GGCNN's unit x m]; NaN where it is not known."""
+    return frame.opening * frame.camera.K[0, 0] * NETWORK_SIDE / frame.crop.side / WIDTH_SCALE_PX
+
+
+def metres_per_pixel(frame: Frame) -> float:
+    """Returns how much a pixel of the frame's maps is at the person's grasp [m]."""
+    return float(frame.T_camera_grasp[2, 3] * frame.crop.side / frame.maps.shape[-1] / frame.camera.K[0, 0])
+
+
+def offset_label(frame: Frame, offset: Offset) -> RelativeLabel:
+    """Returns GGCNN's grasp with the constant offset, as a label that `dataset.labels.pose_from_label` reads."""
+    side = frame.maps.shape[-1]
+    scale, distance = side / NETWORK_SIDE, float(np.median(frame.depth_m[frame.depth > 0]))
+    row_shift, column_shift = scale * offset.y / distance, scale * offset.x / distance
+    row, column = ((i + 0.5) * scale - 0.5 for i in (frame.peak.row, frame.peak.column))
+    tilt = np.array([offset.tilt_x, offset.tilt_y])
+    return RelativeLabel(
+        row + row_shift, column + column_shift, row_shift, column_shift, offset.depth, offset.angle, tilt
+    )

@@ -1,0 +1,93 @@
+"""The training of the second network as steps; it is over when held-out episodes say so.
+
+AdamW with a linear decay of the rate. What is kept is the running mean of the weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from grasping.lab.training.mean_trainer import CPU, MeanTrainer
+from grasping.lab.training.refinement_batches import Targets, batch
+from grasping.lab.training.refinement_examples import Example, Offset
+from grasping.lab.training.refinement_losses import Losses, losses
+from grasping.network.refinement import AXES, HIDDEN, SHRINK, RefinementNetwork
+
+VALIDATION_BATCH = 16
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to train.
+
+    Attributes:
+        steps: most steps; the rate falls to zero over them.
+        count: pictures a step.
+        rate: learning rate at first.
+        weight_decay: of AdamW.
+        memory: of the mean of the weights, a step.
+        hidden: units of each of the network's two inner layers.
+        patience: validations without a better one, after which training ends.
+        seed: of weights and batches.
+    """
+
+    steps: int = 600
+    count: int = 16
+    rate: float = 1e-2
+    weight_decay: float = 1e-4
+    memory: float = 0.98
+    hidden: int = HIDDEN
+    patience: int = 8
+    seed: int = 1
+
+
+class Trainer(MeanTrainer[RefinementNetwork]):
+    """The training of the second network."""
+
+    def __init__(self, settings: Settings, offset: Offset, device: torch.device = CPU) -> None:
+        """Makes the trainer on a device; `offset` is the person's constant one."""
+        self.settings, self.offset, self.device = settings, offset, device
+        torch.manual_seed(settings.seed)
+        network = RefinementNetwork(settings.hidden)
+        network.offset[:] = torch.tensor([getattr(offset, name) for name in AXES])
+        network.to(device)
+        optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay)
+        super().__init__(network, optimiser, settings.memory)
+
+    def train(self, examples: list[Example]) -> float:
+        """Does one step and returns its loss; the batch depends on the seed and the step alone."""
+        s = self.settings
+        chosen = np.random.default_rng([s.seed, self.step]).integers(0, len(examples), s.count)
+        seen, target = self._batch([examples[i] for i in chosen])
+        loss = losses(seen, self.network(seen), target).total
+        return self.descend(loss, s.rate * max(0.0, 1.0 - self.step / s.steps))
+
+    def validate(self, examples: list[Example]) -> dict[str, float]:
+        """Returns the losses of the mean network, and how far its best pixel is from the person's, the median [px of
+        the network's picture]."""
+        held = [e for e in examples if e.held]
+        rows, misses, counts = [], [], []
+        for i in range(0, len(held), VALIDATION_BATCH):
+            part = held[i : i + VALIDATION_BATCH]
+            seen, target = self._batch(part)
+            with torch.no_grad():
+                change = self.mean(seen)
+            rows.append([v.item() for v in losses(seen, change, target)])
+            counts.append(len(part))
+            misses += _misses(seen[:, 0] + change[:, 0], target.place)
+        found = dict(zip(("validation", *Losses._fields[1:]), np.average(rows, axis=0, weights=counts).tolist()))
+        return {**found, "miss": float(np.median(misses))}
+
+    def _batch(self, examples: list[Example]) -> tuple[torch.Tensor, Targets]:
+        seen, target = batch(examples, self.offset)
+        return seen.to(self.device), target.to(self.device)
+
+
+def _misses(quality: torch.Tensor, place: torch.Tensor) -> list[float]:
+    """Returns the distances between the highest pixels of two maps, shape (n, h, w) [px of the network's picture]."""
+    side = quality.shape[-1]
+    a, b = quality.flatten(1).argmax(1), place.flatten(1).argmax(1)
+    return (SHRINK * torch.hypot((a // side - b // side).float(), (a % side - b % side).float())).tolist()

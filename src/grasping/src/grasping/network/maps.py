@@ -1,0 +1,113 @@
+"""From the network's four maps to grasps in the network's picture: smooth, find the best pixels.
+
+The steps are those of the published node, except that cos and sin are smoothed and not the angle, which would be
+spoilt where it jumps from +90 to -90 degrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from grasping.network.networks import WIDTH_SCALE_PX
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """Standard deviations of the blurs [px]."""
+
+    quality: float = 5.0
+    angle: float = 2.0
+    width: float = 1.0
+
+
+class Maps(NamedTuple):
+    """What the network says of each pixel, each shape (h, w).
+
+    Attributes:
+        quality: about 0 to 1.
+        angle: of the line through both fingers, from the picture's horizontal, anticlockwise, in [-pi/2, pi/2] [rad].
+        width: opening [px].
+    """
+
+    quality: np.ndarray
+    angle: np.ndarray
+    width: np.ndarray
+
+
+class Peak(NamedTuple):
+    """A grasp in the network's picture.
+
+    Attributes:
+        row: of the pixel between the fingers.
+        column: of that pixel.
+        quality: about 0 to 1.
+        angle: as in `Maps` [rad].
+        width: opening [px].
+    """
+
+    row: int
+    column: int
+    quality: float
+    angle: float
+    width: float
+
+
+def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Maps:
+    """Returns the smoothed maps.
+
+    Args:
+        output: of the network, shape (4, h, w).
+        valid: where the camera had a reading, shape (h, w); elsewhere the quality is 0 before it is smoothed.
+        smoothing: how much.
+    """
+    quality, cos, sin, width = output
+    quality = gaussian(np.where(valid, quality, np.float32(0.0)), smoothing.quality)
+    angle = 0.5 * np.arctan2(gaussian(sin, smoothing.angle), gaussian(cos, smoothing.angle))
+    return Maps(quality, angle, gaussian(width, smoothing.width) * np.float32(WIDTH_SCALE_PX))
+
+
+def gaussian(picture: np.ndarray, sigma: float) -> np.ndarray:
+    """Returns the picture blurred as SciPy's gaussian_filter does: cut at 4 sigma, mirrored at the border."""
+    if sigma == 0.0:
+        return picture
+    side = 2 * int(4.0 * sigma + 0.5) + 1
+    return cv2.GaussianBlur(picture, (side, side), sigma, borderType=cv2.BORDER_REFLECT)
+
+
+def peaks(maps: Maps, count: int, distance: int = 20, threshold: float = 0.2) -> list[Peak]:
+    """Returns the best local maxima of the quality, best first.
+
+    Args:
+        maps: smoothed.
+        count: most peaks to return.
+        distance: rows or columns between two peaks, and from the border.
+        threshold: of the quality.
+    """
+    quality = maps.quality
+    highest = cv2.dilate(quality, np.ones((2 * distance + 1, 2 * distance + 1), np.uint8))
+    is_peak = (quality == highest) & (quality > threshold)
+    inner = np.zeros_like(is_peak)
+    inner[distance : len(quality) - distance, distance : quality.shape[1] - distance] = True
+    rows, columns = np.nonzero(is_peak & inner)
+    chosen: list[Peak] = []
+    for i in np.argsort(-quality[rows, columns], kind="stable"):
+        row, column = int(rows[i]), int(columns[i])
+        if all(max(abs(row - p.row), abs(column - p.column)) > distance for p in chosen):
+            chosen.append(peak_at(maps, row, column))
+            if len(chosen) == count:
+                break
+    return chosen
+
+
+def highest(maps: Maps) -> Peak:
+    """Returns the pixel of the highest quality."""
+    return peak_at(maps, *(int(i) for i in np.unravel_index(np.argmax(maps.quality), maps.quality.shape)))
+
+
+def peak_at(maps: Maps, row: int, column: int) -> Peak:
+    """Returns the grasp at a pixel."""
+    return Peak(row, column, *(float(m[row, column]) for m in maps))

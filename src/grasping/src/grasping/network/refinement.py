@@ -1,0 +1,268 @@
+"""The second network: GGCNN's maps in, the same maps after what a person was seen to do, and the rest of the pose.
+
+A small network looks, pixel by pixel, at a few quantities that a person's choice may depend on: GGCNN's quality and
+opening, and the height above the table, here and in the neighbourhood. It says how much more or less than GGCNN the
+person likes to grasp there; how much deeper, turned and wider open; and how much the approach leans, about the axes of
+the picture and with the surface. Of each it says how sure it is: a Laplace distribution of depth, opening and lean, one
+of von Mises of twice the angle, as half a turn makes the same grasp, and over the pixels a softmax of the quality.
+Untrained all changes are zero, and GGCNN's maps come back bit by bit.
+
+What the person does always, like grasping a centimetre to the right, is a constant offset beside it. The quantities are
+the same however the picture is turned or shifted, and so are the changes, but for the lean about the picture's axes:
+a person stays where they stand when the things turn.
+
+The maps are those of the network's picture, before they are smoothed. Offset and lean have the axes of the camera that
+sees it, x right and y down: of the real one, or of the imagined one above the table. So a weight file
+(`refinement_file`) names the view in which it was learned.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from grasping.network.depth_image import NETWORK_SIDE, Picture
+from grasping.network.maps import gaussian
+from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.table_depth import table_depth
+
+SHRINK = 4
+"""Pixels of the network's picture, in rows and in columns, to one of the second network's."""
+SIDE = NETWORK_SIDE // SHRINK
+LOWEST_M, HIGHEST_M = -0.01, 0.25
+"""Heights beyond are holes badly filled, or the arm."""
+QUALITY_BLURS, HEIGHT_BLURS = (1.25, 2.5), (1.25, 3.0, 6.0)
+"""Standard deviations of the neighbourhoods [px of the second network's maps]; one is about 7 mm."""
+LEAN_BLUR = HEIGHT_BLURS.index(3.0)
+"""Of the heights whose slope is the surface's."""
+SLOPE_PX = 100.0
+"""About the focal length of the second network's picture [px]: makes slopes of differences of heights."""
+REACH_PX = 15
+"""Width of the neighbourhood whose highest point is looked at."""
+HEIGHT = 1 + len(QUALITY_BLURS)
+"""Place of the height among the features."""
+FEATURE_SCALE = (*[1.0] * (1 + len(QUALITY_BLURS)), *[10.0] * (2 + len(HEIGHT_BLURS)), 2.0, 1.0)
+"""Makes all that the network looks at about 1: heights [m] are small."""
+OPENING = len(FEATURE_SCALE) - 2
+COS, SIN, LEAN_X, LEAN_Y = range(len(FEATURE_SCALE), len(FEATURE_SCALE) + 4)
+"""Places of GGCNN's opening, and of what stands behind the features: its line, and the lean with the surface."""
+CHANGES = {
+    "quality": 1.0,
+    "depth": 0.05,
+    "turn_cos": 3.0,
+    "turn_sin": 3.0,
+    "opening": 0.1,
+    "tilt_x": 0.3,
+    "tilt_y": 0.3,
+    "follow": 0.5,
+    "depth_spread": 1.0,
+    "opening_spread": 1.0,
+    "tilt_spread": 1.0,
+}
+"""What the network says of a pixel, as `Change` has it, and what makes it about 1."""
+CONCENTRATION = 4.0
+DEPTH_M, OPENING_UNITS, TILT_RAD = 0.01, 0.05, 0.1
+"""How sure an untrained network is: concentration of twice the angle, and scales of the Laplace distributions."""
+SHARPNESS = 20.0
+"""Logits of the softmax over the pixels by quality."""
+LOBE_PX = 5
+"""So far about a pixel, in the second network's, the place is still the same one."""
+HIDDEN = 32
+AXES = ("x", "y", "depth", "angle", "tilt_x", "tilt_y", "opening")
+"""Entries of the constant offset, with the units of `training.refinement_examples.Offset`."""
+
+
+class Change(NamedTuple):
+    """What the second network says of each pixel, without the constant offset; each shape (n, h, w).
+
+    Attributes:
+        quality: to be added to GGCNN's.
+        depth: how much deeper than the surface [m].
+        turn_cos: with turn_sin a vector: its direction is twice the turn against GGCNN's line, anticlockwise, and its
+            length the concentration of the distribution of von Mises.
+        turn_sin: likewise.
+        opening: to be added to GGCNN's [its unit x m: divided by the distance it is GGCNN's unit].
+        tilt_x: of the approach about the camera's x axis [rad].
+        tilt_y: likewise about its y axis.
+        follow: share of the surface's lean that is added to that.
+        depth_spread: scale of the Laplace distribution of the depth [m].
+        opening_spread: of the opening [as opening].
+        tilt_spread: of the lean, whose density falls with its distance from the expected one [rad].
+    """
+
+    quality: torch.Tensor
+    depth: torch.Tensor
+    turn_cos: torch.Tensor
+    turn_sin: torch.Tensor
+    opening: torch.Tensor
+    tilt_x: torch.Tensor
+    tilt_y: torch.Tensor
+    follow: torch.Tensor
+    depth_spread: torch.Tensor
+    opening_spread: torch.Tensor
+    tilt_spread: torch.Tensor
+
+    @classmethod
+    def of(cls, output: torch.Tensor) -> Change:
+        """Returns what the network's output, shape (n, len(CHANGES), h, w), means."""
+        change = cls(*output.unbind(1))
+        return change._replace(
+            turn_cos=CONCENTRATION + change.turn_cos,
+            depth_spread=DEPTH_M * torch.exp(change.depth_spread),
+            opening_spread=OPENING_UNITS * torch.exp(change.opening_spread),
+            tilt_spread=TILT_RAD * torch.exp(change.tilt_spread),
+        )
+
+
+class Refined(NamedTuple):
+    """GGCNN's maps after the second network, each further one of shape (h, w).
+
+    Attributes:
+        output: quality, cos, sin, width as the first network gives them, shape (4, h, w); the width is the opening that
+            the grasp needs.
+        dz: how much deeper than the surface at the pixel the grasp is, along the optical axis [m].
+        tilt_x: of the approach about the camera's x axis [rad].
+        tilt_y: likewise about its y axis.
+        wider: how much wider than needed the person opens the hand [px of the network's picture].
+        concentration: of twice the angle.
+        spreads: scales of the Laplace distributions of depth [m], opening [px] and lean [rad], shape (3, h, w).
+    """
+
+    output: np.ndarray
+    dz: np.ndarray
+    tilt_x: np.ndarray
+    tilt_y: np.ndarray
+    wider: np.ndarray
+    concentration: np.ndarray
+    spreads: np.ndarray
+
+
+class RefinementNetwork(nn.Module):
+    """The changes that the second network makes, without the constant offset.
+
+    Attributes:
+        offset: what the person adds wherever it is, shape (len(AXES),).
+    """
+
+    offset: torch.Tensor
+    feature_scale: torch.Tensor
+    change_scale: torch.Tensor
+
+    def __init__(self, hidden: int = HIDDEN) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(len(FEATURE_SCALE), hidden, 1)
+        self.second = nn.Conv2d(hidden, hidden, 1)
+        self.last = nn.Conv2d(hidden, len(CHANGES), 1)
+        for parameter in self.last.parameters():
+            nn.init.zeros_(parameter)
+        self.register_buffer("offset", torch.zeros(len(AXES)))
+        self.register_buffer("feature_scale", torch.tensor(FEATURE_SCALE)[:, None, None], persistent=False)
+        scale = torch.tensor(list(CHANGES.values()))
+        self.register_buffer("change_scale", scale[:, None, None], persistent=False)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Returns what `Change.of` reads, shape (n, len(CHANGES), h, w).
+
+        Args:
+            x: as `features` has them, shape (n, LEAN_Y + 1, h, w); the last four are not looked at.
+        """
+        x = F.relu(self.first(x[:, : len(FEATURE_SCALE)] * self.feature_scale))
+        return self.last(F.relu(self.second(x))) * self.change_scale
+
+    def without_axes(self) -> dict[str, torch.Tensor]:
+        """Returns the weights without what has the axes of a view: the constant offset, and the lean about them."""
+        state = {name: value.detach().clone() for name, value in self.state_dict().items()}
+        state["offset"].zero_()
+        for i, name in enumerate(CHANGES):
+            if name in ("tilt_x", "tilt_y"):
+                state["last.weight"][i] = 0.0
+                state["last.bias"][i] = 0.0
+        return state
+
+
+def features(output: np.ndarray, picture: Picture) -> np.ndarray:
+    """Returns what the second network looks at, and behind it GGCNN's line (cos and sin of twice its angle, length 1)
+    and the lean of the surface about the picture's axes [rad, never a right angle]; shape (LEAN_Y + 1, SIDE, SIDE),
+    float32. The quality is the first, the height above the table [m] stands at `HEIGHT`.
+
+    Args:
+        output: of the first network, shape (4, h, w); h and w are multiples of `SIDE`.
+        picture: that it saw.
+    """
+    quality, cos, sin, width, height = (shrunk(m) for m in (*output, table_depth(picture) - picture.depth))
+    height = np.clip(height, LOWEST_M, HIGHEST_M)
+    near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (REACH_PX, REACH_PX))
+    heights = [gaussian(height, s) for s in HEIGHT_BLURS]
+    seen = [quality, *(gaussian(quality, s) for s in QUALITY_BLURS)]
+    seen += [height, *heights, cv2.dilate(height, near)]
+    length = np.hypot(cos, sin)
+    line = np.maximum(length, np.float32(1e-6))
+    slopes = np.gradient(heights[LEAN_BLUR] * np.float32(SLOPE_PX / picture.mean))
+    down, right = slopes / (np.float32(1.0) + np.hypot(*slopes))  # an edge is no slope to lean with
+    # An opening in pixels times the distance is one in metres but for the focal length.
+    return np.stack([*seen, width * np.float32(picture.mean), length, cos / line, sin / line, -down, right])
+
+
+class Refinement:
+    """The second network and how to use it; `network` is that network."""
+
+    def __init__(self, network: RefinementNetwork) -> None:
+        self.network = network.eval()
+
+    def apply(self, output: np.ndarray, picture: Picture) -> Refined:
+        """Returns GGCNN's maps refined.
+
+        Args:
+            output: of the first network, shape (4, 300, 300), float32.
+            picture: that it saw.
+        """
+        seen = torch.from_numpy(features(output, picture))[None]
+        with torch.no_grad():
+            said = Change.of(self.network(seen))
+            said = said._replace(
+                tilt_x=said.tilt_x + said.follow * seen[:, LEAN_X], tilt_y=said.tilt_y + said.follow * seen[:, LEAN_Y]
+            )
+            large = F.interpolate(torch.stack(said, dim=1), scale_factor=SHRINK, mode="bilinear")[0].numpy()
+            change = dict(zip(Change._fields, large))
+        x, y, deeper, angle, tilt_x, tilt_y, wider = self.network.offset.tolist()
+        quality, cos, sin, width = output
+        c, s = np.float32(np.cos(2.0 * angle)), np.float32(np.sin(2.0 * angle))
+        concentration = np.hypot(change["turn_cos"], change["turn_sin"])
+        length = np.maximum(concentration, np.float32(1e-6))
+        u, v = change["turn_cos"] / length, change["turn_sin"] / length
+        c, s = u * c - v * s, u * s + v * c
+        to_px = np.float32(WIDTH_SCALE_PX / picture.mean)
+        depth = picture.depth.astype(np.float32)
+        rest = [depth + change["depth"], change["tilt_x"], change["tilt_y"], to_px * change["opening"], concentration]
+        spreads = [change["depth_spread"], to_px * change["opening_spread"], change["tilt_spread"]]
+        maps = np.stack([quality + change["quality"], c * cos - s * sin, s * cos + c * sin, width, *rest, *spreads])
+        maps = _moved(maps, (x / picture.mean, y / picture.mean))
+        # A shifted grasp keeps its depth, whatever is seen where it has come to.
+        return Refined(
+            maps[:4],
+            maps[4] - depth + np.float32(deeper),
+            maps[5] + np.float32(tilt_x),
+            maps[6] + np.float32(tilt_y),
+            maps[7] + to_px * np.float32(wider),
+            maps[8],
+            maps[9:],
+        )
+
+
+def shrunk(picture: np.ndarray) -> np.ndarray:
+    """Returns the mean of each block of pixels, shape (SIDE, SIDE), float32."""
+    return cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+
+
+def _moved(maps: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
+    """Returns the maps, shape (k, h, w), shifted right and down [px]; the border's values are drawn out."""
+    if shift == (0.0, 0.0):
+        return maps
+    forward = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    size = maps.shape[:0:-1]
+    return np.stack([cv2.warpAffine(m, forward, size, borderMode=cv2.BORDER_REPLICATE) for m in maps])

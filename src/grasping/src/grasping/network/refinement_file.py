@@ -1,0 +1,134 @@
+"""Weight files of the second network: a torch state dict, and in it of what rig the episodes were that it learned from.
+
+What was learned with one first network, view, crop, table or hand is wrong with another: a constant offset of so many
+pixels is another distance, and another first network has other maps. So a file is refused where they differ. What a
+file does not know is not compared.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import torch
+
+from grasping.network import weights
+from grasping.network.depth_image import CAMERA, TABLE, VIEWS
+from grasping.network.refinement import HIDDEN, Refinement, RefinementNetwork
+from grasping.network.weights import WeightsError
+
+VERSION = 2
+ABOUT = "about"
+"""Entry of a weight file beside the weights: the characters' codes of a JSON text."""
+TABLE_KEYS = ("extent", "distance")
+"""Of the settings of the view from above, those that make its picture another one."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The rig of episodes, as far as a second network depends on it; None where that is unknown or of no matter.
+
+    Attributes:
+        view: in which the network sees, a name in `view.VIEWS`.
+        crop: of the camera's picture, in its own view.
+        table: extent and distance [m], in the view from above.
+        network: SHA-256 of the first network's weight file.
+        robot: which arm.
+        hand: the grasp in the tool, the rows of a 4 x 4 matrix [m].
+    """
+
+    view: str | None = None
+    crop: dict[str, Any] | None = None
+    table: dict[str, Any] | None = None
+    network: str | None = None
+    robot: str | None = None
+    hand: list[list[float]] | None = None
+
+    @classmethod
+    def of(cls, configuration: Mapping[str, Any]) -> Origin:
+        """Returns the origin that a rig's configuration means, as `dataset.configuration` has it."""
+        view = configuration.get("view", CAMERA)
+        table = configuration.get("table")
+        return cls(
+            view=view,
+            crop=configuration.get("crop") if view == CAMERA else None,
+            table={key: table[key] for key in TABLE_KEYS} if view == TABLE and table else None,
+            network=configuration.get("weights"),
+            robot=configuration.get("kuka", {}).get("robot"),
+            hand=configuration.get("T_tool_grasp"),
+        )
+
+    def objection(self, other: Origin) -> str:
+        """Returns why what was learned here is wrong there, a clause; empty if it is not.
+
+        What one of them does not know is not compared.
+        """
+        for field in fields(self):
+            ours, theirs = getattr(self, field.name), getattr(other, field.name)
+            if None not in (ours, theirs) and ours != theirs:
+                return f"learned with {field.name}: {_text(ours)}, but {field.name} is {_text(theirs)}"
+        return ""
+
+
+def content(network: RefinementNetwork, origin: Origin) -> dict[str, torch.Tensor]:
+    """Returns what a weight file holds."""
+    return _with_about(network.state_dict(), origin)
+
+
+def taste(network: RefinementNetwork, origin: Origin) -> dict[str, torch.Tensor]:
+    """Returns what a weight file without anything that has the axes of a view holds: it fits any hand and view."""
+    return _with_about(network.without_axes(), Origin(network=origin.network))
+
+
+def load(data: bytes, sha256: str | None = None) -> tuple[Refinement, Origin]:
+    """Returns the refinement that a weight file holds, read without running what is in it, and of what rig it is.
+
+    Args:
+        data: content of the file.
+        sha256: what its hash must be, hexadecimal; not checked when left out.
+
+    Raises:
+        WeightsError: another hash, no torch file, of another version, or not of this network.
+    """
+    weights.checked_sha256(data, sha256)
+    state = weights.torch_state(data)
+    about = _about(state.pop(ABOUT, None))
+    if about.get("version") != VERSION:
+        raise WeightsError(
+            f"The weight file holds no second network of version {VERSION}: train it anew, with train_refinement.py, "
+            "on the same episodes."
+        )
+    hidden = len(state.get("first.weight", ())) or HIDDEN
+    network = weights.filled(RefinementNetwork(hidden), "the refinement network", state)
+    return Refinement(network), _origin(about)
+
+
+def _with_about(state: dict[str, torch.Tensor], origin: Origin) -> dict[str, torch.Tensor]:
+    codes = json.dumps({"version": VERSION, **asdict(origin)}, sort_keys=True).encode()
+    return {**{name: value.cpu() for name, value in state.items()}, ABOUT: torch.tensor(list(codes))}
+
+
+def _about(codes: torch.Tensor | None) -> dict[str, Any]:
+    """Returns what the entry says; nothing where there is none, or none that can be read."""
+    if codes is None:
+        return {}
+    try:
+        found = json.loads(bytes(int(code) for code in codes.tolist()))
+    except (TypeError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _origin(about: dict[str, Any]) -> Origin:
+    names = {f.name for f in fields(Origin)}
+    if about.keys() - {"version"} != names or about["view"] not in (None, *VIEWS):
+        raise WeightsError("The weight file does not say of what rig it is, or names a view that is not known.")
+    return Origin(**{name: about[name] for name in names})
+
+
+def _text(value: object) -> str:
+    """Returns a value as a message shows it; of a hash its beginning."""
+    text = str(value)
+    return f"{text[:12]}..." if isinstance(value, str) and len(value) == 64 else text

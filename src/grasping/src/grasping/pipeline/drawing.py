@@ -1,0 +1,98 @@
+"""What the network sees and finds, as pictures for people."""
+
+from __future__ import annotations
+
+import textwrap
+
+import cv2
+import numpy as np
+
+from grasping.network.maps import Maps
+from grasping.pipeline.live import Findings, Proposal
+
+SCALE = 2
+"""Pixels of the heat map to one of the network's, in rows and columns."""
+BEST, OTHER, REFUSED, DISC = (255, 255, 255), (0, 190, 255), (80, 80, 255), (0, 255, 0)
+DISC_RADIUS, FINGER_PX = 5, 6.0
+DARK = 60
+"""Grey of what is farthest away, and of all that is farther than FAR times the picture's median depth."""
+FAR = 1.3
+LINE_LETTERS = 66
+FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
+
+
+def plain(maps: Maps) -> np.ndarray:
+    """Returns the quality in the red channel, as the published node draws it, shape (h, w, 3), uint8, blue first."""
+    picture = np.zeros((*maps.quality.shape, 3), np.uint8)
+    picture[..., 2] = np.uint8(255.0 * np.clip(maps.quality, 0.0, 1.0))
+    return picture
+
+
+def with_disc(picture: np.ndarray, best: Proposal | None) -> np.ndarray:
+    """Returns a copy of `plain` with a green disc at the best grasp."""
+    picture = picture.copy()
+    if best is not None:
+        cv2.circle(picture, (best.peak.column, best.peak.row), DISC_RADIUS, DISC, cv2.FILLED)
+    return picture
+
+
+def heat_map(findings: Findings, refused: set[int], reason: str) -> np.ndarray:
+    """Returns the network's picture in grey under the quality in colours, with the grasps: a bar from finger to
+    finger, its ends the fingers, number and quality beside it; shape (600, 600, 3), uint8, blue first.
+
+    Args:
+        findings: with a view and maps.
+        refused: numbers of the grasps that the arm's controller refuses.
+        reason: written below where there is one.
+    """
+    assert findings.view is not None and findings.maps is not None, "there is something to draw"
+    quality = findings.maps.quality
+    colours = cv2.applyColorMap((255.0 * np.clip(quality, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_JET)
+    share = np.clip(1.5 * quality, 0.0, 0.6)[..., None]
+    mixed = (1.0 - share) * grey(findings.view.picture.depth)[..., None] + share * colours
+    picture = cv2.resize(mixed.astype(np.uint8), None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_LINEAR)
+    for proposal in reversed(findings.proposals):
+        best, peak = proposal is findings.proposals[0], proposal.peak
+        middle = np.array([peak.column, peak.row]) + 0.5
+        half = 0.5 * max(0.0, peak.width) * np.array([np.cos(peak.angle), -np.sin(peak.angle)])
+        colour = REFUSED if proposal.id in refused else BEST if best else OTHER
+        label = f"{proposal.id}: {peak.quality:.2f}"
+        gripper(picture, SCALE * np.array([middle - half, middle + half]), label, colour, 2 if best else 1)
+    for i, line in enumerate(reversed(textwrap.wrap(reason, LINE_LETTERS))):
+        cv2.putText(picture, line, (8, len(picture) - 10 - 20 * i), FONT, FONT_SCALE, BEST, 1, cv2.LINE_AA)
+    return picture
+
+
+def grey(depth: np.ndarray) -> np.ndarray:
+    """Returns a depth picture in grey, the nearest white, the background dark, no reading black, uint8.
+
+    Args:
+        depth: shape (h, w) [m], not finite = no reading; one pixel at least has one.
+    """
+    known = np.isfinite(depth)
+    low, high = float(depth[known].min()), min(float(depth[known].max()), FAR * float(np.median(depth[known])))
+    bright = DARK + (255 - DARK) * (high - np.where(known, depth, high)) / max(1e-6, high - low)
+    return np.where(known, np.maximum(bright, DARK), 0.0).astype(np.uint8)
+
+
+def gripper(picture: np.ndarray, ends: np.ndarray, label: str, colour: tuple[int, int, int], thickness: int) -> None:
+    """Draws a gripper into a picture: a bar with a finger at each end.
+
+    Args:
+        picture: shape (h, w, 3), uint8, changed.
+        ends: where the fingers are, u and v, shape (2, 2) [px].
+        label: written beside it.
+        colour: blue, green, red.
+        thickness: of the bar [px].
+    """
+    across = ends[1] - ends[0]
+    finger = FINGER_PX * np.array([-across[1], across[0]]) / max(1e-6, float(np.hypot(*across)))
+    cv2.line(picture, _pixel(ends[0]), _pixel(ends[1]), colour, thickness, cv2.LINE_AA)
+    for end in ends:
+        cv2.line(picture, _pixel(end - finger), _pixel(end + finger), colour, thickness + 1, cv2.LINE_AA)
+    beside = ends[np.argmax(ends[:, 0])] + (8.0, 4.0)
+    cv2.putText(picture, label, _pixel(beside), FONT, FONT_SCALE, colour, 1, cv2.LINE_AA)
+
+
+def _pixel(point: np.ndarray) -> tuple[int, int]:
+    return round(point[0]), round(point[1])

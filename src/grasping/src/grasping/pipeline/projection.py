@@ -1,0 +1,152 @@
+"""From a grasp in the network's picture to a grasp before the camera.
+
+The frame of a grasp: z the approach, at first along the camera's axis; x through both fingers, so that a grasp of
+angle 0 has the camera's axes. Angles in the picture run anticlockwise and y runs down: a turn about z by minus the
+angle.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from common.camera_model import CameraModel
+from common.poses import pose, read_only
+from common.rotations import rotation_about, unit
+from grasping.network.depth_image import NETWORK_SIDE, Crop, Picture
+from grasping.network.maps import Peak
+
+NEIGHBOURHOOD = 5
+"""Rows and columns about the pixel whose readings give the depth."""
+BETWEEN_ROWS = slice(100, 140)
+BETWEEN_COLUMNS = slice(130, 170)
+"""Where a hand in front of the camera has its fingers, in the network's 300 x 300 picture (published node)."""
+BETWEEN_COUNT = 10
+CLOSED_M = 1e-4
+"""Half the opening of fingers that touch: small, but with a direction."""
+LEAST_FACING = 0.26
+"""Cosine of the widest angle, 75 degrees, between a line of sight and the approach: beyond, pixels tell little."""
+
+
+class Grasp(NamedTuple):
+    """A grasp before the camera.
+
+    Attributes:
+        T_camera_grasp: shape (4, 4) [m]; its origin is the surface between the fingers.
+        angle: in the picture, anticlockwise [rad].
+        width: opening [m].
+        width_px: opening in the network's picture [px].
+        quality: about 0 to 1.
+        pixel: u, v in the camera's picture [px].
+    """
+
+    T_camera_grasp: np.ndarray
+    angle: float
+    width: float
+    width_px: float
+    quality: float
+    pixel: tuple[float, float]
+
+
+def camera_pixel(row: float, column: float, crop: Crop, side: int) -> tuple[float, float]:
+    """Returns u, v in the camera's picture of a pixel of the network's picture with `side` rows and columns."""
+    scale = crop.side / side
+    # Pixels are squares: their centres, not their corners, lie on each other's grid.
+    return crop.column + (column + 0.5) * scale - 0.5, crop.row + (row + 0.5) * scale - 0.5
+
+
+def pixel_size(picture: Picture, camera: CameraModel) -> np.ndarray:
+    """Returns what each pixel of the network's picture shows of the scene, shape (h, w) [m].
+
+    Args:
+        picture: the network's.
+        camera: that took the picture from which it was cut.
+    """
+    return picture.crop.side / len(picture.depth) / camera.K[0, 0] * picture.depth
+
+
+def grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraModel) -> Grasp | None:
+    """Returns the grasp before the camera, None when the camera has no reading near the pixel.
+
+    Args:
+        peak: in the network's picture.
+        crop: where that picture lies in the camera's.
+        side: rows and columns of the network's picture.
+        depth: the camera's picture, shape (h, w) [m].
+        camera: that took it.
+    """
+    pixel = camera_pixel(peak.row, peak.column, crop, side)
+    column, row = (round(p) for p in pixel)
+    half = NEIGHBOURHOOD // 2
+    near = depth[max(0, row - half) : row + half + 1, max(0, column - half) : column + half + 1]
+    near = near[np.isfinite(near) & (near > 0.0)]
+    if not near.size:
+        return None
+    z = float(np.median(near))
+    T = pose(rotation_about(2, -peak.angle), z * camera.rays(pixel))
+    width = peak.width * crop.side / side * z / camera.K[0, 0]
+    return Grasp(read_only(T), peak.angle, width, peak.width, peak.quality, pixel)
+
+
+def along(grasp: Grasp, approach: np.ndarray, camera: CameraModel) -> Grasp | None:
+    """Returns the grasp with another approach, None where the camera looks along the fingers' plane.
+
+    The fingers stay on the line that they have in the picture, and open over the same pixels: they move in the plane
+    through the grasp across its approach.
+
+    Args:
+        grasp: along the camera's axis, its opening not negative.
+        approach: unit vector in the camera's frame, shape (3,).
+        camera: that took the picture.
+    """
+    p, n = grasp.T_camera_grasp[:3, 3], np.asarray(approach, dtype=float)
+    half = 0.5 * grasp.width * camera.K[0, 0] / p[2]
+    line = max(half, 1.0) * np.array([np.cos(grasp.angle), -np.sin(grasp.angle)])  # a closed gripper has a line too
+    rays = camera.rays(np.array([grasp.pixel - line, grasp.pixel + line]))
+    if (rays @ n / np.linalg.norm(rays, axis=1)).min() < LEAST_FACING:
+        return None
+    ends = rays * (p @ n) / (rays @ n)[:, None]
+    across = ends[1] - ends[0]
+    x = unit(across)
+    T = pose(np.column_stack([x, np.cross(n, x), n]), p)
+    width = float(np.linalg.norm(across)) * half / max(half, 1.0)
+    return grasp._replace(T_camera_grasp=read_only(T), width=width)
+
+
+def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tuple[float, tuple[float, float], float]:
+    """Returns angle [rad], pixel (u, v) and opening [px] of a grasp in a camera's picture.
+
+    Args:
+        camera: that looks.
+        T_camera_grasp: shape (4, 4), before it [m].
+        width: opening [m].
+    """
+    p, x = T_camera_grasp[:3, 3], T_camera_grasp[:3, 0]
+    half = max(0.5 * width, CLOSED_M)
+    left, right = camera.project(np.stack([p - half * x, p + half * x]))
+    du, dv = right - left
+    angle = np.arctan(-dv / du) if du else 0.5 * np.pi
+    px = np.hypot(du, dv) * 0.5 * width / half
+    return float(angle), tuple(camera.project(p).tolist()), float(px)
+
+
+def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
+    """Returns how far the nearest things between the fingers are, the mean of the ten nearest readings [m].
+
+    Args:
+        depth: the camera's picture, shape (h, w) [m].
+        crop: the window that is the network's picture.
+
+    Returns:
+        NaN where there are fewer readings.
+    """
+    rows, columns = (
+        slice(first + part.start * crop.side // NETWORK_SIDE, first + part.stop * crop.side // NETWORK_SIDE)
+        for first, part in ((crop.row, BETWEEN_ROWS), (crop.column, BETWEEN_COLUMNS))
+    )
+    window = depth[rows, columns]
+    near = window[np.isfinite(window) & (window > 0.0)]
+    if near.size < BETWEEN_COUNT:
+        return float("nan")
+    return float(np.partition(near, BETWEEN_COUNT - 1)[:BETWEEN_COUNT].mean())

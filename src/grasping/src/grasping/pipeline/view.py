@@ -1,0 +1,252 @@
+"""The picture that the network gets, and where it was taken from: the camera's own, or one from above the table.
+
+The networks learned on pictures taken from above. A camera that looks at the table from the side shows them its far
+edge as the most graspable thing there is. So its depth picture is drawn anew as a camera would see it that looks
+straight down on the table: each reading goes to where it lies, and what is not above the table becomes table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from common.camera_model import CameraModel, pinhole
+from common.config import integer, number
+from common.poses import pose, read_only
+from common.rotations import unit
+from grasping.network.depth_image import NETWORK_SIDE, Crop, Picture, centre_crop, prepare
+from grasping.network.planes import GATE_SD, PlaneFound, best_plane
+
+STRIDE = 6
+"""Pixels of the camera's picture, in rows and columns, to one in which the table is looked for."""
+GAP = np.ones((5, 5), np.uint8)
+
+
+@dataclass(frozen=True)
+class CropConfig:
+    """Which part of the camera's picture is looked at."""
+
+    side: int = integer("px", low=12, high=4096, doc="rows and columns of the square window")
+    rows_up: int = integer("px", low=-2048, high=2048, doc="how far it stands above the picture's middle")
+
+
+@dataclass(frozen=True)
+class TableConfig:
+    """The view from above the table."""
+
+    extent: float = number("m", above=0.05, high=2.0, doc="of the table that the view shows, in both directions")
+    distance: float = number("m", above=0.1, high=3.0, doc="of the view's camera from the table")
+    noise: float = number("1/m", above=0.0, high=0.1, doc="standard deviation of a pixel's inverse depth")
+    min_share: float = number(above=0.0, high=1.0, doc="of the window's readings that must lie on the table")
+    max_slope: float = number("deg", above=0.0, below=85.0, doc="steepest line of sight, against the table's normal")
+    min_height: float = number("m", above=0.0, high=0.2, doc="what is lower belongs to the table")
+    max_height: float = number("m", above=0.0, high=1.0, doc="what is higher is no object: the arm")
+    keep_angle: float = number("deg", above=0.0, high=45.0, doc="the view stays while the table turns by less")
+    keep_distance: float = number("m", above=0.0, high=0.5, doc="and while it moves by less")
+
+
+class View(NamedTuple):
+    """What the network sees, and the camera that sees it.
+
+    Attributes:
+        picture: the network's.
+        graspable: where in it a grasp may be: the camera had a reading, and, from above the table, on something that
+            stands on it; shape (300, 300), bool.
+        depth: the whole picture that it was cut from, shape (h, w) [m], NaN where nothing is known.
+        rays: direction of each of its pixels, shape (h, w, 3).
+        camera: that took it, a real or an imagined one.
+        T_camera_view: pose of that camera in the real one, shape (4, 4) [m]. Its axes are those of what the second
+            network says: an imagined camera's z axis is straight down on the table, its x axis the real camera's as far
+            as the table lets it.
+    """
+
+    picture: Picture
+    graspable: np.ndarray
+    depth: np.ndarray
+    rays: np.ndarray
+    camera: CameraModel
+    T_camera_view: np.ndarray
+
+
+class NoView(Exception):
+    """There is nothing to show to the network; the message is the reason, a clause without its full stop."""
+
+
+class CameraView:
+    """Shows the camera's own picture: the window in its middle."""
+
+    def __init__(self, crop: CropConfig) -> None:
+        self._crop = crop
+        self._rays = Rays()
+
+    def step(self, depth: np.ndarray, camera: CameraModel) -> View:
+        """Returns the view of a depth picture, shape (h, w) [m].
+
+        Raises:
+            NoView: the window does not fit, or holds no reading.
+        """
+        crop = _window(depth, self._crop)
+        try:
+            picture = prepare(depth, crop)
+        except ValueError as error:
+            raise NoView(str(error)) from None
+        return View(picture, picture.valid, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
+
+    def reset(self) -> None:
+        """Forgets nothing: each picture stands for itself."""
+
+
+class _Place(NamedTuple):
+    """Where the view from above the table is.
+
+    Attributes:
+        made_for: camera, size and window of the pictures that it is for.
+        table: as it was found.
+        T: pose of the view's camera in the real one, shape (4, 4) [m].
+        turned: directions of the real camera's pixels in the view's axes, shape (3, h, w), float32.
+        shift: of the real camera in the view's axes, shape (3,) [m].
+    """
+
+    made_for: tuple[bytes, bytes, tuple[int, ...], Crop]
+    table: PlaneFound
+    T: np.ndarray
+    turned: np.ndarray
+    shift: np.ndarray
+
+
+class TableView:
+    """Shows the table from above. The view stays where it is while the table seems to shake only."""
+
+    def __init__(self, crop: CropConfig, config: TableConfig) -> None:
+        self._crop, self._config = crop, config
+        self._rays = Rays()
+        focal, centre = NETWORK_SIDE / config.extent * config.distance, 0.5 * (NETWORK_SIDE - 1)
+        K = [[focal, 0.0, centre], [0.0, focal, centre], [0.0, 0.0, 1.0]]
+        self._camera = pinhole("above the table", NETWORK_SIDE, NETWORK_SIDE, K)
+        self._own_rays = read_only(_all_rays(self._camera))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the table."""
+        self._place: _Place | None = None
+
+    def step(self, depth: np.ndarray, camera: CameraModel) -> View:
+        """Returns the view of a depth picture, shape (h, w) [m].
+
+        Raises:
+            NoView: the window does not fit or holds no reading, no table is seen, or nothing stands on it.
+        """
+        crop = _window(depth, self._crop)
+        rays = self._rays.of(camera)
+        seen_from = self._find(depth, rays, crop, camera)
+        height = self._heights(depth, seen_from)
+        if not (height > 0.0).any():
+            raise NoView("nothing stands on the table")
+        seen = np.float32(self._config.distance) - height
+        mean = float(seen.mean())
+        inside = Crop(0, 0, NETWORK_SIDE)
+        # What is not above the table is known to be table.
+        known = np.ones(seen.shape, bool)
+        picture = Picture(inside, np.clip(seen - mean, -1.0, 1.0), seen, known, mean)
+        return View(picture, height > 0.0, seen, self._own_rays, self._camera, seen_from.T)
+
+    def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> _Place:
+        """Looks for the table, moves the view where the table is another one, and returns where it is.
+
+        Raises:
+            NoView: there is no table.
+        """
+        window = (
+            slice(crop.row, crop.row + crop.side, STRIDE),
+            slice(crop.column, crop.column + crop.side, STRIDE),
+        )
+        known = np.isfinite(depth[window]) & (depth[window] > 0.0)
+        if not known.any():
+            raise NoView("the depth picture holds no reading inside the crop")
+        c = self._config
+        seen_rays, seen_depth = rays[window][known].astype(float), depth[window][known]
+        table = best_plane(seen_rays, seen_depth, c.noise)
+        if table is None or table.share < c.min_share:
+            raise NoView(
+                f"no table is seen: {0.0 if table is None else table.share:.0%} of the pixels lie in one plane"
+            )
+        middle = rays[crop.row + crop.side // 2, crop.column + crop.side // 2].astype(float)
+        slope = np.degrees(np.arccos(np.clip(unit(middle) @ table.direction, -1.0, 1.0)))
+        if slope > c.max_slope:
+            raise NoView(f"the largest plane is seen too flatly to be the table: {slope:.0f} degrees off its normal")
+        made_for = (camera.K.tobytes(), camera.D.tobytes(), depth.shape, crop)
+        if self._place is not None and self._place.made_for == made_for and self._same(self._place.table, table):
+            return self._place
+        on_it = np.abs(seen_rays @ table.a - 1.0 / seen_depth) < GATE_SD * c.noise
+        shown = (seen_rays[on_it] * seen_depth[on_it, None]).mean(axis=0)
+        T = read_only(_looking_down(table, shown, c.distance))
+        R, p = T[:3, :3], T[:3, 3]
+        turned = np.ascontiguousarray(np.moveaxis(rays @ R, -1, 0), np.float32)
+        self._place = _Place(made_for, table, T, turned, -R.T @ p)
+        return self._place
+
+    def _same(self, known: PlaneFound, table: PlaneFound) -> bool:
+        turned = np.degrees(np.arccos(np.clip(table.direction @ known.direction, -1.0, 1.0)))
+        moved = abs(table.distance - known.distance)
+        return bool(turned < self._config.keep_angle and moved < self._config.keep_distance)
+
+    def _heights(self, depth: np.ndarray, place: _Place) -> np.ndarray:
+        """Returns the height above the table of what the view's camera sees, shape (300, 300), float32 [m]; 0: table.
+
+        Gaps of a few pixels between readings, where the view is nearer than the camera, are closed.
+        """
+        c, side, turned, shift = self._config, NETWORK_SIDE, place.turned, place.shift
+        with np.errstate(invalid="ignore", divide="ignore"):
+            z = depth * turned[2] + np.float32(shift[2])
+            height = np.float32(c.distance) - z
+            chosen = np.flatnonzero((height > c.min_height) & (height < c.max_height) & (depth > 0.0))
+        flat, z, height = depth.ravel()[chosen], z.ravel()[chosen], height.ravel()[chosen]
+        scale, centre = self._camera.K[0, 0], self._camera.K[0, 2]
+        u, v = (
+            np.rint((flat * turned[i].ravel()[chosen] + np.float32(shift[i])) / z * scale + centre).astype(np.int32)
+            for i in (0, 1)
+        )
+        inside = (u >= 0) & (u < side) & (v >= 0) & (v < side)
+        highest = np.zeros(side * side, np.float32)
+        np.maximum.at(highest, v[inside] * side + u[inside], height[inside])
+        highest = highest.reshape(side, side)
+        return np.where(highest > 0.0, highest, cv2.morphologyEx(highest, cv2.MORPH_CLOSE, GAP))
+
+
+class Rays:
+    """The directions of a camera's pixels, computed once for each camera."""
+
+    def __init__(self) -> None:
+        self._made_for: tuple[bytes, bytes, int, int] | None = None
+        self._rays = np.zeros((0, 0, 3), np.float32)
+
+    def of(self, camera: CameraModel) -> np.ndarray:
+        """Returns the directions, shape (height, width, 3), float32, read-only."""
+        made_for = (camera.K.tobytes(), camera.D.tobytes(), camera.width, camera.height)
+        if made_for != self._made_for:
+            self._rays = _all_rays(camera).astype(np.float32)
+            self._rays.setflags(write=False)
+            self._made_for = made_for
+        return self._rays
+
+
+def _all_rays(camera: CameraModel) -> np.ndarray:
+    return camera.rays(np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1))
+
+
+def _window(depth: np.ndarray, crop: CropConfig) -> Crop:
+    try:
+        return centre_crop(depth.shape, crop.side, crop.rows_up)
+    except ValueError as error:
+        raise NoView(str(error)) from None
+
+
+def _looking_down(table: PlaneFound, middle: np.ndarray, distance: float) -> np.ndarray:
+    """Returns the pose of a camera above the middle, shape (3,) [m], of what is seen of the table; its x axis is along
+    the real camera's as far as the table lets it."""
+    z = table.direction
+    x = unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
+    return pose(np.column_stack([x, np.cross(z, x), z]), middle + (table.distance - middle @ z - distance) * z)
