@@ -1,0 +1,97 @@
+"""`python -m tools.mutate`: mutates places of the source and prints which mutants the tests that need no ROS find.
+
+It works on a copy of the last commit and can be interrupted: the next call with the same folder continues.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict, fields
+from pathlib import Path
+
+from tools.mutate import places
+from tools.mutate.places import Place
+from tools.mutate.trials import CoverageTable, Trials
+
+ROOT = Path(__file__).parents[2]
+LEFT_OUT = {"ros", "gui", "tests", "scripts", "programs", "lab", "training", "evaluation"}
+"""Folders whose code has no tests without ROS or a screen, and the programs of the laboratory."""
+
+
+def main() -> int:
+    """Chooses places, or finds saved ones again, tries each, and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=100, help="number of places (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the choice (default: %(default)s)")
+    parser.add_argument("--root", type=Path, default=ROOT, help="the tree to mutate (default: this one)")
+    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "mutants", help="copy of the tree and records")
+    parser.add_argument("--places", type=Path, help="result of another tree: its places are found again in this one")
+    parser.add_argument("--result", type=Path, help="JSON of the result (default: result.json in the folder)")
+    parser.add_argument("--limit", type=float, default=120.0, help="longest tests of one place [s] (default: 120)")
+    arguments = parser.parse_args()
+
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    trials = Trials(arguments.root.resolve(), arguments.folder.resolve())
+    trials.record_coverage()
+    table = trials.covering(arguments.limit)
+    file = arguments.result or arguments.folder / "result.json"
+    result = json.loads(file.read_text()) if file.is_file() else {}
+    if result.get("commit") != trials.commit:
+        result = {"commit": trials.commit, "seed": arguments.seed, "mutants": _chosen(arguments, trials, table)}
+    for mutant in result["mutants"]:
+        if mutant["found"] is None:
+            place, begin = _place(mutant), time.monotonic()
+            covering = table.of(place)
+            mutant["found"] = bool(covering.tests) and trials.is_found(place, covering)
+            mutant["tests"], mutant["seconds"] = len(covering.tests), round(time.monotonic() - begin, 1)
+            file.write_text(json.dumps(result, indent=1))
+            print(_row(mutant), flush=True)
+    print(_table(result["mutants"]))
+    return 0
+
+
+def _chosen(arguments: argparse.Namespace, trials: Trials, table: CoverageTable) -> list[dict]:
+    candidates = []
+    for path in sorted(arguments.root.glob("src/**/src/*/**/*.py")):
+        file = path.relative_to(arguments.root)
+        inner = file.parts[len(file.parts) - 1 - file.parts[::-1].index("src") + 1 :]
+        if not LEFT_OUT & set(inner[1:-1]):
+            found = places.find(trials.source(str(file)), inner[0], str(file))
+            candidates += [place for place in found if table.reaches(place)]
+    if arguments.places:
+        saved = [_place(mutant) for mutant in json.loads(arguments.places.read_text())["mutants"]]
+        chosen = places.find_again(saved, candidates, arguments.seed)
+    else:
+        chosen = [(place, True) for place in places.choose(candidates, arguments.count, arguments.seed)]
+    return [{**asdict(place), "same": same, "found": None, "tests": 0, "seconds": 0.0} for place, same in chosen]
+
+
+def _place(mutant: dict) -> Place:
+    return Place(**{field.name: mutant[field.name] for field in fields(Place)})
+
+
+def _row(mutant: dict) -> str:
+    outcome = "found" if mutant["found"] else "SURVIVED"
+    change = f"{mutant['before']} -> {mutant['after']}".replace("\n", " ")
+    where = f"{mutant['file']}:{mutant['line']}"
+    return f"{outcome:9} {where} {mutant['operator']}: {change[:60]}  in  {mutant['statement'][:80]}"
+
+
+def _table(mutants: list[dict]) -> str:
+    """Returns the numbers of found mutants by package and by operator."""
+    lines = []
+    for key in ("package", "operator"):
+        total = Counter(mutant[key] for mutant in mutants)
+        found = Counter(mutant[key] for mutant in mutants if mutant["found"])
+        lines += [f"{name:18}{found[name]:4} of {total[name]:3} found" for name in sorted(total)] + [""]
+    same = sum(mutant["same"] for mutant in mutants)
+    found = sum(mutant["found"] for mutant in mutants)
+    return "\n".join([*lines, f"{found} of {len(mutants)} mutants found; {same} places are those that were asked for"])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
