@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.measure import Row, row
-from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.servo import CYCLE_S
@@ -22,13 +22,13 @@ def rows(quick: bool) -> list[Row]:
     table = []
     for law in ("lts", "none"):
         for speed in SPEEDS:
-            behind = lag(Arm(robot, ArmSettings(servo_law=law)), speed, seconds)
+            behind = lag(SimulatedArm(robot, ArmSettings(servo_law=law)), speed, seconds)
             how = f"one joint, goals at 250 Hz, behind the ramp itself; {1e3 * np.median(behind):.2f} mrad"
             table.append(row(f"lag behind {speed:g} rad/s, law {law}", 1e3 * behind / speed, "ms", how))
     return table
 
 
-def lag(arm: Arm, speed: float, seconds: float) -> np.ndarray:
+def lag(arm: SimulatedArm, speed: float, seconds: float) -> np.ndarray:
     """Returns how far joint 7 is behind its ramp after each cycle, once it has settled [rad]."""
     arm.start_servo()
     behind = []

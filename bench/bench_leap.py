@@ -25,7 +25,7 @@ from leap_motion.msg import Human
 from leap_motion.ros.human import human_from_frame
 from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import Person
+from rig_simulation.operator.sources import ScriptedOperator
 
 RECORDINGS = ("rollAndPitchWithEntry", "grab", "three-claps")
 CLOCK_S = 1.7e9
@@ -78,7 +78,7 @@ def recorded_texts() -> list[str]:
 
 def simulated_texts(count: int) -> list[str]:
     """Returns frames of the simulated service with a hand that draws circles."""
-    playback = Playback(Person(Script()))
+    playback = Playback(ScriptedOperator(Script()))
     texts = (playback.next().text for _ in itertools.count())
     return list(itertools.islice((text for text in texts if '"hands":[]' not in text), count))
 

@@ -11,7 +11,7 @@ from bench.measure import Row, number, row
 from bench.simulated import CYCLES_PER_GOAL, SimulatedRig
 from common.poses import pose
 from kuka_control.loop.servo_law import LtsGoals
-from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.servo import CYCLE_S
@@ -32,7 +32,7 @@ def rows(quick: bool) -> list[Row]:
     robot = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
     for speed in RAMPS_RAD_S:
         for servo_law in ("none", "lts"):
-            behind = lag(Arm(robot, ArmSettings(servo_law="lts")), servo_law, speed, min(seconds, 4.0))
+            behind = lag(SimulatedArm(robot, ArmSettings(servo_law="lts")), servo_law, speed, min(seconds, 4.0))
             how = f"one joint, law lts in the controller, behind the ramp itself; {1e3 * np.median(behind):.2f} mrad"
             table.append(row(f"lag behind {speed:g} rad/s, servo_law {servo_law}", 1e3 * behind / speed, "ms", how))
     return table
@@ -77,7 +77,7 @@ def on_circle(home: np.ndarray, hertz: float, t: float) -> np.ndarray:
     return pose(home[:3, :3], home[:3, 3] + RADIUS_M * np.array([0.0, np.sin(angle), 1.0 - np.cos(angle)]))
 
 
-def lag(arm: Arm, servo_law: str, speed: float, seconds: float) -> np.ndarray:
+def lag(arm: SimulatedArm, servo_law: str, speed: float, seconds: float) -> np.ndarray:
     """Returns how far joint 7 is behind its ramp after each cycle, once it has settled [rad]."""
     arm.start_servo()
     goals = LtsGoals(arm.robot.lower, arm.robot.upper)

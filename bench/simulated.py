@@ -19,8 +19,8 @@ from kuka_control.loop.controller import Controller, Inputs
 from kuka_control.loop.stream import Desired
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig
-from rig_simulation.devices.sunrise.arm import Arm as Joints
 from rig_simulation.devices.sunrise.arm import ArmSettings
+from rig_simulation.devices.sunrise.arm import SimulatedArm as Joints
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.servo import CYCLE_S

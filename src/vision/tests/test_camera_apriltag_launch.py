@@ -14,10 +14,10 @@ CONFIG = Path(__file__).parents[1] / "config"
 
 @pytest.mark.parametrize(("panel", "tags"), [("bundle", "tags.yaml"), ("single", "tags_single.yaml")])
 def test_the_simulated_panel_has_the_same_tags(panel, tags):
-    from rig_simulation.world.files import read_panel
+    from rig_simulation.world.files import read_board
 
     (target,) = targets(yaml.safe_load((CONFIG / tags).read_text()))
-    simulated = {tag["id"]: (tag["size"], *tag["position"]) for tag in read_panel(panel)["tags"]}
+    simulated = {tag["id"]: (tag["size"], *tag["position"]) for tag in read_board(panel)["tags"]}
     assert target.name == yaml.safe_load((CONFIG / "panel.yaml").read_text())["frame"]
     assert {tag.id: (tag.size, *tag.T_target_tag[:2, 3]) for tag in target.tags} == simulated
 
@@ -26,12 +26,12 @@ def test_the_simulated_panel_has_the_same_tags(panel, tags):
 def test_the_simulated_panel_sits_where_the_drawing_says(simulated, file):
     from common.config import parse
     from common.poses import pose
-    from rig_simulation.world.files import read_panel
+    from rig_simulation.world.files import read_board
     from rig_simulation.world.model import R_FLANGE_PANEL
     from vision.marker_board.board import PanelConfig
 
     panel = parse(PanelConfig, yaml.safe_load((CONFIG / file).read_text()))
-    plate = read_panel(simulated)
+    plate = read_board(simulated)
     np.testing.assert_allclose(panel.T_flange_tag, pose(R_FLANGE_PANEL, plate["centre"]), atol=1e-12)
     assert plate["size"] == [panel.plate, panel.plate]
 

@@ -18,16 +18,16 @@ from rig_simulation.operator.assisted_grasp import (
     HIDE,
     SHOW,
     AssistedGrasp,
-    Habits,
-    Outcome,
-    Proposal,
-    Scene,
-    SeenObject,
+    AssistedView,
+    GraspReport,
+    ObservedObject,
+    OperatorHabits,
+    ProposedGrasp,
 )
-from rig_simulation.world.scene import Box, Cylinder
+from rig_simulation.world.scene import Cuboid, Cylinder
 
 LOOK = {"position": np.zeros(2), "yaw": 0.0, "mass": 0.1, "friction": 0.7, "colour": np.ones(3)}
-BOX = Box(size=np.array([0.05, 0.12, 0.10]), **LOOK)
+BOX = Cuboid(size=np.array([0.05, 0.12, 0.10]), **LOOK)
 STEPS = (
     "look", "approach", "wait", "above", "down", "close", "lift", "hold", "lower", "open", "away", "leave", "done"
 )  # fmt: skip
@@ -57,16 +57,16 @@ class Rig(FollowingRig):
 
     def scene(self):
         turn = 0.0 if self.wanted is None else wrapped(self.wanted - self.heading, math.pi)
-        return Scene(
+        return AssistedView(
             grip=self.tool,
             heading=self.heading,
             following=self.hand and not self.deaf,
             at_home=self.execution in ("idle", "over") and np.linalg.norm(self.tool - HOME) < 1e-3,
             objects={
-                "far": SeenObject(TOP + np.array([0.2, 0.0, 0.0]), 0.0),
-                "thing": SeenObject(self.top, self.top[2] - TOP[2], turn),
+                "far": ObservedObject(TOP + np.array([0.2, 0.0, 0.0]), 0.0),
+                "thing": ObservedObject(self.top, self.top[2] - TOP[2], turn),
             },
-            proposal=Proposal(7, self.place),
+            proposal=ProposedGrasp(7, self.place),
             execution=self.execution,
             reason=self.reason,
             outcome=self.outcome,
@@ -89,7 +89,7 @@ class Rig(FollowingRig):
             self.hand = False
             held = self.slips == 0
             self.slips = max(0, self.slips - 1)
-            self.outcome = Outcome(self.episode, held, "the fingers pressed" if held else "no finger pressed")
+            self.outcome = GraspReport(self.episode, held, "the fingers pressed" if held else "no finger pressed")
             self.execution, self.curl = "over", 0.0
         return True, ""
 
@@ -110,7 +110,7 @@ class Rig(FollowingRig):
 
 def work(rig, rounds=1, seconds=300.0, each=lambda rig, result: None):
     """Returns the last result, the steps, and the last record of each round."""
-    person, steps, ended = AssistedGrasp(Habits(rounds), PLAN, CENTER_LINE), [], {}
+    person, steps, ended = AssistedGrasp(OperatorHabits(rounds), PLAN, CENTER_LINE), [], {}
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S
         result = person.step(rig.scene(), now)
@@ -237,7 +237,7 @@ def test_a_box_is_taken_by_the_side_that_fits(yaw, fingers):
     turn = turn_to(BOX, rotation_about(2, yaw), fingers)
     assert abs(turn) <= math.pi / 2 + 1e-12
     assert abs(math.sin(fingers + turn - yaw)) < 1e-9
-    square = Box(size=np.array([0.05, 0.06, 0.10]), **LOOK)
+    square = Cuboid(size=np.array([0.05, 0.06, 0.10]), **LOOK)
     assert abs(turn_to(square, rotation_about(2, yaw), fingers)) <= math.pi / 4 + 1e-12
 
 

@@ -13,7 +13,7 @@ from common.config import parse
 from common.errors import ConfigError
 from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
 from rig_simulation.devices.camera.depth_sensor import SHADOW_TOLERANCE_PX, DepthSensor, axial_sigma, hidden
-from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.lens import CameraLens
 
 F, BASELINE = 570.0, 0.075
 WIDTH, HEIGHT = 320, 240
@@ -33,16 +33,16 @@ IDEAL = {
 
 
 @pytest.fixture(scope="module")
-def lens() -> Lens:
-    return Lens(pinhole("depth", WIDTH, HEIGHT, [[F, 0, 159.5], [0, F, 119.5], [0, 0, 1]]))
+def lens() -> CameraLens:
+    return CameraLens(pinhole("depth", WIDTH, HEIGHT, [[F, 0, 159.5], [0, F, 119.5], [0, 0, 1]]))
 
 
-def sensor(lens: Lens, seed: int = 1, infrared_offset: float = 0.0, **changes) -> DepthSensor:
+def sensor(lens: CameraLens, seed: int = 1, infrared_offset: float = 0.0, **changes) -> DepthSensor:
     config = parse(DepthConfig, {**IDEAL, **changes})
     return DepthSensor(lens, config, np.random.default_rng(seed), infrared_offset)
 
 
-def window_of(lens: Lens, inverse_depth) -> np.ndarray:
+def window_of(lens: CameraLens, inverse_depth) -> np.ndarray:
     """Returns the window's picture of a function of x (right) and y (down) in the plane at 1 m, 30 m at most."""
     window = lens.window
     x = window.left + (np.arange(window.width) + 0.5) / window.width * (window.right - window.left)
@@ -51,15 +51,15 @@ def window_of(lens: Lens, inverse_depth) -> np.ndarray:
     return np.maximum(np.broadcast_to(inverse_depth(x, y), x.shape), 1 / 30).astype(np.float32)
 
 
-def wall(lens: Lens, z: float) -> np.ndarray:
+def wall(lens: CameraLens, z: float) -> np.ndarray:
     return window_of(lens, lambda x, y: 1.0 / z)
 
 
-def white(lens: Lens, grey: int = 255) -> np.ndarray:
+def white(lens: CameraLens, grey: int = 255) -> np.ndarray:
     return np.full((lens.window.height, lens.window.width, 3), grey, np.uint8)
 
 
-def take(lens: Lens, z: float, count: int = 1, **changes) -> np.ndarray:
+def take(lens: CameraLens, z: float, count: int = 1, **changes) -> np.ndarray:
     camera = sensor(lens, **changes)
     return np.stack([camera.take(wall(lens, z), white(lens)) for _ in range(count)]).astype(float)
 
@@ -129,7 +129,7 @@ def test_far_out_of_range_is_not_taken_for_something_else(lens, z):
     assert not take(lens, z, noise=True, quantisation=0.125).any()
 
 
-def box_before_wall(lens: Lens) -> np.ndarray:
+def box_before_wall(lens: CameraLens) -> np.ndarray:
     """Columns 100 to 199 at 0.8 m, the rest at 1.6 m."""
     return window_of(lens, lambda x, y: np.where(np.abs(F * x + 159.5 - 149.5) < 50.0, 1 / 0.8, 1 / 1.6))
 
@@ -157,7 +157,7 @@ def test_a_plane_hides_no_part_of_itself(slope, fb):
     assert not hidden(w[None], fb).any()
 
 
-def tilted(lens: Lens, angle: float) -> np.ndarray:
+def tilted(lens: CameraLens, angle: float) -> np.ndarray:
     """A plane 1 m away, turned by the angle about the vertical [deg]."""
     return window_of(lens, lambda x, y: 1.0 + np.tan(np.radians(angle)) * x)
 
@@ -194,7 +194,7 @@ def test_edges_are_ragged_but_nothing_floats_between_the_surfaces(lens):
 
 
 def test_a_unit_has_its_own_error_of_scale_and_warp():
-    lens = Lens(pinhole("depth", 64, 48, [[F, 0, 31.5], [0, F, 23.5], [0, 0, 1]]))
+    lens = CameraLens(pinhole("depth", 64, 48, [[F, 0, 31.5], [0, F, 23.5], [0, 0, 1]]))
     scales, warps = [], []
     for seed in range(40):
         scales.append(sensor(lens, seed, scale_error_sd=0.005).scale)

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_simulation.devices.camera.rgbd_camera import Pictures
-from rig_simulation.faults.camera import CAMERA_FAULTS, Exposure, Stream
+from rig_simulation.devices.camera.rgbd_camera import RgbdImages
+from rig_simulation.faults.camera import CAMERA_FAULTS, Exposure, ImageStream
 from rig_simulation.faults.injection import Faults
 
-BLANK = Pictures(None, np.full((2, 3), 7, np.uint16), np.full((2, 3), 8, np.uint16), {})
+BLANK = RgbdImages(None, np.full((2, 3), 7, np.uint16), np.full((2, 3), 8, np.uint16), {})
 
 
 class Camera:
@@ -21,7 +21,7 @@ class Camera:
 
     def __init__(self) -> None:
         self.faults = Faults(CAMERA_FAULTS)
-        self.stream = Stream(self.faults)
+        self.stream = ImageStream(self.faults)
         self.taken = 0
 
     def next(self, now: float) -> Exposure | None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.camera_model import CameraModel, pinhole
-from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.lens import CameraLens
 
 K = np.array([[150.0, 0.0, 82.0], [0.0, 148.0, 57.5], [0.0, 0.0, 1.0]])
 BARREL = np.array([0.08, -0.12, 0.002, 0.003, 0.0])
@@ -20,7 +20,7 @@ def camera() -> CameraModel:
     return CameraModel("small", 160, 120, plain.K, BARREL, plain.R, plain.P)
 
 
-def directions(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+def directions(lens: CameraLens) -> tuple[np.ndarray, np.ndarray]:
     """Returns x (to the right) and y (up) of the window's pixel centres in the plane at 1 m, rows from the bottom."""
     window = lens.window
     x = window.left + (np.arange(window.width) + 0.5) / window.width * (window.right - window.left)
@@ -29,7 +29,7 @@ def directions(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_each_pixel_sees_its_own_ray(camera):
-    lens = Lens(camera)
+    lens = CameraLens(camera)
     x, y = directions(lens)
     u, v = np.meshgrid(np.arange(160), np.arange(120))
     rays = camera.rays(np.stack((u, v), axis=-1))
@@ -39,14 +39,14 @@ def test_each_pixel_sees_its_own_ray(camera):
 
 
 def test_the_nearest_pixel_is_at_most_half_a_pixel_away(camera):
-    lens = Lens(camera)
+    lens = CameraLens(camera)
     x, _ = directions(lens)
     straight = lens.look_beside(x.astype(np.float32), np.zeros((120, 160, 2), np.int16))
     assert np.abs(straight - lens.look(x.astype(np.float32))).max() <= 0.52 / 150
 
 
 def test_a_shift_goes_to_the_right_and_up(camera):
-    lens = Lens(camera)
+    lens = CameraLens(camera)
     shift = np.broadcast_to(np.array([2, 1], np.int16), (120, 160, 2))
     for picture, step in zip(directions(lens), (2 / 150, 1 / 148)):
         picture = picture.astype(np.float32)
@@ -57,9 +57,9 @@ def test_a_shift_goes_to_the_right_and_up(camera):
 @settings(max_examples=30)
 @given(dx=st.floats(-0.5, 0.5), dy=st.floats(-0.5, 0.5))
 def test_a_window_sampled_beside_its_centres_shows_the_same(camera, dx, dy):
-    lens = Lens(camera, (dx, dy))
+    lens = CameraLens(camera, (dx, dy))
     x, y = directions(lens)
-    expected = Lens(camera).look(x.astype(np.float32))
+    expected = CameraLens(camera).look(x.astype(np.float32))
     np.testing.assert_allclose(lens.look((x + dx / 150).astype(np.float32)), expected, atol=1.1 / 32 / 150)
-    expected = Lens(camera).look(y.astype(np.float32))
+    expected = CameraLens(camera).look(y.astype(np.float32))
     np.testing.assert_allclose(lens.look((y + dy / 148).astype(np.float32)), expected, atol=1.1 / 32 / 148)

@@ -13,7 +13,7 @@ from common.config import parse
 from common.errors import DeviceError
 from rig_simulation.devices.camera.colour_sensor import ColourSensor
 from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
-from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.lens import CameraLens
 from rig_simulation.devices.camera.rendering import Renderer
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
 
@@ -164,7 +164,7 @@ def test_both_depths_have_the_same_errors_of_the_unit(cameras):
 
 
 def test_exposure_and_noise_of_the_colour_picture():
-    lens = Lens(PLAIN)
+    lens = CameraLens(PLAIN)
     grey = np.full((lens.window.height, lens.window.width, 3), 100, np.uint8)
     config = parse(ColourConfig, {"exposure": 1.2, "blur": 0.5, "noise": 2.5})
     sensor = ColourSensor(lens, config, np.random.default_rng(1))
@@ -177,4 +177,4 @@ def test_exposure_and_noise_of_the_colour_picture():
 def test_a_machine_that_cannot_render_is_named_in_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)
     with pytest.raises(DeviceError, match="libegl1"):
-        Renderer(balls(), Lens(PLAIN).window, 0)
+        Renderer(balls(), CameraLens(PLAIN).window, 0)

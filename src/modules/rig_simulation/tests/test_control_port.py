@@ -49,7 +49,7 @@ def test_the_answer_is_what_the_handler_returns(client):
     ("name", "fields", "sentence"),
     [
         ("refuse", {}, "The arm is not stopped."),
-        ("nothing", {}, "'nothing' is not known; known are double, fail, refuse, state"),
+        ("nothing", {}, "'nothing'.* double, fail, refuse, state"),
         ("double", {}, "missing a required argument: 'value'"),
         ("double", {"value": 1, "other": 2}, "unexpected keyword argument 'other'"),
         ("fail", {}, "ZeroDivisionError"),
@@ -86,13 +86,6 @@ def test_a_line_without_end_closes_that_connection_only(port, client):
     answer = talk(port, b"x" * (control_port.MAX_LINE_BYTES + 1))
     assert "longer than" in answer["error"]
     assert client.ask("state")
-
-
-def test_a_half_line_times_out(port, monkeypatch):
-    monkeypatch.setattr(control_port, "HALF_LINE_TIMEOUT_S", 0.0)
-    with socket.create_connection((port.host, port.port), 10.0) as s:
-        s.sendall(b'{"do"')
-        assert s.recv(10) == b""
 
 
 def test_many_clients_at_once(port):
@@ -145,10 +138,10 @@ def test_a_silent_port_times_out():
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.1", "example.org", ""])
 def test_only_loopback(host):
-    with pytest.raises(DeviceError, match="not a loopback address"):
+    with pytest.raises(DeviceError, match="loopback"):
         ControlPort({}, host)
 
 
 def test_a_port_in_use_is_one_sentence(port):
-    with pytest.raises(DeviceError, match=f"Cannot listen on 127.0.0.1:{port.port} for the control port: .*in use"):
+    with pytest.raises(DeviceError, match=f"Cannot listen on 127.0.0.1:{port.port} for the control port"):
         ControlPort({}, "127.0.0.1", port.port)

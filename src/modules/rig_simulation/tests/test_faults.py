@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_simulation.faults.injection import Fault, Faults, Value, add_option, share_of, switch_all
+from rig_simulation.faults.injection import Fault, Faults, FaultValue, add_option, fraction_of, switch_all
 from rig_simulation.faults.table import FAULTS, table
 
 HANDBOOK = Path(__file__).parents[4] / "docs" / "faults.md"
 
 KNOWN = (
     Fault("cut", "the cable is cut"),
-    Fault("slow", "late", Value("delay [s]", 0.2, 0.001, 60.0)),
-    Fault("lost", "gone", share_of("packets")),
+    Fault("slow", "late", FaultValue("delay [s]", 0.2, 0.001, 60.0)),
+    Fault("lost", "gone", fraction_of("packets")),
 )
 
 

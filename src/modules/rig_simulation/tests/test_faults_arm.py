@@ -13,10 +13,10 @@ import pytest
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.server import Server, ServerSettings
+from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "sunrise_controller.py"
 ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
@@ -53,7 +53,7 @@ class Connection:
 
 @pytest.fixture
 def server():
-    server = Server(Arm(ROBOT, ArmSettings()), ServerSettings(), "127.0.0.1", 0, 0)
+    server = SunriseServer(SimulatedArm(ROBOT, ArmSettings()), ServerSettings(), "127.0.0.1", 0, 0)
     thread = threading.Thread(target=server.run)
     thread.start()
     server.control = ControlClient("127.0.0.1", server.control_port, SOON_S)

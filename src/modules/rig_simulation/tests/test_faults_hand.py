@@ -14,7 +14,7 @@ from rig_simulation.devices.reflex.hand import SimulatedHand
 from rig_simulation.devices.reflex.link import HandLink
 from rig_simulation.devices.reflex.program import main, run
 from rig_simulation.devices.reflex.wire import GROUP, IDLE, POSITION, STATE_BYTES
-from rig_simulation.faults.hand import EFFECTS, HAND_FAULTS, Wire
+from rig_simulation.faults.hand import EFFECTS, HAND_FAULTS, HandWire
 from rig_simulation.faults.injection import Faults
 
 SOON_S = 10.0
@@ -242,7 +242,7 @@ def test_encoder_stuck(host, hand, link, wait_until):
 
 def test_a_share_of_packets_and_commands_is_lost():
     faults = Faults(HAND_FAULTS)
-    wire = Wire(faults)
+    wire = HandWire(faults)
     faults.switch("silent", value=0.25)
     faults.switch("deaf", value=0.75)
     assert 650 < sum(len(wire.outgoing(b"state", 0.0)) for _ in range(1000)) < 850
@@ -250,7 +250,7 @@ def test_a_share_of_packets_and_commands_is_lost():
 
 
 def test_without_faults_everything_passes_unchanged():
-    wire = Wire(Faults(HAND_FAULTS))
+    wire = HandWire(Faults(HAND_FAULTS))
     assert wire.outgoing(b"state", 0.0) == [b"state"]
     assert wire.incoming([b"a", b"b"]) == [b"a", b"b"]
 

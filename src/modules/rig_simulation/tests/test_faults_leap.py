@@ -20,9 +20,9 @@ from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.devices.leap.server import LeapService
 from rig_simulation.faults.injection import Faults
-from rig_simulation.faults.leap import LEAP_FAULTS, Stream
+from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import Person
+from rig_simulation.operator.sources import ScriptedOperator
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "leapd.py"
 SOON_S = 10.0
@@ -64,7 +64,7 @@ class Client:
 
 @pytest.fixture
 def service():
-    service = LeapService(Playback(Person(Script(speed=600.0))), "127.0.0.1", 0, 0)
+    service = LeapService(Playback(ScriptedOperator(Script(speed=600.0))), "127.0.0.1", 0, 0)
     thread = threading.Thread(target=service.run, daemon=True)
     thread.start()
     yield service
@@ -161,7 +161,7 @@ def test_restarted(client, service, new_client, fault, wait_until):
 
 
 def test_ids_and_clock_begin_anew_after_a_restart():
-    playback = Playback(Person(Script()))
+    playback = Playback(ScriptedOperator(Script()))
     first = json.loads(playback.next().text)
     playback.next()
     playback.restart()
@@ -271,8 +271,8 @@ class Frames:
     def __init__(self):
         self.now = 0.0
         self.faults = Faults(LEAP_FAULTS, lambda: self.now)
-        self.stream = Stream(self.faults)
-        self.playback = Playback(Person(Script(speed=100.0)))
+        self.stream = FrameStream(self.faults)
+        self.playback = Playback(ScriptedOperator(Script(speed=100.0)))
         while not json.loads(self.playback.next().text)["hands"]:
             pass
 

@@ -17,9 +17,9 @@ from common.errors import DeviceError
 from leap_motion.codec import read_message
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.leap.playback import Playback
-from rig_simulation.operator.guided import FARTHEST_M, GuidedPerson, Reach
+from rig_simulation.operator.guided import FARTHEST_M, GuidedOperator, HandTarget
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import PERIOD_S, Person
+from rig_simulation.operator.sources import PERIOD_S, ScriptedOperator
 
 SCRIPT = Path(__file__).parent.parent / "scripts" / "leapd.py"
 CENTRE = np.array([0.0, 0.35, 0.0])
@@ -28,7 +28,7 @@ NOISE_M = 6e-3
 
 @pytest.fixture
 def guided():
-    return GuidedPerson(Person(Script()))
+    return GuidedOperator(ScriptedOperator(Script()))
 
 
 def hands(playback, seconds):
@@ -55,7 +55,7 @@ def test_nobody_is_there_before_a_hand_is_shown(guided):
     st.floats(0.1, 3.0),
 )
 def test_the_hand_reaches_where_it_was_sent_without_a_step(right, up, back, curl, seconds):
-    guided = GuidedPerson(Person(Script()))
+    guided = GuidedOperator(ScriptedOperator(Script()))
     playback = Playback(guided)
     guided.show()
     hands(playback, 0.5)
@@ -127,7 +127,7 @@ def test_a_reach_without_a_hand_is_refused(guided):
 
 
 def test_a_reach_at_rest_takes_effect_at_once(guided):
-    assert_allclose(Reach(right=0.1, curl=0.5).state, [100.0, 0, 0, 0, 0, 0, 0.5])
+    assert_allclose(HandTarget(right=0.1, curl=0.5).state, [100.0, 0, 0, 0, 0, 0, 0.5])
     playback = Playback(guided)
     guided.show()
     hands(playback, 0.2)

@@ -19,7 +19,7 @@ from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.devices.leap.program import main, parse
 from rig_simulation.devices.leap.server import LeapService
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import Person
+from rig_simulation.operator.sources import ScriptedOperator
 
 SCRIPT = Path(__file__).parent.parent / "scripts" / "leapd.py"
 POLICIES = ('{"background":true}', '{"focused":true}')
@@ -31,7 +31,7 @@ def start():
     running = []
 
     def start(playing=True, **options):
-        playback = Playback(Person(Script(speed=600.0)), playing=playing)
+        playback = Playback(ScriptedOperator(Script(speed=600.0)), playing=playing)
         service = LeapService(playback, "127.0.0.1", 0, 0, **options)
         thread = threading.Thread(target=service.run, daemon=True)
         thread.start()
@@ -208,7 +208,7 @@ def test_our_client_follows_a_restart_on_the_same_port(start, wait_until):
         port = service.port
         service.stop()
         wait_until(lambda: client.status.link not in (Link.STREAMING, Link.SILENT), 20.0, "the loss")
-        playback = Playback(Person(Script()), playing=False)
+        playback = Playback(ScriptedOperator(Script()), playing=False)
         again = LeapService(playback, "127.0.0.1", port, 0)
         thread = threading.Thread(target=again.run, daemon=True)
         thread.start()
@@ -242,9 +242,9 @@ def test_a_request_that_is_being_answered_when_the_service_ends_is_carried_out(s
 def test_a_port_in_use_and_a_foreign_address_are_refused(start):
     service = start()
     with pytest.raises(DeviceError, match="Cannot listen"):
-        LeapService(Playback(Person(Script())), "127.0.0.1", service.port, 0)
+        LeapService(Playback(ScriptedOperator(Script())), "127.0.0.1", service.port, 0)
     with pytest.raises(DeviceError, match="not a loopback address"):
-        LeapService(Playback(Person(Script())), "0.0.0.0", 0, 0)
+        LeapService(Playback(ScriptedOperator(Script())), "0.0.0.0", 0, 0)
 
 
 def test_the_program_says_where_it_listens_and_ends_with_an_interrupt(processes, wait_until):

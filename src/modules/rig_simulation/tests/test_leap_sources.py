@@ -12,7 +12,7 @@ from leap_motion.codec import read_message
 from rig_simulation.devices.leap import wire
 from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import PERIOD_S, Person, Recording, RecordingError
+from rig_simulation.operator.sources import PERIOD_S, Recording, RecordingError, ScriptedOperator
 
 RECORDINGS = ("rollAndPitchWithEntry", "grab", "HandSplay-110fps", "confidence-74fps", "three-claps")
 SHORT = Script(figure="line", laps=1, speed=600.0, away=0.5)
@@ -51,7 +51,7 @@ def write(tmp_path):
 @pytest.mark.parametrize("fields", wire.FIELD_SETS)
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_our_codec_reads_every_frame_of_the_person(fields, side):
-    playback = Playback(Person(SHORT, side, fields=fields), fields=fields)
+    playback = Playback(ScriptedOperator(SHORT, side, fields=fields), fields=fields)
     frames = [read_message(frame.text) for frame in played(playback, 3000)]
     assert [frame.id for frame in frames] == list(range(1, 3001))
     assert (np.diff([frame.timestamp_us for frame in frames]) > 8000).all()
@@ -70,7 +70,10 @@ def test_our_codec_reads_every_frame_of_the_person(fields, side):
 
 
 def test_fields_of_the_two_sets():
-    texts = {fields: Playback(Person(SHORT, fields=fields), fields=fields).next().text for fields in wire.FIELD_SETS}
+    texts = {
+        fields: Playback(ScriptedOperator(SHORT, fields=fields), fields=fields).next().text
+        for fields in wire.FIELD_SETS
+    }
     old, new = json.loads(texts["2.x"]), json.loads(texts["new"])
     assert {"interactionBox", "gestures", "r", "s", "t"} <= set(old)
     assert set(new) == {"id", "timestamp", "currentFrameRate", "hands", "pointables", "devices"}
@@ -81,7 +84,7 @@ def test_fields_of_the_two_sets():
 
 
 def test_signs_of_entry_and_exit():
-    playback = Playback(Person(SHORT))
+    playback = Playback(ScriptedOperator(SHORT))
     hands = []
     while not hands or hands[-1]["id"] == 1:
         hands += json.loads(playback.next().text)["hands"]
@@ -99,7 +102,7 @@ def test_signs_of_entry_and_exit():
 
 
 def test_a_still_hand_trembles_as_measured():
-    playback = Playback(Person(Script()))
+    playback = Playback(ScriptedOperator(Script()))
     palms = []
     for frame in played(playback, 430):
         palms += [hand["palmPosition"] for hand in json.loads(frame.text)["hands"]]
@@ -110,13 +113,13 @@ def test_a_still_hand_trembles_as_measured():
 
 
 def test_the_same_seed_gives_the_same_frames():
-    a, b, c = ([frame.text for frame in played(Playback(Person(SHORT), seed), 300)] for seed in (1, 1, 2))
+    a, b, c = ([frame.text for frame in played(Playback(ScriptedOperator(SHORT), seed), 300)] for seed in (1, 1, 2))
     assert a == b
     assert a != c
 
 
 def test_play_and_pause():
-    playback = Playback(Person(SHORT), playing=False)
+    playback = Playback(ScriptedOperator(SHORT), playing=False)
     assert not any(json.loads(frame.text)["hands"] for frame in played(playback, 50))
     playback.play()
     first = json.loads(playback.next().text)
@@ -156,7 +159,7 @@ def test_an_offset_moves_positions_only(write):
 
 
 def test_every_position_of_a_frame_is_moved():
-    original = json.loads(Playback(Person(SHORT)).next().text)
+    original = json.loads(Playback(ScriptedOperator(SHORT)).next().text)
     moved = wire.shifted(original, (1000, 2000, 3000))
     for before, after in zip(original["hands"] + original["pointables"], moved["hands"] + moved["pointables"]):
         for key, value in before.items():

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from common.camera_model import from_calibration
 from common.errors import DeviceError
 from rig_simulation.devices.camera.board_images import INDEX, PanelScene, main, random_pose
-from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.lens import CameraLens
 from rig_simulation.devices.camera.rendering import Renderer
-from rig_simulation.world.files import read_panel
+from rig_simulation.world.files import read_board
 
 CALIBRATIONS = Path(__file__).parents[3] / "vision" / "config"
 CAMERAS = ["--rgb", str(CALIBRATIONS / "xtion_rgb.yaml"), "--depth", str(CALIBRATIONS / "xtion_depth.yaml")]
@@ -31,7 +31,7 @@ def test_a_pose_has_the_distance_and_the_tilt_that_were_asked_for(distance, tilt
 
 
 def test_the_camera_comes_where_the_panel_has_the_wanted_pose():
-    scene = PanelScene(read_panel("bundle"))
+    scene = PanelScene(read_board("bundle"))
     np.testing.assert_allclose(scene.T_rgb_depth[:3, 3], (-0.027, 0.0, 0.0), atol=1e-9)
     T = random_pose(1.2, 0.5, 0.3, np.random.default_rng(0))
     scene.look(T)
@@ -44,9 +44,9 @@ def test_the_camera_comes_where_the_panel_has_the_wanted_pose():
 @pytest.fixture
 def can_render():
     try:
-        scene = PanelScene(read_panel("single"))
+        scene = PanelScene(read_board("single"))
         camera = from_calibration(_calibration())
-        Renderer(scene.model, Lens(camera).window, 0).close()
+        Renderer(scene.model, CameraLens(camera).window, 0).close()
     except DeviceError as error:
         pytest.skip(str(error))
 

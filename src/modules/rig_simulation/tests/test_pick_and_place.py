@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from rig_simulation.operator.pick_and_place import STEPS, PickAndPlace, View
+from rig_simulation.operator.pick_and_place import STEPS, PickAndPlace, PickView
 
 
 def work(rig, seconds=120.0, following=lambda now: True, wanted=None):
@@ -18,7 +18,7 @@ def work(rig, seconds=120.0, following=lambda now: True, wanted=None):
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S
         turn = 0.0 if wanted is None else wanted - rig.heading
-        result = person.step(View(rig.tool, rig.top, rig.top[2] - TOP[2], following(now), turn), now)
+        result = person.step(PickView(rig.tool, rig.top, rig.top[2] - TOP[2], following(now), turn), now)
         if not steps or steps[-1] != result.step:
             steps.append(result.step)
         if result.move is not None:
@@ -48,7 +48,7 @@ def test_the_fingers_close_only_over_the_object():
     person = PickAndPlace(PLAN, CENTER_LINE)
     now = 0.0
     while rig.curl == 0.0:
-        result = person.step(View(rig.tool, rig.top, 0.0), now)
+        result = person.step(PickView(rig.tool, rig.top, 0.0), now)
         if result.move is not None:
             rig.make(result.move)
         rig.advance()

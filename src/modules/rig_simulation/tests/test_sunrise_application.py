@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rig_simulation.devices.sunrise.application import VERSIONS, Application, Panel
-from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.servo import Drives
@@ -25,8 +25,8 @@ class Wire:
     """A client of an application whose time it turns itself."""
 
     def __init__(self, wiped_window=0.0, version=VERSIONS[-1], **arm_settings):
-        self.arm = Arm(ROBOT, ArmSettings(**arm_settings))
-        self.panel = Panel()
+        self.arm = SimulatedArm(ROBOT, ArmSettings(**arm_settings))
+        self.panel = ControllerIO()
         self.application = Application(self.arm, self.panel, wiped_window, version=version)
         self.now = 0.0
         self.came = []
@@ -131,7 +131,7 @@ def test_recorded_sessions_repeat(shared_data, name):
 def test_the_law_follows_the_recorded_servo_session(shared_data):
     """The recording's arm moves as told in cycles of 1.07 ms; with such an arm the law gives the recorded joints."""
     cycle, q, goal, now, seen = 1.07e-3, HOME[0], HOME[0], None, 0
-    arm = Arm(ROBOT, ArmSettings())
+    arm = SimulatedArm(ROBOT, ArmSettings())
     arm.q, arm.v = HOME.copy(), np.zeros(7)
     ideal = Drives(np.full(7, 1e6), np.full(7, 1e9), 1.5 * cycle)
     arm._drives = ideal

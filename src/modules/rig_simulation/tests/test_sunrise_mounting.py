@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.rotations import rotation_about, rotation_from_zyx, zyx_from_rotation
-from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.robot import Robot
 
@@ -47,7 +47,7 @@ def test_an_arm_that_reaches_out_sideways_from_a_wall_loads_joint_1():
 
 
 def test_without_a_load_from_outside_external_torques_are_zero_on_a_ceiling():
-    arm = Arm(Robot(URDF, (180.0, 0.0, 0.0)), ArmSettings())
+    arm = SimulatedArm(Robot(URDF, (180.0, 0.0, 0.0)), ArmSettings())
     arm.q = np.array([0.0, 0.5, 0.0, -1.2, 0.0, -0.7, 0.0])
     np.testing.assert_array_equal(arm.external_torques, REST)
     np.testing.assert_allclose(arm.measured_torques, -gravity(FLOOR, arm.q), atol=1e-9)

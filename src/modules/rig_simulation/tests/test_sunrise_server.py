@@ -17,11 +17,11 @@ import pytest
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
-from rig_simulation.devices.sunrise.lines import MAX_LINE_BYTES, LineSplitter
+from rig_simulation.devices.sunrise.lines import MAX_LINE_BYTES, JavaLineSplitter
 from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.server import Server, ServerSettings
+from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "sunrise_controller.py"
 ROBOT_URDF = read_urdf("LBR7R800", "MF_elektrisch")
@@ -59,7 +59,9 @@ def serve():
     running = []
 
     def start(**settings):
-        server = Server(Arm(Robot(ROBOT_URDF), ArmSettings()), ServerSettings(**settings), "127.0.0.1", 0, 0)
+        server = SunriseServer(
+            SimulatedArm(Robot(ROBOT_URDF), ArmSettings()), ServerSettings(**settings), "127.0.0.1", 0, 0
+        )
         server.thread = threading.Thread(target=server.run)
         server.thread.start()
         server.control = ControlClient("127.0.0.1", server.control_port, 10.0)
@@ -78,7 +80,7 @@ def state(server):
 
 
 def test_lines_end_as_the_servers_reader_ends_them():
-    lines = LineSplitter()
+    lines = JavaLineSplitter()
     assert lines.feed(b"a\nb\r\nc\rd\xc2\x85e\xe2\x80\xa8f\xe2\x80\xa9\n\ng") == list("abcdef")
     assert lines.feed(b"h\r") == ["gh"]
     assert lines.feed(b"\ni\n") == ["i"]
@@ -86,7 +88,7 @@ def test_lines_end_as_the_servers_reader_ends_them():
 
 
 def test_a_line_has_a_longest_length():
-    lines = LineSplitter()
+    lines = JavaLineSplitter()
     lines.feed(b"x" * MAX_LINE_BYTES)
     with pytest.raises(ValueError, match="longer than"):
         lines.feed(b"x")
@@ -283,7 +285,7 @@ def test_the_program_says_that_its_port_is_taken():
 
 
 def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(monkeypatch, serve, wait_until):
-    step = Arm.step
+    step = SimulatedArm.step
 
     def slow_step(arm, dt):
         time.sleep(0.002)
@@ -293,7 +295,7 @@ def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(
     client = Connection(server)
     for line in ("jRelVel_1.0_", "jp_1.0_0.0_0.0_0.0_0.0_0.0_0.0_"):
         assert client.ask(line) == "done\n"
-    monkeypatch.setattr(Arm, "step", slow_step)
+    monkeypatch.setattr(SimulatedArm, "step", slow_step)
     assert client.ask("doPTPinJS") == "done\n"
     wait_until(lambda: state(server)["joints"][0] > 0.0, 10.0, "the arm to move")
     waits = []

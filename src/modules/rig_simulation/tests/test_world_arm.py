@@ -6,7 +6,7 @@ import pytest
 
 from common.rotations import rotation_from_zyx
 from rig_simulation.devices.reflex.wire import POSITION, ModeCommand, TargetCommand
-from rig_simulation.devices.sunrise.arm import Arm, ArmSettings
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.profiles import JointMove
 from rig_simulation.devices.sunrise.robot import Robot
@@ -31,7 +31,7 @@ class Rig:
         self.world.add(self.hand)
         self.opened = [servo.position for servo in self.hand.simulated.servos]
         model = Robot(read_urdf(robot, "MF_elektrisch"), mounting)
-        self.arm = Arm(model, ArmSettings(servo_law="none"), ArmJoints(self.world))
+        self.arm = SimulatedArm(model, ArmSettings(servo_law="none"), ArmJoints(self.world))
         if np.any(home):
             self.go(home)
 

@@ -20,7 +20,7 @@ from rig_simulation.world.hand_model import FLEXURE_SHARE, prepare_hand
 from rig_simulation.world.mjcf import numbers, quaternion
 from rig_simulation.world.objects import add_object
 from rig_simulation.world.robot import add_robot
-from rig_simulation.world.scene import Ball, Bottle, Box, Cup, Cylinder
+from rig_simulation.world.scene import Ball, Bottle, Cuboid, Cup, Cylinder
 
 TIMESTEP_S = 0.001
 CLOSING = np.array([1, -1, 1, -1])
@@ -35,7 +35,7 @@ LIMITS = {
 LOOK = {"position": np.zeros(2), "yaw": 0.0, "friction": 0.6, "colour": np.ones(3)}
 THINGS = {
     "cup": Cup(radius=0.036, height=0.095, wall=0.004, mass=0.25, **LOOK),
-    "box": Box(size=np.array([0.06, 0.09, 0.07]), mass=0.15, **LOOK),
+    "box": Cuboid(size=np.array([0.06, 0.09, 0.07]), mass=0.15, **LOOK),
     "ball": Ball(radius=0.034, mass=0.06, **LOOK),
     "cylinder": Cylinder(radius=0.033, height=0.11, mass=0.25, **LOOK),
     "bottle": Bottle(radius=0.033, height=0.20, neck_radius=0.014, neck_height=0.06, mass=0.30, **LOOK),

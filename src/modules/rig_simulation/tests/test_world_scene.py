@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from common.errors import ConfigError
-from rig_simulation.world.files import SOURCE_TREE, read_panel, read_scene
+from rig_simulation.world.files import SOURCE_TREE, read_board, read_scene
 from rig_simulation.world.model import WorldDescription, build_model, mjcf
-from rig_simulation.world.scene import KINDS, panel_from, scene_from
+from rig_simulation.world.scene import KINDS, board_from, scene_from
 
 SCENES = sorted(path.stem for path in (SOURCE_TREE / "config" / "scenes").glob("*.yaml"))
 PANELS = sorted(path.stem for path in (SOURCE_TREE / "config" / "panels").glob("*.yaml"))
@@ -18,7 +18,7 @@ PANELS = sorted(path.stem for path in (SOURCE_TREE / "config" / "panels").glob("
 
 def description(scene="objects", panel=None, robot="LBR7R800"):
     """A world as the program describes it."""
-    panel = None if panel is None else read_panel(panel)
+    panel = None if panel is None else read_board(panel)
     return WorldDescription(robot, "MF_elektrisch", (0.0, 0.0, 0.0), read_scene(scene), panel)
 
 
@@ -32,7 +32,7 @@ def test_every_scene_of_the_package_can_be_built(name):
 
 @pytest.mark.parametrize("name", PANELS)
 def test_every_panel_of_the_package_has_its_tags_on_the_plate(name):
-    panel = panel_from(read_panel(name))
+    panel = board_from(read_board(name))
     for tag in panel.tags:
         white_border = tag.size / 8.0
         assert np.all(np.abs(tag.position) + tag.size / 2.0 + white_border <= panel.size / 2.0 + 1e-9)
@@ -92,7 +92,7 @@ def test_all_faults_are_told_at_once():
 )
 def test_what_is_no_panel_is_refused(values):
     with pytest.raises(ConfigError):
-        panel_from(values)
+        board_from(values)
 
 
 def test_an_unknown_scene_is_refused_with_those_that_there_are(tmp_path):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rig_description.arms import ALPHA_DEG, WRIST_TO_FLANGE, Arm
+from rig_description.arms import ALPHA_DEG, WRIST_TO_FLANGE, ArmDescription
 from rig_description.rigid_body import Body, cylinder, turned
 
 
@@ -23,13 +23,13 @@ def upright(link: int) -> np.ndarray:
     return rotation_x(sum(ALPHA_DEG[:link]))
 
 
-def origin_in_parent(arm: Arm, link: int) -> np.ndarray:
+def origin_in_parent(arm: ArmDescription, link: int) -> np.ndarray:
     """Returns the origin of link 1 to 7 in the frame of the link before [m], shape (3,)."""
     along = {1: arm.lengths[0], 3: arm.lengths[1], 5: arm.lengths[2]}.get(link, 0.0)
     return rotation_x(ALPHA_DEG[link - 1]) @ np.array([0.0, 0.0, along])
 
 
-def tube(arm: Arm, link: int) -> tuple[float, np.ndarray, np.ndarray]:
+def tube(arm: ArmDescription, link: int) -> tuple[float, np.ndarray, np.ndarray]:
     """Returns radius and the centres of both faces [m] of the cylinder nearest to link 0 to 7, in the link's frame.
 
     Links 1 to 5 alternate: each stands between a seam across the arm and the half of a joint's housing beside the
@@ -51,7 +51,7 @@ def tube(arm: Arm, link: int) -> tuple[float, np.ndarray, np.ndarray]:
     return radius, R @ np.array(bottom, dtype=float), R @ np.array(top, dtype=float)
 
 
-def body(arm: Arm, link: int) -> Body:
+def body(arm: ArmDescription, link: int) -> Body:
     """Returns the mass properties of link 0 to 7 in its frame.
 
     The base gets what the data sheet's weight leaves for it. Where the published numbers of a link are unusable, the
@@ -65,7 +65,7 @@ def body(arm: Arm, link: int) -> Body:
     return published(arm, link)
 
 
-def published(arm: Arm, link: int) -> Body:
+def published(arm: ArmDescription, link: int) -> Body:
     """Returns the published mass properties of link 1 to 7, usable or not, in the link's frame."""
     i = link - 1
     xx, yy, zz, xy, yz, xz = (row[i] for row in arm.dynamics.moments)

@@ -8,7 +8,7 @@ belongs to the next link.
 from __future__ import annotations
 
 from rig_description.appearance import DARK, GREY, ORANGE, PAD, WHITE, Disc
-from rig_description.arms import Arm
+from rig_description.arms import ArmDescription
 from rig_description.solids import (
     Mesh,
     Solid,
@@ -74,7 +74,7 @@ def _turned_over(solid: Solid) -> Solid:
     return mirrored(1, mirrored(2, solid))
 
 
-def housing(arm: Arm, link: int) -> Mesh:
+def housing(arm: ArmDescription, link: int) -> Mesh:
     """Returns the surface of link 0 to 6 [mm]."""
     low, middle, high = (1e3 * seam for seam in arm.seams)
     shoulder, upper, fore = (1e3 * length for length in arm.lengths)
@@ -90,7 +90,7 @@ def housing(arm: Arm, link: int) -> Mesh:
     return surface(solid, *span, CELL)
 
 
-def trim(arm: Arm, link: int) -> list[Disc]:
+def trim(arm: ArmDescription, link: int) -> list[Disc]:
     """Returns the rings at the link's seams and the covers of its joint housing."""
     low, middle, high = (1e3 * seam for seam in arm.seams)
     shoulder, upper, fore = (1e3 * length for length in arm.lengths)

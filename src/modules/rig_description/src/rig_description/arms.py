@@ -47,7 +47,7 @@ class Dynamics:
 
 
 @dataclass(frozen=True)
-class Arm:
+class ArmDescription:
     """One type of arm.
 
     Attributes:
@@ -115,7 +115,7 @@ _DYNAMICS_14_R820 = Dynamics(
 )
 
 ARMS = {
-    "LBR7R800": Arm(
+    "LBR7R800": ArmDescription(
         name="LBR7R800",
         lengths=(0.340, 0.400, 0.400),
         seams=(0.150, 0.210, 0.210),
@@ -131,7 +131,7 @@ ARMS = {
         # The same part as on the 14 R820; the other six links and the base then make up the data sheet's weight.
         masses={7: 0.35432},
     ),
-    "LBR14R820": Arm(
+    "LBR14R820": ArmDescription(
         name="LBR14R820",
         lengths=(0.360, 0.420, 0.400),
         seams=(0.1575, 0.2045, 0.1845),

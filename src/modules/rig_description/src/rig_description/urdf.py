@@ -23,7 +23,7 @@ from rig_description.arms import (
     MEDIA_FLANGES,
     RANGE_DEG,
     WRIST_TO_FLANGE,
-    Arm,
+    ArmDescription,
 )
 from rig_description.rigid_body import Body, cylinder
 
@@ -68,7 +68,7 @@ def urdf(robot: str, flange: str, ring: bool = False) -> str:
     return minidom.parseString(ET.tostring(root)).toprettyxml(indent="  ", encoding="utf-8").decode()
 
 
-def _arm(root: ET.Element, arm: Arm) -> None:
+def _arm(root: ET.Element, arm: ArmDescription) -> None:
     for number in range(8):
         link = _link(root, f"kuka/link_{number}", link_body(arm, number), _cylinder(*tube(arm, number)))
         R = upright(number).T

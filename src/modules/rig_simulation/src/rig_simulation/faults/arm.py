@@ -8,23 +8,27 @@ import numpy as np
 
 from rig_simulation.faults.delay_line import DelayLine
 from rig_simulation.faults.garbage import garbled
-from rig_simulation.faults.injection import Fault, Faults, Value, share_of
+from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
 
 ARM_FAULTS = (
     Fault("cut", "the connection is reset, and so is every new one; the arm brakes"),
     Fault("half_open", "cable out: nothing is read or answered, the connection stays, the arm goes on"),
-    Fault("silent", "commands are followed, but answers are lost", share_of("answers")),
-    Fault("slow", "every answer comes late", Value("delay [s]", 0.2, 0.001, 60.0)),
-    Fault("garbled", "answers are garbage with a line's end", share_of("answers")),
-    Fault("torn", "answers come byte by byte", Value("time between two bytes [s]", 0.0005, 0.0001, 1.0)),
+    Fault("silent", "commands are followed, but answers are lost", fraction_of("answers")),
+    Fault("slow", "every answer comes late", FaultValue("delay [s]", 0.2, 0.001, 60.0)),
+    Fault("garbled", "answers are garbage with a line's end", fraction_of("answers")),
+    Fault("torn", "answers come byte by byte", FaultValue("time between two bytes [s]", 0.0005, 0.0001, 1.0)),
     Fault("restarted", "the application ends on the pad and the port is closed; switched off it starts again"),
     Fault("refused", "motions are answered `done`, `nak`: the arm stays, the tool is taken off"),
     Fault("frozen", "the joint angles in answers stand still while the arm moves"),
-    Fault("shifted", "the joint angles in answers are wrong", Value("by so much at every joint [rad]", 0.1, -1.0, 1.0)),
+    Fault(
+        "shifted",
+        "the joint angles in answers are wrong",
+        FaultValue("by so much at every joint [rad]", 0.1, -1.0, 1.0),
+    ),
 )
 
 
-class Answers:
+class ArmAnswers:
     """What becomes of the answers on their way out. Time is handed in.
 
     Args:

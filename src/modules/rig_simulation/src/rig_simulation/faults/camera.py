@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from rig_simulation.devices.camera.rgbd_camera import Pictures
-from rig_simulation.faults.injection import Fault, Faults, Value, share_of
+from rig_simulation.devices.camera.rgbd_camera import RgbdImages
+from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
 
 CAMERA_FAULTS = (
     Fault("vanished", "unplugged: nothing is published any more"),
     Fault("frozen", "the driver hangs: the last pictures come again and again with their old stamps"),
     Fault("stuck", "the sensor hangs: the last pictures come again and again with new stamps"),
     Fault("depth_empty", "no pixel has a depth"),
-    Fault("slow", "pictures come seldom", Value("pictures a second [Hz]", 2.0, 0.1, 30.0)),
+    Fault("slow", "pictures come seldom", FaultValue("pictures a second [Hz]", 2.0, 0.1, 30.0)),
     Fault(
         "garbled",
         "pictures are torn, have rows too short or of another width, or are not of the size that camera_info says",
-        share_of("pictures"),
+        fraction_of("pictures"),
     ),
     Fault("restarted", "the driver ends and its topics are gone; switched off it starts again"),
 )
@@ -31,11 +31,11 @@ CAMERA_FAULTS = (
 class Exposure:
     """Pictures with the moment that they show, a stamp of the node's clock."""
 
-    pictures: Pictures
+    pictures: RgbdImages
     stamp: Any
 
 
-class Stream:
+class ImageStream:
     """What becomes of the pictures on their way out. Time is handed in.
 
     Args:
@@ -92,7 +92,7 @@ class Stream:
         return self._random.choice(ways)
 
 
-def _without_depth(pictures: Pictures) -> Pictures:
+def _without_depth(pictures: RgbdImages) -> RgbdImages:
     return dataclasses.replace(pictures, depth=_empty(pictures.depth), registered=_empty(pictures.registered))
 
 

@@ -9,16 +9,16 @@ from typing import Protocol
 
 from rig_simulation.faults.delay_line import DelayLine
 from rig_simulation.faults.garbage import garbled
-from rig_simulation.faults.injection import Fault, Faults, Value, share_of
+from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
 
-FINGER = Value("finger, 1 to 3", 1.0, 1.0, 3.0, whole=True)
-MOTOR = Value("motor, 1 to 4: f1, f2, f3, preshape", 1.0, 1.0, 4.0, whole=True)
+FINGER = FaultValue("finger, 1 to 3", 1.0, 1.0, 3.0, whole=True)
+MOTOR = FaultValue("motor, 1 to 4: f1, f2, f3, preshape", 1.0, 1.0, 4.0, whole=True)
 HAND_FAULTS = (
     Fault("cut", "cable out: no packets, and commands are lost"),
-    Fault("silent", "packets are lost, commands are followed", share_of("packets")),
-    Fault("deaf", "commands are lost, packets come: half of the cable is out", share_of("commands")),
-    Fault("slow", "packets come late", Value("delay [s]", 0.2, 0.001, 60.0)),
-    Fault("garbled", "packets are garbage, too short, too long, or of another format", share_of("packets")),
+    Fault("silent", "packets are lost, commands are followed", fraction_of("packets")),
+    Fault("deaf", "commands are lost, packets come: half of the cable is out", fraction_of("commands")),
+    Fault("slow", "packets come late", FaultValue("delay [s]", 0.2, 0.001, 60.0)),
+    Fault("garbled", "packets are garbage, too short, too long, or of another format", fraction_of("packets")),
     Fault("reordered", "of every two packets the second comes first"),
     Fault("doubled", "every packet comes twice"),
     Fault("frozen", "the same packet comes again and again"),
@@ -33,7 +33,7 @@ STUCK_PRESSURE = 100
 OTHER_FORMAT = 2
 
 
-class Hand(Protocol):
+class FaultyHand(Protocol):
     """What faults do inside of the hand."""
 
     def power_cycle(self) -> None: ...
@@ -43,7 +43,7 @@ class Hand(Protocol):
     def press(self, finger: int, value: int, cell: int | None = None) -> None: ...
 
 
-EFFECTS: Mapping[str, Callable[[Hand, int, bool], None]] = MappingProxyType(
+EFFECTS: Mapping[str, Callable[[FaultyHand, int, bool], None]] = MappingProxyType(
     {
         "restarted": lambda hand, _, on: None if on else hand.power_cycle(),
         "encoder_stuck": lambda hand, finger, on: hand.stick_encoder(finger, on),
@@ -55,7 +55,7 @@ EFFECTS: Mapping[str, Callable[[Hand, int, bool], None]] = MappingProxyType(
 """What a fault inside of the hand does when it begins and when it ends, with the index of its finger or motor."""
 
 
-class Wire:
+class HandWire:
     """What becomes of packets and commands on their way. Time is handed in.
 
     Args:
@@ -70,7 +70,7 @@ class Wire:
         self._held: bytes | None = None
         self._inside: dict[str, float] = {}
 
-    def follow(self, hand: Hand) -> None:
+    def follow(self, hand: FaultyHand) -> None:
         """Lets faults inside of the hand begin and end."""
         active = self._faults.active()
         for name, effect in EFFECTS.items():

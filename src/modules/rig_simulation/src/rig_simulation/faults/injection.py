@@ -23,7 +23,7 @@ from rig_simulation.command_line import finite, positive
 
 
 @dataclass(frozen=True)
-class Value:
+class FaultValue:
     """The number of a fault.
 
     Attributes:
@@ -44,9 +44,9 @@ Option = Tuple[str, Optional[float], Optional[float]]
 """A fault from the start: its name, after how long it ends [s] or None, its number or None."""
 
 
-def share_of(what: str) -> Value:
+def fraction_of(what: str) -> FaultValue:
     """Returns the number of a fault that meets only some of the messages."""
-    return Value(f"share of the {what}", 1.0, 0.01, 1.0)
+    return FaultValue(f"share of the {what}", 1.0, 0.01, 1.0)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Fault:
 
     name: str
     doc: str
-    value: Value | None = None
+    value: FaultValue | None = None
 
 
 @dataclass(frozen=True)

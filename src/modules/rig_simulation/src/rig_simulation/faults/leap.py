@@ -9,20 +9,20 @@ from collections.abc import Callable
 from rig_simulation.devices.leap import wire
 from rig_simulation.faults.delay_line import DelayLine
 from rig_simulation.faults.garbage import garbled
-from rig_simulation.faults.injection import Fault, Faults, Value, share_of
+from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
 
 LEAP_FAULTS = (
     Fault("cut", "connections are reset, and so is every new one"),
     Fault("half_open", "cable out: nothing is read or sent, not even pongs; connections stay"),
-    Fault("silent", "connections stay, but no frames come", share_of("frames")),
-    Fault("slow", "every frame comes late", Value("delay [s]", 0.3, 0.001, 60.0)),
+    Fault("silent", "connections stay, but no frames come", fraction_of("frames")),
+    Fault("slow", "every frame comes late", FaultValue("delay [s]", 0.3, 0.001, 60.0)),
     Fault(
         "bursts",
         "frames are held back and then come all at once",
-        Value("time between two bursts [s]", 0.1, 0.01, 10.0),
+        FaultValue("time between two bursts [s]", 0.1, 0.01, 10.0),
     ),
-    Fault("low_rate", "most frames are left out", Value("frames that are left [Hz]", 10.0, 0.1, 100.0)),
-    Fault("garbled", "frames are torn, no JSON, without hands' keys, or hold NaN", share_of("frames")),
+    Fault("low_rate", "most frames are left out", FaultValue("frames that are left [Hz]", 10.0, 0.1, 100.0)),
+    Fault("garbled", "frames are torn, no JSON, without hands' keys, or hold NaN", fraction_of("frames")),
     Fault("restarted", "the service ends and its port is closed; switched off it starts with ids and clock anew"),
     Fault("unplugged", "the device is not there, which clients are told; no frames"),
     Fault("frozen", "the same frame comes again and again"),
@@ -31,13 +31,17 @@ LEAP_FAULTS = (
     Fault(
         "hand_moved",
         "the hand is lost and found elsewhere with a new id",
-        Value("to the right [mm]", 100.0, -500.0, 500.0),
+        FaultValue("to the right [mm]", 100.0, -500.0, 500.0),
     ),
-    Fault("second_hand", "a second hand stands beside the first", Value("to the right [mm]", 250.0, -500.0, 500.0)),
     Fault(
-        "outliers", "one hand in forty is elsewhere for a single frame", Value("higher by [mm]", 200.0, -1000.0, 1000.0)
+        "second_hand", "a second hand stands beside the first", FaultValue("to the right [mm]", 250.0, -500.0, 500.0)
     ),
-    Fault("low_confidence", "the hand is badly seen", Value("its confidence", 0.02, 0.0, 1.0)),
+    Fault(
+        "outliers",
+        "one hand in forty is elsewhere for a single frame",
+        FaultValue("higher by [mm]", 200.0, -1000.0, 1000.0),
+    ),
+    Fault("low_confidence", "the hand is badly seen", FaultValue("its confidence", 0.02, 0.0, 1.0)),
 )
 OF_HANDS = {"hand_lost", "hand_swapped", "hand_moved", "second_hand", "outliers", "low_confidence"}
 NEW_ID, SECOND_ID = 1000, 500
@@ -46,7 +50,7 @@ NEW_ID, SECOND_ID = 1000, 500
 OUTLIER_PERIOD = 40
 
 
-class Stream:
+class FrameStream:
     """What becomes of the frames on their way out. Time is handed in.
 
     Args:
@@ -59,7 +63,7 @@ class Stream:
         self._waiting: DelayLine[str] = DelayLine()
         self._frozen: str | None = None
         self._next = self._burst = float("-inf")
-        self._hands = Hands()
+        self._hands = HandFaults()
 
     def pass_on(self, frame: str, now: float) -> list[str]:
         """Takes the frame of the time `now` [s] and returns those that are to be sent now, oldest first."""
@@ -83,7 +87,7 @@ class Stream:
         return self._waiting.take(now)
 
 
-class Hands:
+class HandFaults:
     """Changes the hands of frames; remembers how often ids were to be new, and counts frames for outliers."""
 
     def __init__(self) -> None:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from rig_simulation.world.scene import Box, SceneObject
+from rig_simulation.world.scene import Cuboid, SceneObject
 
 WIDEST = 0.1
 """A side that is longer does not fit between the fingers."""
@@ -37,7 +37,7 @@ def turn_to(shape: SceneObject, R_base_object: np.ndarray, fingers: float) -> fl
         R_base_object: its attitude, shape (3, 3).
         fingers: direction along which they close.
     """
-    if not isinstance(shape, Box):
+    if not isinstance(shape, Cuboid):
         return 0.0
     sides = shape.size[:2]
     fitting = [axis for axis in (0, 1) if sides[axis] <= WIDEST] or [int(np.argmin(sides))]

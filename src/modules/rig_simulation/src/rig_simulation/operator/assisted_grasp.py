@@ -16,7 +16,7 @@ import numpy as np
 
 from common.rotations import rotation_about
 from rig_simulation.operator.alignment import wrapped
-from rig_simulation.operator.pick_and_place import Move, PickAndPlace, Plan, View
+from rig_simulation.operator.pick_and_place import Move, PickAndPlace, PickView, Plan
 
 EXECUTE, CANCEL, SHOW, HIDE = "execute", "cancel", "show", "hide"
 """What the person asks for besides moves: of the execution, and of the own hand."""
@@ -25,7 +25,7 @@ IDLE, WAITING_FOR_HAND, OVER = "idle", "waiting_for_hand", "over"
 
 
 @dataclass(frozen=True)
-class Habits:
+class OperatorHabits:
     """How the person works with proposals.
 
     Attributes:
@@ -48,7 +48,7 @@ class Habits:
 
 
 @dataclass(frozen=True)
-class SeenObject:
+class ObservedObject:
     """An object.
 
     Attributes:
@@ -63,7 +63,7 @@ class SeenObject:
 
 
 @dataclass(frozen=True)
-class Proposal:
+class ProposedGrasp:
     """The best grasp that is proposed.
 
     Attributes:
@@ -76,7 +76,7 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class GraspReport:
     """What the execution says became of a grasp."""
 
     episode: int
@@ -85,7 +85,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Scene:
+class AssistedView:
     """What the person sees.
 
     Attributes:
@@ -105,12 +105,12 @@ class Scene:
     heading: float
     following: bool
     at_home: bool
-    objects: Mapping[str, SeenObject]
-    proposal: Proposal | None = None
+    objects: Mapping[str, ObservedObject]
+    proposal: ProposedGrasp | None = None
     complaint: str = ""
     execution: str = IDLE
     reason: str = ""
-    outcome: Outcome | None = None
+    outcome: GraspReport | None = None
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Result:
+class AssistedStep:
     """What a step brought: a request or a move to make, or nothing; `failure` says why the person gave up."""
 
     step: str
@@ -180,7 +180,7 @@ class AssistedGrasp:
         center_line: direction of the workspace, shape (3,), z = 0.
     """
 
-    def __init__(self, habits: Habits, plan: Plan, center_line: np.ndarray) -> None:
+    def __init__(self, habits: OperatorHabits, plan: Plan, center_line: np.ndarray) -> None:
         self._habits, self._plan = habits, plan
         self._center_line = np.asarray(center_line, dtype=float)
         self._round = Round(1)
@@ -201,7 +201,7 @@ class AssistedGrasp:
             self._change(refused=(*self._round.refused, message))
             self._ready_since = now
 
-    def step(self, scene: Scene, now: float) -> Result:
+    def step(self, scene: AssistedView, now: float) -> AssistedStep:
         """Looks, and says what to do now."""
         if self._since is None:
             self._since = now
@@ -212,7 +212,7 @@ class AssistedGrasp:
             return self._result(request=request, failure=self._complaint(scene))
         return getattr(self, f"_{self._step}")(scene, now)
 
-    def _look(self, scene: Scene, now: float) -> Result:
+    def _look(self, scene: AssistedView, now: float) -> AssistedStep:
         """Waits at home for a proposal that lies on an object."""
         if not scene.at_home or scene.following:
             self._ready_since = None
@@ -232,7 +232,7 @@ class AssistedGrasp:
         self._episode = None if scene.outcome is None else scene.outcome.episode
         return self._result(request=EXECUTE)
 
-    def _approach(self, scene: Scene, now: float) -> Result:
+    def _approach(self, scene: AssistedView, now: float) -> AssistedStep:
         """Waits until the arm stands above the proposal, and brings the hand in."""
         assert self._since is not None  # `step` sets it
         if scene.execution in (IDLE, OVER) and now - self._since > self._habits.look:
@@ -245,7 +245,7 @@ class AssistedGrasp:
         self._go("work", now)
         return self._result(request=SHOW)
 
-    def _work(self, scene: Scene, now: float) -> Result:
+    def _work(self, scene: AssistedView, now: float) -> AssistedStep:
         """Takes over, corrects, picks up, puts down."""
         seen, attempt = scene.objects[self._round.object], self._try
         assert attempt is not None  # `_approach` begins one
@@ -253,7 +253,7 @@ class AssistedGrasp:
             attempt.followed = now
         elif attempt.followed is not None and now - attempt.followed > self._habits.lost:
             return self._again(f"the arm followed the hand no more: {scene.reason}", now, HIDE)
-        result = attempt.work.step(View(scene.grip, seen.top, seen.clearance, scene.following, seen.turn), now)
+        result = attempt.work.step(PickView(scene.grip, seen.top, seen.clearance, scene.following, seen.turn), now)
         if result.step == "close" and attempt.name != "close":
             shift = float(np.linalg.norm((scene.grip - attempt.grip)[:2]))
             self._change(correction=shift, turn=wrapped(scene.heading - attempt.heading))
@@ -268,7 +268,7 @@ class AssistedGrasp:
             return self._result(request=HIDE)
         return self._result(move=result.move)
 
-    def _leave(self, scene: Scene, now: float) -> Result:
+    def _leave(self, scene: AssistedView, now: float) -> AssistedStep:
         """Waits at home for the outcome."""
         outcome = scene.outcome
         if outcome is None or outcome.episode == self._episode or not scene.at_home:
@@ -286,7 +286,7 @@ class AssistedGrasp:
         self._go("look", now)
         return ended
 
-    def _again(self, why: str, now: float, request: str = "") -> Result:
+    def _again(self, why: str, now: float, request: str = "") -> AssistedStep:
         """Notes why a try failed; the next one begins, or the person gives up."""
         why = why.rstrip(".")
         self._change(failed=(*self._round.failed, why))
@@ -298,13 +298,13 @@ class AssistedGrasp:
         self._try = None
         return result
 
-    def _nearest(self, scene: Scene, proposal: Proposal) -> tuple[str, float]:
+    def _nearest(self, scene: AssistedView, proposal: ProposedGrasp) -> tuple[str, float]:
         """Returns the object whose top is nearest to the proposal, and how far that is [m], seen from above."""
         place = proposal.place[:2]
         away = {name: float(np.linalg.norm(seen.top[:2] - place)) for name, seen in scene.objects.items()}
         return min(away.items(), key=lambda item: item[1])
 
-    def _complaint(self, scene: Scene) -> str:
+    def _complaint(self, scene: AssistedView) -> str:
         waited = f"waited {self._habits.patience:g} s in vain (step {self._step!r})"
         if self._step != "look":
             return f"{waited}: the execution is {scene.execution}: {scene.reason}"
@@ -323,6 +323,6 @@ class AssistedGrasp:
     def _go(self, step: str, now: float) -> None:
         self._step, self._since, self._ready_since = step, now, None
 
-    def _result(self, **what: Any) -> Result:
+    def _result(self, **what: Any) -> AssistedStep:
         name = self._try.name if self._try is not None else self._step
-        return Result(name, self._round, **what)
+        return AssistedStep(name, self._round, **what)

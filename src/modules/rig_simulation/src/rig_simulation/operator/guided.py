@@ -16,7 +16,7 @@ from rig_simulation.devices.leap import wire
 from rig_simulation.devices.leap.sensing import SETTLE_S, Tracker
 from rig_simulation.operator import motion
 from rig_simulation.operator.hand_model import HandModel
-from rig_simulation.operator.sources import PERIOD_S, Person, next_interval
+from rig_simulation.operator.sources import PERIOD_S, ScriptedOperator, next_interval
 
 LONGEST_REACH_S = 60.0
 FARTHEST_M = 0.5
@@ -24,7 +24,7 @@ LARGEST_ANGLE = np.radians(90.0)
 
 
 @dataclass(frozen=True)
-class Reach:
+class HandTarget:
     """Where the hand is to be, and when.
 
     Attributes:
@@ -62,14 +62,14 @@ class Reach:
         return np.array([*palm, self.pitch, self.yaw, self.roll, self.curl])
 
 
-class GuidedPerson:
+class GuidedOperator:
     """A source whose hand goes where the calls below send it; they may come from another thread.
 
     Args:
         person: size and side of the hand, centre of the work.
     """
 
-    def __init__(self, person: Person) -> None:
+    def __init__(self, person: ScriptedOperator) -> None:
         self._person = person
         self._lock = threading.Lock()
         self._state: np.ndarray | None = None
@@ -79,7 +79,7 @@ class GuidedPerson:
         self._leaves_in: float | None = None
 
     def show(self, **at: float) -> None:
-        """Brings a hand into view at a `Reach`, with a new id, in place of the one before.
+        """Brings a hand into view at a `HandTarget`, with a new id, in place of the one before.
 
         Raises:
             ValueError: the reach has unknown names or is out of its range.
@@ -91,7 +91,7 @@ class GuidedPerson:
             self._leaves_in = None
 
     def reach(self, **to: float) -> None:
-        """Moves the hand to a `Reach`; a movement under way is left where it is.
+        """Moves the hand to a `HandTarget`; a movement under way is left where it is.
 
         Raises:
             ValueError: no hand is in view, or the reach has unknown names or is out of its range.
@@ -155,8 +155,8 @@ class GuidedPerson:
             return self._state, speed, 1e3 if self._leaves_in is None else self._leaves_in, self._shown
 
 
-def _reach(fields: dict) -> Reach:
-    unknown = sorted(set(fields) - set(Reach.__dataclass_fields__))
+def _reach(fields: dict) -> HandTarget:
+    unknown = sorted(set(fields) - set(HandTarget.__dataclass_fields__))
     if unknown:
-        raise ValueError(f"a reach has no {', '.join(unknown)}; it has {', '.join(Reach.__dataclass_fields__)}")
-    return Reach(**fields)
+        raise ValueError(f"a reach has no {', '.join(unknown)}; it has {', '.join(HandTarget.__dataclass_fields__)}")
+    return HandTarget(**fields)

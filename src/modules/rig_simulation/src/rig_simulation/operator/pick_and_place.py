@@ -54,7 +54,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class View:
+class PickView:
     """What the person sees.
 
     Attributes:
@@ -89,7 +89,7 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Result:
+class PickStep:
     """What a step brought: a move to make or None; `step` names the present step; `failure` says why it gave up."""
 
     step: str
@@ -124,54 +124,54 @@ class PickAndPlace:
         self._target: np.ndarray | None = None
         self._before: tuple[float, np.ndarray] | None = None
 
-    def step(self, view: View, now: float) -> Result:
+    def step(self, view: PickView, now: float) -> PickStep:
         """Looks, and says what to do now."""
         at_rest = self._at_rest(view.grip, now)
         if STEPS[self._step] == "done":
-            return Result("done")
+            return PickStep("done")
         if self._since is None:
             self._since = now
         if now - self._since > self._plan.patience:
-            return Result(STEPS[self._step], failure=self._complaint(view))
+            return PickStep(STEPS[self._step], failure=self._complaint(view))
         if now < self._busy_until or not at_rest or not view.following:
-            return Result(STEPS[self._step])
+            return PickStep(STEPS[self._step])
         return self._look(view, now)
 
-    def _look(self, view: View, now: float) -> Result:
+    def _look(self, view: PickView, now: float) -> PickStep:
         """The last movement is over and the tool stands: corrects it, or goes on to the next step."""
         name = STEPS[self._step]
         if self._target is not None:
             error, turn = self._target - view.grip, self._turn(name, view)
             if np.linalg.norm(error) > self._plan.tolerance or abs(turn) > self._plan.turn_tolerance:
-                return Result(name, self._shift(error, now, turn))
+                return PickStep(name, self._shift(error, now, turn))
         self._step += 1
         self._since, self._target = now, None
         return self._begin(STEPS[self._step], view, now)
 
-    def _begin(self, name: str, view: View, now: float) -> Result:
+    def _begin(self, name: str, view: PickView, now: float) -> PickStep:
         plan = self._plan
         if name == "above":
             self._target = view.top + plan.clearance * UP
         elif name == "down":
             self._target = view.top + plan.grasp_height * UP
         elif name == "close":
-            return Result(name, self._bend(1.0, plan.closing, now))
+            return PickStep(name, self._bend(1.0, plan.closing, now))
         elif name == "lift":
             self._target = view.grip + plan.lift * UP
         elif name == "hold":
             self._busy_until = now + plan.hold
-            return Result(name)
+            return PickStep(name)
         elif name == "lower":
             self._target = view.grip - view.clearance * UP
         elif name == "open":
-            return Result(name, self._bend(0.0, plan.opening, now))
+            return PickStep(name, self._bend(0.0, plan.opening, now))
         elif name == "away":
             self._target = view.grip + plan.clearance * UP
         else:
-            return Result(name)
-        return Result(name, self._shift(self._target - view.grip, now, self._turn(name, view)))
+            return PickStep(name)
+        return PickStep(name, self._shift(self._target - view.grip, now, self._turn(name, view)))
 
-    def _turn(self, name: str, view: View) -> float:
+    def _turn(self, name: str, view: PickView) -> float:
         """Returns the turn that is still to be made [rad]: over the object, and no further than the arm follows."""
         if name != "above":
             return 0.0
@@ -199,7 +199,7 @@ class PickAndPlace:
             return False
         return float(np.linalg.norm(grip - before[1])) / (now - before[0]) < self._plan.at_rest
 
-    def _complaint(self, view: View) -> str:
+    def _complaint(self, view: PickView) -> str:
         name = STEPS[self._step]
         if not view.following:
             return f"the arm did not follow within {self._plan.patience:g} s (step {name!r})"

@@ -40,7 +40,7 @@ def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float,
 
 
 @dataclass(frozen=True)
-class Person:
+class ScriptedOperator:
     """Who moves what over the Leap.
 
     Attributes:

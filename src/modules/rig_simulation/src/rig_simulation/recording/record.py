@@ -17,7 +17,7 @@ import numpy as np
 
 from common.errors import DeviceError, RigError
 from rig_simulation.command_line import parse_options, positive
-from rig_simulation.control_port import ControlClient, NobodyListens
+from rig_simulation.control_port import ControlClient, PortClosedError
 from rig_simulation.devices.camera.world_copy import WorldCopy
 from rig_simulation.recording.films import Film, film_for, with_lines
 from rig_simulation.recording.following import (
@@ -63,7 +63,7 @@ def record(client: ControlClient, films: list[Film], options: argparse.Namespace
         RigError: a film cannot be written, this machine cannot render, or the world hangs.
     """
     count, start, due = 0, None, time.monotonic()
-    view = View(client, tuple(options.size), tuple(options.view))
+    view = FilmView(client, tuple(options.size), tuple(options.view))
     try:
         while not stop.wait(max(0.0, due - time.monotonic())):
             due = max(due + 1.0 / options.rate, time.monotonic())
@@ -83,7 +83,7 @@ def record(client: ControlClient, films: list[Film], options: argparse.Namespace
     return count
 
 
-def _follow(view: View, stop: threading.Event) -> bool:
+def _follow(view: FilmView, stop: threading.Event) -> bool:
     """Lets the view follow the world, with patience; returns False if the world has ended, or `stop` is set.
 
     Raises:
@@ -94,7 +94,7 @@ def _follow(view: View, stop: threading.Event) -> bool:
         try:
             view.follow()
             return True
-        except NobodyListens:
+        except PortClosedError:
             return False
         except DeviceError as error:
             if time.monotonic() > deadline:
@@ -103,7 +103,7 @@ def _follow(view: View, stop: threading.Event) -> bool:
     return False
 
 
-class View:
+class FilmView:
     """Looks at a copy of the world.
 
     Args:

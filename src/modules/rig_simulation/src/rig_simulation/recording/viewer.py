@@ -15,7 +15,7 @@ from typing import Any
 
 from common.errors import DeviceError
 from rig_simulation.command_line import parse_options
-from rig_simulation.control_port import ControlClient, NobodyListens
+from rig_simulation.control_port import ControlClient, PortClosedError
 from rig_simulation.devices.camera.world_copy import WorldCopy
 from rig_simulation.recording.following import (
     HOST,
@@ -82,7 +82,7 @@ def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Ev
             try:
                 pairs = pair_forces(client.ask("contacts")["contacts"])
                 is_new = world.follow()
-            except NobodyListens:
+            except PortClosedError:
                 print(f"{NAME}: The world has ended.", flush=True)
                 break
             except DeviceError:
@@ -93,7 +93,7 @@ def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Ev
             if is_new:
                 if window is not None:
                     window.close()
-                window = Window(world, tuple(options.view))
+                window = ViewerWindow(world, tuple(options.view))
             assert window is not None  # the first state is of a new model
             window.show(arrows(pairs))
     finally:
@@ -101,7 +101,7 @@ def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Ev
             window.close()
 
 
-class Window:
+class ViewerWindow:
     """MuJoCo's passive viewer of a copy of the world.
 
     Args:

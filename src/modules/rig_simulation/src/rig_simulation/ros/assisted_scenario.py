@@ -24,13 +24,13 @@ from rig_simulation.operator.assisted_grasp import (
     IDLE,
     SHOW,
     AssistedGrasp,
-    Habits,
-    Outcome,
-    Proposal,
-    Result,
+    AssistedStep,
+    AssistedView,
+    GraspReport,
+    ObservedObject,
+    OperatorHabits,
+    ProposedGrasp,
     Round,
-    Scene,
-    SeenObject,
 )
 from rig_simulation.operator.pick_and_place import Plan
 from rig_simulation.ros.scenario import AT_HOME, FOLLOWING, PERIOD_S, Eyes, Story
@@ -43,13 +43,13 @@ NETWORK_START_S = 180.0
 """Where other programs want the processor, the network's libraries take a minute and more to load."""
 
 
-class Proposals:
+class GraspTopics:
     """What the two nodes of grasping say."""
 
     def __init__(self) -> None:
         self._grasps: GraspList | None = None
         self.execution: dict[str, str] = {}
-        self.outcome: Outcome | None = None
+        self.outcome: GraspReport | None = None
         rospy.Subscriber("ggcnn/out/grasps", GraspList, self._take_grasps, queue_size=1)
         rospy.Subscriber("grasping/state", DiagnosticStatus, self._take_execution, queue_size=10)
         rospy.Subscriber("grasping/outcome", GraspOutcome, self._take_outcome, queue_size=10)
@@ -59,7 +59,7 @@ class Proposals:
         """Whether the network has said anything yet."""
         return self._grasps is not None
 
-    def best(self) -> tuple[Proposal | None, str]:
+    def best(self) -> tuple[ProposedGrasp | None, str]:
         """Returns the best grasp in a fresh picture that the arm reaches, and if there is none, why."""
         grasps = self._grasps
         if grasps is None:
@@ -79,7 +79,7 @@ class Proposals:
         self.execution = {value.key: value.value for value in message.values}
 
     def _take_outcome(self, message: GraspOutcome) -> None:
-        self.outcome = Outcome(message.episode, message.held, message.reason)
+        self.outcome = GraspReport(message.episode, message.held, message.reason)
 
 
 class AssistedScenario:
@@ -97,8 +97,8 @@ class AssistedScenario:
 
     def __init__(self, name: str, rounds: int, leapd: ControlClient, world: ControlClient) -> None:
         self._leapd = leapd
-        self._eyes, self._story, self._proposals = Eyes(name, world), Story(name), Proposals()
-        self._person = AssistedGrasp(Habits(rounds), Plan(hold=HOLD_S), self._eyes.center_line)
+        self._eyes, self._story, self._proposals = Eyes(name, world), Story(name), GraspTopics()
+        self._person = AssistedGrasp(OperatorHabits(rounds), Plan(hold=HOLD_S), self._eyes.center_line)
         self._streams = False
         self._services = {name: rospy.ServiceProxy(f"grasping/{name}", Trigger) for name in (EXECUTE, CANCEL)}
         rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=10)
@@ -128,7 +128,7 @@ class AssistedScenario:
             self._story.tell("network starts")
             time.sleep(PERIOD_S)
 
-    def _do(self, result: Result) -> None:
+    def _do(self, result: AssistedStep) -> None:
         if result.move is not None:
             self._leapd.ask("reach", **result.move.fields)
         if result.request in (SHOW, HIDE):
@@ -147,15 +147,15 @@ class AssistedScenario:
             return False, f"the service grasping/{name} does not answer: {error}"
         return answer.success, answer.message
 
-    def _scene(self) -> Scene:
+    def _scene(self) -> AssistedView:
         eyes, execution = self._eyes, self._proposals.execution
         fingers = heading(eyes.R)
         objects = {}
         for name, seen in eyes.objects().items():
             turn = turn_to(eyes.shapes[name], rotation_from_quaternion(seen["quaternion"]), fingers)
-            objects[name] = SeenObject(seen["top"], seen["clearance"], turn)
+            objects[name] = ObservedObject(seen["top"], seen["clearance"], turn)
         proposal, complaint = self._proposals.best()
-        return Scene(
+        return AssistedView(
             grip=eyes.grip,
             heading=fingers,
             following=self._streams and eyes.mode == FOLLOWING,
@@ -198,5 +198,5 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.5f}"
 
 
-def _proposal(grasp: Grasp) -> Proposal:
-    return Proposal(grasp.id, array(grasp.pose_base.pose.position))
+def _proposal(grasp: Grasp) -> ProposedGrasp:
+    return ProposedGrasp(grasp.id, array(grasp.pose_base.pose.position))

@@ -20,9 +20,9 @@ from common.ros.params import private_config, private_values
 from common.ros.rgbd_topics import FRAMES, Outgoing, RgbdTopics
 from rig_simulation.control_port import ControlClient, ControlPort
 from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
-from rig_simulation.devices.camera.rgbd_camera import Pictures, RgbdCamera
+from rig_simulation.devices.camera.rgbd_camera import RgbdCamera, RgbdImages
 from rig_simulation.devices.camera.world_copy import WorldCopy
-from rig_simulation.faults.camera import CAMERA_FAULTS, Exposure, Stream
+from rig_simulation.faults.camera import CAMERA_FAULTS, Exposure, ImageStream
 from rig_simulation.faults.injection import Faults, parameter, switch_all
 from rig_simulation.node_parameters import LOOPBACK, CameraConfig
 
@@ -33,7 +33,7 @@ SMOOTHING = 0.1
 SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
 
 
-class Camera:
+class CameraNode:
     """Follows the world, takes pictures and publishes them.
 
     Args:
@@ -51,7 +51,7 @@ class Camera:
         self._camera = camera
         self._open_topics = open_topics
         self._topics: RgbdTopics | None = None
-        self._stream = Stream(faults)
+        self._stream = ImageStream(faults)
         self._faults = faults
         self._trouble = f"The simulated world at {config.host}:{config.port} has not answered yet."
         self._published = self._overruns = 0
@@ -110,7 +110,7 @@ class Camera:
                 self._topics.close()
             self._topics = None
         elif self._topics is None:
-            self._topics, self._stream = self._open_topics(self._garble), Stream(self._faults)
+            self._topics, self._stream = self._open_topics(self._garble), ImageStream(self._faults)
         return self._topics
 
     def _garble(self, message: Image) -> Image:
@@ -118,7 +118,7 @@ class Camera:
             setattr(message, field, value)
         return message
 
-    def _take(self, topics: RgbdTopics) -> Pictures:
+    def _take(self, topics: RgbdTopics) -> RgbdImages:
         colour, depth, registered = (topics.wanted(name) for name in FRAMES)
         return self._camera.take(self._world.data, colour, depth, registered)
 
@@ -154,6 +154,6 @@ def main() -> None:
     switch_all(faults, parameter(config.fault, CAMERA_FAULTS, "~fault"))
     with ControlPort(faults.requests, LOOPBACK, config.control_port):
         try:
-            Camera(config, camera, functools.partial(RgbdTopics, rgb, depth), faults).run()
+            CameraNode(config, camera, functools.partial(RgbdTopics, rgb, depth), faults).run()
         finally:
             camera.close()

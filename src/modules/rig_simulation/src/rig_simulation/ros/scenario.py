@@ -20,7 +20,7 @@ from common.errors import RigError
 from common.ros.conversions import pose_from_message
 from common.tool import ToolConfig
 from rig_simulation.control_port import ControlClient
-from rig_simulation.operator.pick_and_place import PickAndPlace, Plan, Result, View
+from rig_simulation.operator.pick_and_place import PickAndPlace, PickStep, PickView, Plan
 from rig_simulation.world.scene import scene_from
 
 PERIOD_S = 0.1
@@ -154,7 +154,7 @@ class PickScenario:
                 time.sleep(AWAY_S)
                 person, visits, followed = self._come_in(), visits + 1, None
                 continue
-            result: Result = person.step(view, now)
+            result: PickStep = person.step(view, now)
             if result.move is not None:
                 self._leapd.ask("reach", **result.move.fields)
             self._story.tell(result.step, result.failure)
@@ -166,6 +166,6 @@ class PickScenario:
         self._leapd.ask("show")
         return PickAndPlace(Plan(), self._eyes.center_line)
 
-    def _view(self) -> View:
+    def _view(self) -> PickView:
         seen = self._eyes.objects()[self._object]
-        return View(self._eyes.grip, seen["top"], seen["clearance"], self._eyes.mode == FOLLOWING)
+        return PickView(self._eyes.grip, seen["top"], seen["clearance"], self._eyes.mode == FOLLOWING)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any
 
-from rig_simulation.devices.sunrise.server import Server
+from rig_simulation.devices.sunrise.server import SunriseServer
 from rig_simulation.world.clock import Clock
 from rig_simulation.world.files import read_scene
 from rig_simulation.world.physics import World
@@ -30,7 +30,7 @@ class WorldRequests:
         handlers: function by request, for a control port.
     """
 
-    def __init__(self, world: World, server: Server, clock: Clock) -> None:
+    def __init__(self, world: World, server: SunriseServer, clock: Clock) -> None:
         self._world, self._server, self._clock = world, server, clock
         self._started, self._steps_at_start = time.monotonic(), world.steps
         names = ("state", "snapshot", "scene", "objects", "contacts", "reset", "set_scene", "step")

@@ -25,7 +25,7 @@ def read_scene(name: str) -> dict[str, Any]:
     return _read("scenes", name)
 
 
-def read_panel(name: str) -> dict[str, Any]:
+def read_board(name: str) -> dict[str, Any]:
     """Returns the mapping of a panel, like `read_scene`."""
     return _read("panels", name)
 

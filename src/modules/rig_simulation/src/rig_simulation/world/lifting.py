@@ -46,7 +46,7 @@ FINGERS = 3
 SLIDE = "slide"
 
 
-class Lift(NamedTuple):
+class LiftTrial(NamedTuple):
     """What came of a trial.
 
     Attributes:
@@ -60,7 +60,7 @@ class Lift(NamedTuple):
     reached: bool
 
 
-def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> Lift:
+def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:
     """Returns what happens when the hand grasps there.
 
     Args:
@@ -102,7 +102,7 @@ def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> Lift:
             reached = bool(abs(slide.qpos[0] + START_M) < 0.005)
     rise = data.qpos[heights] - before
     most = float(rise.max()) if np.isfinite(rise).all() else 0.0
-    return Lift(most > RISE_M and not data.warning.number.any(), most, reached)
+    return LiftTrial(most > RISE_M and not data.warning.number.any(), most, reached)
 
 
 def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:

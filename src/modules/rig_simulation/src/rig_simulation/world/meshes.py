@@ -11,7 +11,7 @@ _NAMESPACE = {"c": "http://www.collada.org/2005/11/COLLADASchema"}
 
 
 @dataclasses.dataclass(frozen=True)
-class Surface:
+class TriangleSurface:
     """A closed surface of one colour.
 
     Attributes:
@@ -25,7 +25,7 @@ class Surface:
     colour: np.ndarray
 
 
-def surface_from_collada(text: str) -> Surface:
+def surface_from_collada(text: str) -> TriangleSurface:
     """Returns the surface in a file as rig_description writes it: each vertex has its own normal with the same index.
 
     Raises:
@@ -37,7 +37,7 @@ def surface_from_collada(text: str) -> Surface:
     colour = root.findtext(".//c:diffuse/c:color", namespaces=_NAMESPACE)
     if not positions or not indices or not colour:
         raise ValueError("the COLLADA text has no positions, no triangles or no colour")
-    return Surface(
+    return TriangleSurface(
         np.array(positions.split(), dtype=float).reshape(-1, 3),
         np.array(indices.split(), dtype=int).reshape(-1, 3),
         np.array(colour.split(), dtype=float)[:3],

@@ -25,11 +25,11 @@ from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urd
 from rig_simulation.world.elements import child
 from rig_simulation.world.files import read_mesh
 from rig_simulation.world.hand_model import prepare_hand
-from rig_simulation.world.meshes import Surface, surface_from_collada
+from rig_simulation.world.meshes import TriangleSurface, surface_from_collada
 from rig_simulation.world.mjcf import BOARD, ROBOT, SEEN, body, geom, numbers
 from rig_simulation.world.objects import add_object, add_table
 from rig_simulation.world.robot import add_mesh, add_robot
-from rig_simulation.world.scene import CameraPlace, Panel, panel_from, scene_from
+from rig_simulation.world.scene import CameraPose, MarkerBoard, board_from, scene_from
 from rig_simulation.world.tags import tag_mesh
 
 TIMESTEP_S = 0.001
@@ -120,16 +120,16 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     add_robot(root, world, urdf, R_world_base, _reader() if visuals else None)
     prepare_hand(root)
     if description.panel is not None:
-        _add_panel(root, world, panel_from(description.panel), visuals)
+        _add_panel(root, world, board_from(description.panel), visuals)
     for name, shape in scene.objects.items():
         add_object(world, name, shape)
     return ET.tostring(root, encoding="unicode")
 
 
-def _reader() -> Callable[[str], Surface]:
-    surfaces: dict[str, Surface] = {}
+def _reader() -> Callable[[str], TriangleSurface]:
+    surfaces: dict[str, TriangleSurface] = {}
 
-    def read(uri: str) -> Surface:
+    def read(uri: str) -> TriangleSurface:
         if uri not in surfaces:
             surfaces[uri] = surface_from_collada(read_mesh(uri))
         return surfaces[uri]
@@ -146,14 +146,14 @@ def _add_visual_settings(root: ET.Element) -> None:
     ET.SubElement(root, "statistic", extent="1", center="0.4 -0.4 0.3")
 
 
-def camera_link_pose(camera: CameraPlace) -> np.ndarray:
+def camera_link_pose(camera: CameraPose) -> np.ndarray:
     """Returns the pose of `camera_link` in the world, shape (4, 4): x looks at the target, y is level."""
     ahead = unit(camera.target - camera.position)
     left = unit(np.cross((0.0, 0.0, 1.0), ahead))
     return pose(np.column_stack([ahead, left, np.cross(ahead, left)]), camera.position)
 
 
-def _add_camera(world: ET.Element, camera: CameraPlace) -> None:
+def _add_camera(world: ET.Element, camera: CameraPose) -> None:
     link = body(world, CAMERA_LINK, camera_link_pose(camera))
     geom(link, "camera", SEEN, "box", np.array(CAMERA_SIZE) / 2.0, p=(-CAMERA_SIZE[0], -0.03, 0), colour=BLACK)
     # Looks along x of camera_link, its own y up.
@@ -163,7 +163,7 @@ def _add_camera(world: ET.Element, camera: CameraPlace) -> None:
         ET.SubElement(mount, "camera", name=optical, fovy=str(FOVY_DEG))
 
 
-def _add_panel(root: ET.Element, world: ET.Element, panel: Panel, visuals: bool) -> None:
+def _add_panel(root: ET.Element, world: ET.Element, panel: MarkerBoard, visuals: bool) -> None:
     flange = child(world, f".//body[@name='{FLANGE}']")
     plate = body(flange, "panel", pose(R_FLANGE_PANEL, panel.centre))
     half = (*(panel.size / 2.0), PLATE_THICKNESS / 2.0)

@@ -10,7 +10,7 @@ import numpy as np
 from common.poses import pose
 from common.rotations import rotation_about
 from rig_simulation.world.mjcf import BOARD, OBJECT, body, geom
-from rig_simulation.world.scene import Ball, Bottle, Box, Cup, Cylinder, SceneObject, Table
+from rig_simulation.world.scene import Ball, Bottle, Cuboid, Cup, Cylinder, SceneObject, Table
 
 TABLE_THICKNESS = 0.03
 WALL_PLATES = 16
@@ -40,7 +40,7 @@ def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:
     ET.SubElement(element, "freejoint", name=f"object/{name}")
     look: dict[str, Any] = {"friction": shape.friction, "colour": shape.colour}
     prefix = f"object/{name}"
-    if isinstance(shape, Box):
+    if isinstance(shape, Cuboid):
         geom(element, f"{prefix}/box", OBJECT, "box", shape.size / 2.0, mass=shape.mass, **look)
     elif isinstance(shape, Ball):
         geom(element, f"{prefix}/ball", OBJECT, "sphere", [shape.radius], mass=shape.mass, **look)

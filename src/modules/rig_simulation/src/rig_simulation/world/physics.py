@@ -18,7 +18,7 @@ from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_about
 from rig_simulation.world.model import WorldDescription, build_model
 from rig_simulation.world.objects import table_pose
-from rig_simulation.world.scene import Scene, SceneObject, scene_from
+from rig_simulation.world.scene import SceneObject, WorldScene, scene_from
 
 DROP_M = 0.0008
 """So high above the table objects are placed; they come to rest on it."""
@@ -194,7 +194,7 @@ class World:
         self._geom_bodies = _geom_bodies(model)
         self.loads += 1
 
-    def _placed(self, model: mujoco.MjModel, scene: Scene, before: mujoco.MjData | None) -> mujoco.MjData:
+    def _placed(self, model: mujoco.MjModel, scene: WorldScene, before: mujoco.MjData | None) -> mujoco.MjData:
         """Returns a state with the robot as `before` and the objects where the scene wants them."""
         data = mujoco.MjData(model)
         robot_qpos = model.nq - FREE_QPOS * len(scene.objects)
@@ -213,7 +213,7 @@ class World:
             one, other = overlap
         raise ValueError(f"There is no room: {one} would stand in {other}.")
 
-    def _place(self, scene: Scene, shape: SceneObject) -> np.ndarray:
+    def _place(self, scene: WorldScene, shape: SceneObject) -> np.ndarray:
         shift, turn = np.zeros(2), 0.0
         if scene.scatter:
             shift, turn = self._rng.uniform(-scene.scatter, scene.scatter, 2), self._rng.uniform(-np.pi, np.pi)

@@ -27,7 +27,7 @@ from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.world.arm import ArmJoints
 from rig_simulation.world.clock import Clock
 from rig_simulation.world.control import WorldRequests
-from rig_simulation.world.files import read_panel, read_scene
+from rig_simulation.world.files import read_board, read_scene
 from rig_simulation.world.hand import HandPart
 from rig_simulation.world.model import WorldDescription
 from rig_simulation.world.physics import Part, World
@@ -36,7 +36,7 @@ NAME = "world"
 PANELS = ("single", "bundle")
 
 
-class HandWire(Part):
+class HandCycle(Part):
     """The hand's network cycle, in the time of the world."""
 
     def __init__(self, hand: SimulatedHand, link: HandLink) -> None:
@@ -68,7 +68,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
-    panel = None if options.panel is None else read_panel(options.panel)
+    panel = None if options.panel is None else read_board(options.panel)
     scene = read_scene(options.scene)
     description = WorldDescription(options.robot, options.flange, tuple(options.mounting), scene, panel)
     world = World(description, options.seed)
@@ -76,7 +76,7 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
     world.add(hand)
     link = HandLink(options.interface, options.hand_port)
     resources.callback(link.close)
-    world.add(HandWire(hand.simulated, link))
+    world.add(HandCycle(hand.simulated, link))
 
     clock = Clock(None if options.stepped else options.speed)
     server = sunrise.make_server(options, ArmJoints(world), clock, math.inf if options.stepped else AT_ONCE_S)

@@ -15,7 +15,7 @@ from common.poses import pose
 from common.rotations import rotation_from_zyx
 from rig_simulation.devices.sunrise.robot import JOINTS
 from rig_simulation.world.elements import attribute, child
-from rig_simulation.world.meshes import Surface
+from rig_simulation.world.meshes import TriangleSurface
 from rig_simulation.world.mjcf import ROBOT, SEEN, Touch, body, geom, numbers
 
 ROBOT_FRICTION = 0.7
@@ -28,7 +28,11 @@ ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001
 
 
 def add_robot(
-    root: ET.Element, world: ET.Element, urdf: str, R_world_base: np.ndarray, read: Callable[[str], Surface] | None
+    root: ET.Element,
+    world: ET.Element,
+    urdf: str,
+    R_world_base: np.ndarray,
+    read: Callable[[str], TriangleSurface] | None,
 ) -> None:
     """Adds the robot of a URDF.
 
@@ -78,7 +82,9 @@ def _add_joint(element: ET.Element, joint: ET.Element) -> None:
     ET.SubElement(element, "joint", {"name": name, "axis": axis, **drive})
 
 
-def _add_link(root: ET.Element, element: ET.Element, link: ET.Element, read: Callable[[str], Surface] | None) -> None:
+def _add_link(
+    root: ET.Element, element: ET.Element, link: ET.Element, read: Callable[[str], TriangleSurface] | None
+) -> None:
     inertial = link.find("inertial")
     if inertial is not None:
         inertia = child(inertial, "inertia")
@@ -125,7 +131,7 @@ def _mesh(
     name: str,
     visual: ET.Element,
     mesh: ET.Element,
-    read: Callable[[str], Surface],
+    read: Callable[[str], TriangleSurface],
 ) -> None:
     file = attribute(mesh, "filename")
     surface = read(file)

@@ -31,7 +31,7 @@ class Table:
 
 
 @dataclasses.dataclass(frozen=True)
-class CameraPlace:
+class CameraPose:
     """Where the camera stands and what it looks at."""
 
     position: np.ndarray = vector(3, "m", doc="of camera_link in the upright world")
@@ -71,7 +71,7 @@ class Cup(SceneObject):
 
 
 @dataclasses.dataclass(frozen=True)
-class Box(SceneObject):
+class Cuboid(SceneObject):
     """A solid box."""
 
     size: np.ndarray = vector(3, "m", above=0.005, high=0.5, doc="edges")
@@ -118,7 +118,13 @@ class Bottle(SceneObject):
         return []
 
 
-KINDS: Mapping[str, type[SceneObject]] = {"cup": Cup, "box": Box, "ball": Ball, "cylinder": Cylinder, "bottle": Bottle}
+KINDS: Mapping[str, type[SceneObject]] = {
+    "cup": Cup,
+    "box": Cuboid,
+    "ball": Ball,
+    "cylinder": Cylinder,
+    "bottle": Bottle,
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,7 +137,7 @@ class Tag:
 
 
 @dataclasses.dataclass(frozen=True)
-class Panel:
+class MarkerBoard:
     """The marker panel beside the flange.
 
     Attributes:
@@ -146,7 +152,7 @@ class Panel:
 
 
 @dataclasses.dataclass(frozen=True)
-class Scene:
+class WorldScene:
     """A scene.
 
     Attributes:
@@ -157,7 +163,7 @@ class Scene:
     """
 
     table: Table
-    camera: CameraPlace
+    camera: CameraPose
     scatter: float
     objects: Mapping[str, SceneObject]
 
@@ -167,7 +173,7 @@ class _Rest:
     scatter: float = number("m", low=0.0, high=0.2)
 
 
-def scene_from(values: Any) -> Scene:
+def scene_from(values: Any) -> WorldScene:
     """Returns the scene that a yaml mapping describes.
 
     Raises:
@@ -180,14 +186,14 @@ def scene_from(values: Any) -> Scene:
     if table_values is None or camera_values is None or listed is None:
         raise ConfigError(faults)
     table = parse_part(Table, table_values, "table/", faults)
-    camera = parse_part(CameraPlace, camera_values, "camera/", faults)
+    camera = parse_part(CameraPose, camera_values, "camera/", faults)
     shapes = {name: _object(name, entry, faults) for name, entry in listed.items()}
     if faults or rest is None or table is None or camera is None:
         raise ConfigError(faults)
-    return Scene(table, camera, rest.scatter, {name: shape for name, shape in shapes.items() if shape is not None})
+    return WorldScene(table, camera, rest.scatter, {name: shape for name, shape in shapes.items() if shape is not None})
 
 
-def panel_from(values: Any) -> Panel:
+def board_from(values: Any) -> MarkerBoard:
     """Returns the panel that a yaml mapping describes.
 
     Raises:
@@ -202,7 +208,7 @@ def panel_from(values: Any) -> Panel:
     tags = [parse_part(Tag, entry, f"tags/{i}/", faults) for i, entry in enumerate(listed)]
     if faults or plate is None:
         raise ConfigError(faults)
-    return Panel(plate.size, plate.centre, tuple(tag for tag in tags if tag is not None))
+    return MarkerBoard(plate.size, plate.centre, tuple(tag for tag in tags if tag is not None))
 
 
 @dataclasses.dataclass(frozen=True)

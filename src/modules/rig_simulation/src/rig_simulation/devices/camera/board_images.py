@@ -27,7 +27,7 @@ from common.rotations import quaternion_from_rotation, rotation_about, unit
 from rig_simulation.command_line import finite, not_negative, positive
 from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
-from rig_simulation.world.files import SOURCE_TREE, read_panel, read_scene
+from rig_simulation.world.files import SOURCE_TREE, read_board, read_scene
 from rig_simulation.world.model import WorldDescription, build_model
 
 NAME = "panel_pictures"
@@ -107,7 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _take(options: argparse.Namespace) -> int:
-    panel = read_panel(options.panel)
+    panel = read_board(options.panel)
     scene = PanelScene(panel)
     calibrations = {name: _yaml(getattr(options, name)) for name in ("rgb", "depth")}
     rgb, depth = (from_calibration(values) for values in calibrations.values())

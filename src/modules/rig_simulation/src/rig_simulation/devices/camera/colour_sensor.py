@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from rig_simulation.devices.camera.config import ColourConfig
-from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.lens import CameraLens
 from rig_simulation.devices.camera.noise import NoiseField
 
 
@@ -19,7 +19,7 @@ class ColourSensor:
         rng: source of the noise.
     """
 
-    def __init__(self, lens: Lens, config: ColourConfig, rng: np.random.Generator) -> None:
+    def __init__(self, lens: CameraLens, config: ColourConfig, rng: np.random.Generator) -> None:
         self._lens = lens
         self._config = config
         self._noise = None

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from rig_simulation.devices.camera.config import DepthConfig
-from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.lens import CameraLens
 from rig_simulation.devices.camera.noise import NoiseField
 
 MILLIMETRES = 1000.0
@@ -70,7 +70,9 @@ class DepthSensor:
             negative distance between the cameras for depth registered to the colour picture.
     """
 
-    def __init__(self, lens: Lens, config: DepthConfig, rng: np.random.Generator, infrared_offset: float = 0.0) -> None:
+    def __init__(
+        self, lens: CameraLens, config: DepthConfig, rng: np.random.Generator, infrared_offset: float = 0.0
+    ) -> None:
         camera = lens.camera
         self._lens, self._config = lens, config
         self._fb = float(camera.K[0, 0]) * config.projector_baseline

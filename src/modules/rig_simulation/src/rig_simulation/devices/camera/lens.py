@@ -18,7 +18,7 @@ MARGIN_PX = 4
 
 
 @dataclass(frozen=True)
-class Window:
+class PixelWindow:
     """A pinhole picture plane.
 
     Attributes:
@@ -34,7 +34,7 @@ class Window:
     top: float
 
 
-class Lens:
+class CameraLens:
     """Maps the window's picture to the camera's.
 
     Args:
@@ -53,7 +53,7 @@ class Lens:
         width, height = (high - low + 1.0).astype(int)
         left, top = (low - 0.5 - centre) / focal
         right, bottom = (high + 0.5 - centre) / focal
-        self.window = Window(int(width), int(height), left, right, -bottom, -top)
+        self.window = PixelWindow(int(width), int(height), left, right, -bottom, -top)
         columns = straight[..., 0] - low[0] - sample_offset[0]
         rows = high[1] - straight[..., 1] - sample_offset[1]
         self._smooth = cv2.convertMaps(columns.astype(np.float32), rows.astype(np.float32), cv2.CV_16SC2)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from common.errors import DeviceError
-from rig_simulation.devices.camera.lens import Window
+from rig_simulation.devices.camera.lens import PixelWindow
 
 NEAR_M = 0.05
 FAR_M = 30.0
@@ -31,7 +31,7 @@ class Renderer:
         DeviceError: this machine cannot render without a screen.
     """
 
-    def __init__(self, model: mujoco.MjModel, window: Window, samples: int) -> None:
+    def __init__(self, model: mujoco.MjModel, window: PixelWindow, samples: int) -> None:
         try:
             from mujoco.egl import GLContext  # opens the display, so not before it is needed
         except (ImportError, AttributeError, RuntimeError) as error:

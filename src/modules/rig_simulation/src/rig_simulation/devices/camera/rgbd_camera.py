@@ -19,12 +19,12 @@ from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
 from rig_simulation.devices.camera.colour_sensor import ColourSensor
 from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
 from rig_simulation.devices.camera.depth_sensor import DepthSensor
-from rig_simulation.devices.camera.lens import Lens
+from rig_simulation.devices.camera.lens import CameraLens
 from rig_simulation.devices.camera.rendering import Renderer
 
 
 @dataclass(frozen=True)
-class Pictures:
+class RgbdImages:
     """What the camera took; None where it was not asked for.
 
     Attributes:
@@ -59,7 +59,7 @@ class RgbdCamera:
         samples: int,
         seed: int,
     ) -> None:
-        self._lenses = Lens(rgb), Lens(depth)
+        self._lenses = CameraLens(rgb), CameraLens(depth)
         self._depth_config, self._samples, self._seed = depth_config, samples, seed
         self._colour = ColourSensor(self._lenses[0], colour_config, np.random.default_rng(seed))
         self._depth = DepthSensor(self._lenses[1], depth_config, np.random.default_rng(seed + 1))
@@ -80,12 +80,12 @@ class RgbdCamera:
         self._renderers.append(Renderer(model, self._lenses[0].window, self._samples))
         self._renderers.append(Renderer(model, self._lenses[1].window, 0))
         if self._registered is None:
-            lens = Lens(self._lenses[0].camera, self._renderers[0].depth_offset)
+            lens = CameraLens(self._lenses[0].camera, self._renderers[0].depth_offset)
             # The same unit: the same draws of the generator.
             unit = np.random.default_rng(self._seed + 1)
             self._registered = DepthSensor(lens, self._depth_config, unit, _infrared_offset(model, *self._numbers))
 
-    def take(self, data: mujoco.MjData, colour: bool, depth: bool, registered: bool) -> Pictures:
+    def take(self, data: mujoco.MjData, colour: bool, depth: bool, registered: bool) -> RgbdImages:
         """Returns the pictures that are asked for.
 
         Args:
@@ -115,7 +115,7 @@ class RgbdCamera:
             finished("render_depth")
             depth_picture = self._depth.take(inverse_depth, seen)
             finished("depth")
-        return Pictures(colour_picture, depth_picture, registered_picture, seconds)
+        return RgbdImages(colour_picture, depth_picture, registered_picture, seconds)
 
     def close(self) -> None:
         """Gives the display's memory back; `attach` takes it again."""

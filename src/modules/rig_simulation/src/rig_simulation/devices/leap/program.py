@@ -17,8 +17,8 @@ from rig_simulation.devices.leap.server import LeapService
 from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.faults.leap import LEAP_FAULTS
 from rig_simulation.operator import motion
-from rig_simulation.operator.guided import GuidedPerson
-from rig_simulation.operator.sources import Person, Recording
+from rig_simulation.operator.guided import GuidedOperator
+from rig_simulation.operator.sources import Recording, ScriptedOperator
 
 NAME = "leapd"
 
@@ -33,9 +33,11 @@ def main(arguments: list[str] | None = None) -> int:
             source = Recording(options.recording, options.rate, options.offset, options.loop)
         else:
             script = motion.Script(options.figure, options.size, options.speed, options.plane, away=options.away)
-            source = person = Person(script, options.hand, options.scale, tuple(options.centre), options.fields)
+            source = person = ScriptedOperator(
+                script, options.hand, options.scale, tuple(options.centre), options.fields
+            )
             if options.guided:
-                source = guided = GuidedPerson(person)
+                source = guided = GuidedOperator(person)
                 calls = {name: getattr(guided, name) for name in ("show", "reach", "hide", "hand")}
         playback = Playback(source, options.seed, options.fields, playing=not options.paused)
         service = LeapService(

@@ -22,7 +22,7 @@ from rig_simulation.control_port import ControlPort, listen
 from rig_simulation.devices.leap import wire
 from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.faults.injection import Faults
-from rig_simulation.faults.leap import LEAP_FAULTS, Stream
+from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 
 LATE_S = 0.05
 """Frames that are later than this are not sent: the clock does not wait for a busy machine."""
@@ -105,7 +105,7 @@ class LeapService:
         self._clients: set[_Client] = set()
         self._sent = self._lost = 0
         self.faults = Faults(LEAP_FAULTS)
-        self._stream = Stream(self.faults)
+        self._stream = FrameStream(self.faults)
         self._loop = asyncio.new_event_loop()
         self._stopping = False
         self._socket = listen(host, port, "the Leap service", BACKLOG)

@@ -8,7 +8,7 @@ from typing import Any
 
 from rig_simulation.devices.reflex.finger import Finger
 from rig_simulation.devices.reflex.mechanics import CELLS, FINGERS, FreeMechanics, Mechanics
-from rig_simulation.devices.reflex.servo import TICK_RAD, TURN_TICKS, Servo
+from rig_simulation.devices.reflex.servo import TICK_RAD, TURN_TICKS, DynamixelServo
 from rig_simulation.devices.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand, pack_state
 
 PERIOD_S = 0.025
@@ -41,7 +41,7 @@ class SimulatedHand:
         self.servos = []
         for i in range(4):
             slack = self._rng.uniform(LEAST_SLACK_RAD, MOST_SLACK_RAD) if i != _PRESHAPE else 0.0
-            self.servos.append(Servo(self._shaft(i, -slack)))
+            self.servos.append(DynamixelServo(self._shaft(i, -slack)))
         self._forced_loads: list[float | None] = [None] * 4
         self._target_mode = POSITION
         self.modes = [IDLE] * 4

@@ -10,7 +10,7 @@ import time
 
 from common.errors import DeviceError
 from rig_simulation.devices.reflex.wire import GROUP, STATE_BYTES
-from rig_simulation.faults.hand import HAND_FAULTS, Wire
+from rig_simulation.faults.hand import HAND_FAULTS, HandWire
 from rig_simulation.faults.injection import Faults
 
 OTHER_HAND_WAIT_S = 0.15
@@ -40,7 +40,7 @@ class HandLink:
         group = socket.inet_aton(GROUP)
         where = socket.inet_aton(host) + struct.pack("@i", socket.if_nametoindex(interface))
         self.faults = Faults(HAND_FAULTS)
-        self.wire = Wire(self.faults)
+        self.wire = HandWire(self.faults)
         self._inbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._outbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:

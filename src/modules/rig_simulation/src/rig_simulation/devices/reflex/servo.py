@@ -25,7 +25,7 @@ _RISING_BIT = 1024
 _SPEED_MASK = 1023
 
 
-class Servo:
+class DynamixelServo:
     """One servo.
 
     Args:

@@ -13,9 +13,9 @@ from collections.abc import Callable
 import numpy as np
 
 from rig_simulation.devices.sunrise import java_numbers, motions
-from rig_simulation.devices.sunrise.arm import Arm
+from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.goals import Goals, finite, frame_from_pose, overwritten, pose_from_frame
-from rig_simulation.devices.sunrise.profiles import Motion
+from rig_simulation.devices.sunrise.profiles import PlannedMotion
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
 SERVO_START_S = 0.1
@@ -30,7 +30,7 @@ VERSIONS = ("1.7", "2019-03", "2019-05")
 
 
 @dataclasses.dataclass
-class Panel:
+class ControllerIO:
     """What outlives a client: outputs of the flange, and how many servo goals came."""
 
     outputs: dict[str, bool] = dataclasses.field(default_factory=dict)
@@ -55,8 +55,8 @@ class Application:
 
     def __init__(
         self,
-        arm: Arm,
-        panel: Panel,
+        arm: SimulatedArm,
+        panel: ControllerIO,
         wiped_window: float = 0.0,
         encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,
         version: str = VERSIONS[-1],
@@ -73,7 +73,7 @@ class Application:
         self._main_answered = -np.inf
         self._now = -np.inf
         self._goals = Goals()
-        self._arrived: Callable[[Arm], bool] = lambda _: True
+        self._arrived: Callable[[SimulatedArm], bool] = lambda _: True
         self._servo_starts: float | None = None
         self._servo_stopping = False
         self._reader = self._reader_commands()
@@ -327,9 +327,9 @@ class Application:
 
     def _move(
         self,
-        make: Callable[[Arm, Goals], Motion | None],
-        break_when: Callable[[Arm], bool] | None = None,
-        arrived: Callable[[Arm], bool] = lambda _: True,
+        make: Callable[[SimulatedArm, Goals], PlannedMotion | None],
+        break_when: Callable[[SimulatedArm], bool] | None = None,
+        arrived: Callable[[SimulatedArm], bool] = lambda _: True,
     ) -> None:
         self._replies.append(DONE)
         motion = make(self._arm, self._goals)
@@ -349,7 +349,10 @@ class Application:
         self._guarded(words, motions.line, lambda arm: motions.arrived_at_pose(arm, pose_from_frame(target)))
 
     def _guarded(
-        self, words: list[str], make: Callable[[Arm, Goals], Motion | None], arrived: Callable[[Arm], bool]
+        self,
+        words: list[str],
+        make: Callable[[SimulatedArm, Goals], PlannedMotion | None],
+        arrived: Callable[[SimulatedArm], bool],
     ) -> None:
         ranges = finite(words[: len(words) // 3 * 3]).reshape(-1, 3)
         if len(ranges) == 0:

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from common.poses import read_only
-from rig_simulation.devices.sunrise.profiles import Motion
+from rig_simulation.devices.sunrise.profiles import PlannedMotion
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.servo import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Law, plain_law
 
@@ -53,7 +53,7 @@ class ArmSettings:
     trajectory_time: float = MIN_TRAJECTORY_TIME_S
 
 
-class Surroundings(Protocol):
+class ArmEnvironment(Protocol):
     """What the arm moves in and touches."""
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
@@ -71,7 +71,7 @@ class _Servo:
     integrates: bool
 
 
-class Arm:
+class SimulatedArm:
     """The arm, at rest at the zero position when made.
 
     Args:
@@ -90,7 +90,7 @@ class Arm:
         max_tool_speed: highest speed of the tool point so far [m/s].
     """
 
-    def __init__(self, robot: Robot, settings: ArmSettings, surroundings: Surroundings | None = None) -> None:
+    def __init__(self, robot: Robot, settings: ArmSettings, surroundings: ArmEnvironment | None = None) -> None:
         self.robot = robot
         self.settings = settings
         self._surroundings = surroundings
@@ -110,8 +110,8 @@ class Arm:
         self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
         self._servo: _Servo | None = None
         self._last_goal_speed = np.zeros(7)
-        self._motion: Motion | None = None
-        self._break_when: Callable[[Arm], bool] | None = None
+        self._motion: PlannedMotion | None = None
+        self._break_when: Callable[[SimulatedArm], bool] | None = None
         self._motion_time = 0.0
         self._motion_rate = 1.0
         self._breaking = False
@@ -180,7 +180,7 @@ class Arm:
         """Whether a servo mode runs."""
         return self._servo is not None
 
-    def start_motion(self, motion: Motion, break_when: Callable[[Arm], bool] | None = None) -> None:
+    def start_motion(self, motion: PlannedMotion, break_when: Callable[[SimulatedArm], bool] | None = None) -> None:
         """Starts a planned motion from the present joint angles; it brakes and ends where `break_when` becomes true."""
         self._motion, self._break_when = motion, break_when
         self._motion_time, self._breaking = 0.0, False
@@ -291,7 +291,7 @@ class Arm:
             return np.zeros(6)
         return self.robot.wrench(self.q, self.T_flange_tool, self._touch_torque)
 
-    def _step_motion(self, motion: Motion, dt: float) -> None:
+    def _step_motion(self, motion: PlannedMotion, dt: float) -> None:
         if self._break_when is not None and self._break_when(self):
             self._breaking = True
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0

@@ -8,7 +8,7 @@ MAX_LINE_BYTES = 65536
 _END = re.compile(rb"\r\n|[\n\r]|\xc2\x85|\xe2\x80[\xa8\xa9]")
 
 
-class LineSplitter:
+class JavaLineSplitter:
     """Collects bytes; lines end with LF, CR LF, a lone CR, NEL, LS or PS."""
 
     def __init__(self) -> None:

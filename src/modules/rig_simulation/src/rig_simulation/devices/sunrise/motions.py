@@ -9,7 +9,7 @@ from typing import Callable
 
 import numpy as np
 
-from rig_simulation.devices.sunrise.arm import Arm
+from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.goals import MM_PER_M, Goals, pose_from_frame
 from rig_simulation.devices.sunrise.paths import Circle, Line, Unreachable, plan, shifted
 from rig_simulation.devices.sunrise.profiles import JointMove, PathMove
@@ -18,7 +18,7 @@ ARRIVED_JOINT_RAD = np.radians(0.1)
 ARRIVED_TOOL_M = 2e-4
 
 
-def joint_motion(arm: Arm, goals: Goals) -> JointMove | None:
+def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
     """Plans the way to the joint goal at the relative speed.
 
     Raises:
@@ -31,7 +31,7 @@ def joint_motion(arm: Arm, goals: Goals) -> JointMove | None:
     return JointMove(arm.q, goals.joints, goals.speed * arm.robot.max_speed, arm.motion_acceleration)
 
 
-def line(arm: Arm, goals: Goals) -> PathMove | None:
+def line(arm: SimulatedArm, goals: Goals) -> PathMove | None:
     """Plans the straight way of the tool to the target pose.
 
     Raises:
@@ -40,7 +40,7 @@ def line(arm: Arm, goals: Goals) -> PathMove | None:
     return _follow(arm, goals, Line(arm.tool, pose_from_frame(goals.target)))
 
 
-def line_along_base(arm: Arm, goals: Goals) -> PathMove | None:
+def line_along_base(arm: SimulatedArm, goals: Goals) -> PathMove | None:
     """Plans the straight way by the target's X, Y, Z along the axes of the base.
 
     Raises:
@@ -49,7 +49,7 @@ def line_along_base(arm: Arm, goals: Goals) -> PathMove | None:
     return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool=False)))
 
 
-def line_along_tool(arm: Arm, goals: Goals) -> PathMove | None:
+def line_along_tool(arm: SimulatedArm, goals: Goals) -> PathMove | None:
     """Plans the straight way by the target's X, Y, Z along the axes of the tool.
 
     Raises:
@@ -58,7 +58,7 @@ def line_along_tool(arm: Arm, goals: Goals) -> PathMove | None:
     return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool=True)))
 
 
-def circle(arm: Arm, goals: Goals) -> PathMove | None:
+def circle(arm: SimulatedArm, goals: Goals) -> PathMove | None:
     """Plans the arc of the tool through the via pose to the end pose.
 
     Raises:
@@ -67,7 +67,7 @@ def circle(arm: Arm, goals: Goals) -> PathMove | None:
     return _follow(arm, goals, Circle(arm.tool, pose_from_frame(goals.via), pose_from_frame(goals.end)))
 
 
-def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[Arm], bool]:
+def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
     """Returns the condition that breaks a guarded motion.
 
     Args:
@@ -80,22 +80,22 @@ def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[Arm], bool]:
     if np.any((joints < 0) | (joints > 6)):
         raise ValueError(f"the joint indices {joints.tolist()} are not all 0 to 6")
 
-    def condition(arm: Arm) -> bool:
+    def condition(arm: SimulatedArm) -> bool:
         torque = arm.external_torques[joints]
         return bool(np.any((torque < low) | (torque > high)))
 
     return condition
 
 
-def arrived_at_joints(arm: Arm, q: np.ndarray) -> bool:
+def arrived_at_joints(arm: SimulatedArm, q: np.ndarray) -> bool:
     """Says whether a guarded joint motion counts as arrived at the angles q, shape (7,) [rad]."""
     return bool(np.max(np.abs(arm.q - q)) <= ARRIVED_JOINT_RAD)
 
 
-def arrived_at_pose(arm: Arm, T_base_tool: np.ndarray) -> bool:
+def arrived_at_pose(arm: SimulatedArm, T_base_tool: np.ndarray) -> bool:
     """Says whether a guarded line counts as arrived at the pose, shape (4, 4)."""
     return bool(np.max(np.abs((arm.tool - T_base_tool)[:3, 3])) <= ARRIVED_TOOL_M)
 
 
-def _follow(arm: Arm, goals: Goals, path: Line | Circle) -> PathMove | None:
+def _follow(arm: SimulatedArm, goals: Goals, path: Line | Circle) -> PathMove | None:
     return plan(path, goals.speed / MM_PER_M, arm.robot, arm.T_flange_tool, arm.q, arm.motion_acceleration)

@@ -12,7 +12,7 @@ import numpy as np
 from common.poses import read_only
 
 
-class Motion(Protocol):
+class PlannedMotion(Protocol):
     """A planned motion: `duration` [s], and `at(t)` = joint angles, shape (7,) [rad], at its own time t."""
 
     duration: float

@@ -13,10 +13,10 @@ from typing import NoReturn
 from common.errors import DeviceError
 from rig_simulation.command_line import angle, not_negative, parse_options, port, positive
 from rig_simulation.devices.sunrise.application import VERSIONS
-from rig_simulation.devices.sunrise.arm import Arm, ArmSettings, Surroundings
+from rig_simulation.devices.sunrise.arm import ArmEnvironment, ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.server import AT_ONCE_S, Server, ServerSettings
+from rig_simulation.devices.sunrise.server import AT_ONCE_S, ServerSettings, SunriseServer
 from rig_simulation.devices.sunrise.servo import LAWS
 from rig_simulation.faults.arm import ARM_FAULTS
 from rig_simulation.faults.injection import add_option, switch_all
@@ -45,10 +45,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 def make_server(
     options: argparse.Namespace,
-    surroundings: Surroundings | None = None,
+    surroundings: ArmEnvironment | None = None,
     clock: Callable[[], float] = time.monotonic,
     at_once: float = AT_ONCE_S,
-) -> Server:
+) -> SunriseServer:
     """Returns the server that the options describe, with an arm of its own.
 
     Args:
@@ -69,11 +69,11 @@ def make_server(
         options.end_exits,
         options.toolbox_version,
     )
-    arm = Arm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, surroundings)
-    return Server(arm, settings, options.host, options.port, options.control_port, _log, clock, at_once)
+    arm = SimulatedArm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, surroundings)
+    return SunriseServer(arm, settings, options.host, options.port, options.control_port, _log, clock, at_once)
 
 
-def ready_line(server: Server) -> str:
+def ready_line(server: SunriseServer) -> str:
     """Returns what a program prints when the server listens."""
     return f"{NAME}: listening on {server.host}:{server.port}, control port {server.host}:{server.control_port}"
 

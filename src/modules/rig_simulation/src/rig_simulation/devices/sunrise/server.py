@@ -17,10 +17,10 @@ import numpy as np
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlPort, listen
-from rig_simulation.devices.sunrise.application import VERSIONS, Application, Panel
-from rig_simulation.devices.sunrise.arm import Arm
-from rig_simulation.devices.sunrise.lines import LineSplitter
-from rig_simulation.faults.arm import ARM_FAULTS, Answers, Encoders
+from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
+from rig_simulation.devices.sunrise.arm import SimulatedArm
+from rig_simulation.devices.sunrise.lines import JavaLineSplitter
+from rig_simulation.faults.arm import ARM_FAULTS, ArmAnswers, Encoders
 from rig_simulation.faults.injection import Faults
 
 BACKLOG = 50
@@ -55,7 +55,7 @@ class ServerSettings:
     version: str = VERSIONS[-1]
 
 
-class Server:
+class SunriseServer:
     """Serves the arm until `stop` or until the settings end it.
 
     Args:
@@ -78,7 +78,7 @@ class Server:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: SimulatedArm,
         settings: ServerSettings,
         host: str,
         port: int,
@@ -92,14 +92,14 @@ class Server:
         self._log = log
         self._clock, self._at_once = clock, at_once
         self._behind = False
-        self._panel = Panel()
+        self._panel = ControllerIO()
         self.faults = Faults(ARM_FAULTS)
-        self._answers = Answers(self.faults)
+        self._answers = ArmAnswers(self.faults)
         self._encoders = Encoders(self.faults)
         self.lock = threading.RLock()
         self._stop = threading.Event()
         self._client: socket.socket | None = None
-        self._lines = LineSplitter()
+        self._lines = JavaLineSplitter()
         self._deaf = False
         self._selector = selectors.DefaultSelector()
         self._listener: socket.socket | None = listen(host, port, "the toolbox port", BACKLOG)
@@ -182,7 +182,7 @@ class Server:
             return
         self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._client.settimeout(SEND_TIMEOUT_S)
-        self._lines = LineSplitter()
+        self._lines = JavaLineSplitter()
         self._selector.unregister(self._listener)
         self._selector.register(self._client, selectors.EVENT_READ)
         self._log(f"client {address[0]}:{address[1]} connected")
