@@ -9,8 +9,8 @@ from bench.measure import Row, number, row, timed
 from bench.solvers import ITERATIONS, TOLERANCE, DampedLeastSquares, Kdl, arm_model
 from common.config import parse
 from common.poses import translation
-from kuka_control.kinematics import DhDeviations, Kinematics, kinematics_of
-from kuka_control.robot_model import ROBOTS, robot_model
+from iiwa_kinematics import ROBOTS, Kinematics, kinematics_of, robot_model
+from kuka_control.model.calibration_file import DhDeviations
 
 FLANGE = "MF_elektrisch"
 NEAR_RAD = np.radians(2.0)
@@ -87,7 +87,7 @@ def _calibrated_rows(robot: str, count: int) -> list[Row]:
     rng = np.random.default_rng(1)
     off = {name: rng.uniform(-1.0, 1.0, 7) for name in ("delta_a", "delta_alpha", "delta_d", "delta_theta")}
     deviations = parse(DhDeviations, {"robot": robot, "serial": "-", "date": "-", **off})
-    arm = kinematics_of(robot_model(robot, FLANGE), np.eye(4), deviations)
+    arm = kinematics_of(robot_model(robot, FLANGE), np.eye(4), deviations.parameters)
     q = rng.uniform(arm.model.lower, arm.model.upper, (count, 7))
     seeds = np.clip(q + rng.uniform(-NEAR_RAD, NEAR_RAD, q.shape), arm.model.lower, arm.model.upper)
     targets = [arm.forward(one) for one in q]

@@ -11,12 +11,12 @@ import yaml
 from bench.measure import SRC
 from common.config import parse
 from common.poses import read_only
-from kuka_control.kinematics import DhDeviations
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Servo
 from kuka_control.loop.controller import Controller, Inputs
 from kuka_control.loop.stream import Desired
+from kuka_control.model.calibration_file import DhDeviations
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig
 from rig_simulation.devices.sunrise.arm import ArmSettings

@@ -12,9 +12,8 @@ from bench.simulated import SimulatedRig
 from common.config import parse
 from common.poses import pose
 from common.rotations import rotation_about
-from kuka_control.kinematics import DhDeviations
-from kuka_control.kinematics.dh import nominal_table
-from kuka_control.robot_model import robot_model
+from iiwa_kinematics import nominal_parameters, robot_model
+from kuka_control.model.calibration_file import DhDeviations
 from rig_simulation.devices.sunrise.robot import Robot
 
 EXAMPLE = Path(__file__).parents[1] / "config" / "dh_parameters_example.yaml"
@@ -41,7 +40,7 @@ def deviations(scale=1.0):
 def deviating_robot(found):
     """The simulated arm, built like that of the description, with these deviations."""
     model = robot_model(found.robot, "MF_elektrisch")
-    table = nominal_table(model).plus(found)
+    table = nominal_parameters(model).plus(found.parameters)
     text, parent, before = '<robot name="arm"><link name="base"/>', "base", {"x": 0.0, "z": 0.0, "roll": 0.0}
     for i in range(7):
         limits = {"lower": model.lower[i], "upper": model.upper[i], "speed": model.max_speed[i]}

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from common.mounting import directions
 from common.poses import pose, translation
 from common.rotations import rotation_about, rotation_from_zyx
-from kuka_control.kinematics import Kinematics, forward
+from iiwa_kinematics import Kinematics, forward
+from iiwa_kinematics.robot_model import robot_model
 from kuka_control.model.home_pose import HomeError, custom_home, home_pose
 from kuka_control.model.workspace import Workspace
-from kuka_control.robot_model import robot_model
 
 MODELS = [robot_model("LBR7R800", "MF_elektrisch"), robot_model("LBR14R820", "MF_touch_pneumatisch")]
 TOOL_LENGTH = 0.106

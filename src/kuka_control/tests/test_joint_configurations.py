@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.errors import ConfigError
+from iiwa_kinematics.robot_model import JOINT_RANGES_DEG, robot_model
 from kuka_control.model.joint_configurations import chosen_configuration, named_configurations, range_faults
-from kuka_control.robot_model import JOINT_RANGES_DEG, robot_model
 
 MODEL = robot_model("LBR7R800", "MF_elektrisch")
 SHIPPED = yaml.safe_load((Path(__file__).parents[1] / "config" / "joint_configurations.yaml").read_text())

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from common.poses import translation
-from kuka_control.kinematics import forward
+from iiwa_kinematics import forward
+from iiwa_kinematics.robot_model import robot_model
 from kuka_control.limits.joint_motion import ARRIVED_DEG, GIVEN_UP_S, STALLED_S, JointMotion, MotionWatch
-from kuka_control.robot_model import robot_model
 
 MODEL = robot_model("LBR7R800", "MF_elektrisch")
 TOOL = translation(0.0, 0.0, 0.106)

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from common.mounting import directions
 from common.poses import translation
-from kuka_control.kinematics import IkFailure, Kinematics
+from iiwa_kinematics import IkFailure, Kinematics
+from iiwa_kinematics.robot_model import robot_model
 from kuka_control.model.home_pose import home_pose
 from kuka_control.model.reach_study import ReachStudy, study_reach, tool_attitude
 from kuka_control.model.workspace import Workspace
 from kuka_control.model.workspace_samples import volume_samples
-from kuka_control.robot_model import robot_model
 
 MODEL = robot_model("LBR7R800", "MF_elektrisch")
 TOOL_M = 0.106

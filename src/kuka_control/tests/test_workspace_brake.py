@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 pytest.importorskip("rig_simulation")
 
 from bench.simulated import SimulatedRig
-from kuka_control.kinematics import Kinematics
+from iiwa_kinematics import Kinematics
+from iiwa_kinematics.robot_model import robot_model
 from kuka_control.limits.motion_limits import MotionLimits, SpeedLimits
 from kuka_control.limits.speed_change import Moved, ShapeLimits, SpeedChange
 from kuka_control.limits.workspace_brake import SLACK_M, WorkspaceBrake
 from kuka_control.model.workspace import Workspace
-from kuka_control.robot_model import robot_model
 
 DT = 0.004
 ALLOWED_M = 0.002

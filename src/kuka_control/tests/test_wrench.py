@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.poses import translation
-from kuka_control.kinematics import Kinematics, jacobian
+from iiwa_kinematics import Kinematics, jacobian
+from iiwa_kinematics.robot_model import robot_model
 from kuka_control.model.wrench import wrench_at_tool
-from kuka_control.robot_model import robot_model
 
 ARM = Kinematics(robot_model("LBR7R800", "MF_elektrisch"), translation(0.0, 0.0, 0.106))
 HOME = np.array([-0.785, 0.516, 0.0, -1.106, 0.0, 1.519, 0.0])

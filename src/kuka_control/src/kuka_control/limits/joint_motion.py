@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.kinematics import jacobian
-from kuka_control.robot_model import RobotModel
+from iiwa_kinematics import jacobian
+from iiwa_kinematics.robot_model import RobotModel
 
 STEPS = 101
 """So many places on the way are looked at for the speed of the tool."""

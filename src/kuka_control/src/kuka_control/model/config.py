@@ -15,8 +15,8 @@ import numpy as np
 from common.config import choice, flag, integer, number, path, text, vector
 from common.mounting import mounting_field
 from common.tool import ToolConfig
+from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, robot_model
 from kuka_control.model.workspace import workspace_faults
-from kuka_control.robot_model import FLANGE_HEIGHTS, ROBOTS, robot_model
 
 UPLOADED = ("ws_center", "joints_home")
 """Keys under `kuka/` that the controller itself writes."""

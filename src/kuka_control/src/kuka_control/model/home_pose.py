@@ -24,9 +24,9 @@ from common.errors import RigError
 from common.mounting import Directions, directions
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about
-from kuka_control.kinematics import Kinematics
+from iiwa_kinematics import Kinematics
+from iiwa_kinematics.robot_model import RobotModel
 from kuka_control.model.workspace import Infeasible, Workspace
-from kuka_control.robot_model import RobotModel
 
 ROUNDING_RAD = 1e-12
 """A joint nearer to zero than this is at zero."""

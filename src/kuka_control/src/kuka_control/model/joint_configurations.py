@@ -12,7 +12,7 @@ import numpy as np
 from common.config import parse, vector
 from common.errors import ConfigError
 from common.poses import read_only
-from kuka_control.robot_model import RobotModel
+from iiwa_kinematics.robot_model import RobotModel
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 

@@ -16,7 +16,7 @@ import numpy as np
 from common.mounting import Directions
 from common.poses import pose, read_only
 from common.rotations import rotation_from_zyx
-from kuka_control.kinematics import IkFailure, Kinematics
+from iiwa_kinematics import IkFailure, Kinematics
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +86,11 @@ def study_reach(
     down, share = [], []
     failures: Counter[IkFailure] = Counter()
     for position in positions:
-        straight = kinematics.inverse(pose(R_down, position), near=q_home)
+        straight = kinematics.inverse(pose(R_down, position), q_seed=q_home)
         down.append(straight.failure is None)
         if straight.failure is not None:
             failures[straight.failure] += 1
         drawn = random.uniform(-limits, limits, (attitudes, 3))
         poses = (pose(tool_attitude(bearings, *angles), position) for angles in drawn)
-        share.append(np.mean([kinematics.inverse(T, near=q_home).failure is None for T in poses]))
+        share.append(np.mean([kinematics.inverse(T, q_seed=q_home).failure is None for T in poses]))
     return ReachStudy(read_only(positions), np.array(down), read_only(share), dict(failures))

@@ -8,12 +8,12 @@ import numpy as np
 
 from common.mounting import Directions, directions
 from common.poses import inverse
-from kuka_control.kinematics import DhDeviations, Kinematics, kinematics_of
+from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, robot_model
+from kuka_control.model.calibration_file import DhDeviations
 from kuka_control.model.config import ArmConfig
 from kuka_control.model.home_pose import Home, custom_home, home_pose
 from kuka_control.model.target import TargetChain
 from kuka_control.model.workspace import Workspace
-from kuka_control.robot_model import RobotModel, robot_model
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ class Rig:
         model = robot_model(config.robot, config.flange)
         T_flange_tool = config.T_flange_tool
         bearings = directions(config.center_line, config.mounting)
-        kinematics = kinematics_of(model, T_flange_tool, dh, float(np.radians(config.elbow_preference)))
+        deviations = None if dh is None else dh.parameters
+        kinematics = kinematics_of(model, T_flange_tool, deviations, float(np.radians(config.elbow_preference)))
         workspace = Workspace(
             center_line=config.center_line,
             opening_angle=config.opening_angle_rad,

@@ -8,8 +8,8 @@ from typing import Any
 
 from common.config import choice, integer, parse, text
 from common.tool import ToolConfig
+from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS
 from kuka_control.model.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
-from kuka_control.robot_model import FLANGE_HEIGHTS, ROBOTS
 
 
 @dataclass(frozen=True)

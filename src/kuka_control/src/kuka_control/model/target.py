@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import pose, read_only
-from kuka_control.kinematics import Kinematics
+from iiwa_kinematics import Kinematics
 from kuka_control.model.scaling import scaled, unscaled
 from kuka_control.model.workspace import Infeasible, Workspace
 
@@ -43,27 +43,27 @@ class TargetChain:
         self._workspace = workspace
         self._kinematics = kinematics
 
-    def resolve(self, T_base_desired: np.ndarray, scale: float, near: np.ndarray) -> Target | Infeasible:
+    def resolve(self, T_base_desired: np.ndarray, scale: float, q_seed: np.ndarray) -> Target | Infeasible:
         """Returns the target of a desired tool frame.
 
         Args:
             T_base_desired: shape (4, 4) [m].
             scale: scaling factor.
-            near: joints that the solution is to be close to, shape (7,) [rad].
+            q_seed: joints that the solution continues from, shape (7,) [rad].
         """
-        return self.reach(pose(T_base_desired[:3, :3], scaled(T_base_desired[:3, 3], self._centre, scale)), near)
+        return self.reach(pose(T_base_desired[:3, :3], scaled(T_base_desired[:3, 3], self._centre, scale)), q_seed)
 
     def desired(self, T_base_tool: np.ndarray, scale: float) -> np.ndarray:
         """Returns the desired tool frame, shape (4, 4) [m], that the scaling makes the given one of."""
         return read_only(pose(T_base_tool[:3, :3], unscaled(T_base_tool[:3, 3], self._centre, scale)))
 
-    def reach(self, T_base_scaled: np.ndarray, near: np.ndarray) -> Target | Infeasible:
+    def reach(self, T_base_scaled: np.ndarray, q_seed: np.ndarray) -> Target | Infeasible:
         """Returns the target of a tool frame that is scaled already; arguments as in `resolve`."""
         constrained = self._workspace.constrain(T_base_scaled[:3, 3])
         if isinstance(constrained, Infeasible):
             return constrained
         T_base_tool = read_only(pose(T_base_scaled[:3, :3], constrained.position))
-        result = self._kinematics.inverse(T_base_tool, near=near, keep_branch=True)
+        result = self._kinematics.inverse(T_base_tool, q_seed=q_seed, keep_branch=True)
         return Target(
             result.q,
             T_base_tool,

@@ -43,14 +43,14 @@ def seed(mode: str, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarray
     return joints if mode in FOLLOWING and joints is not None else q_home
 
 
-def check_tool_pose(chain: TargetChain, T_base_tool: np.ndarray, scale: float, near: np.ndarray) -> ToolCheck:
+def check_tool_pose(chain: TargetChain, T_base_tool: np.ndarray, scale: float, q_seed: np.ndarray) -> ToolCheck:
     """Returns whether the tool can be brought to a pose.
 
     Args:
         chain: from the desired tool frame to joints.
         T_base_tool: the pose, shape (4, 4) [m].
         scale: scaling factor.
-        near: joints from which the arm would go there, shape (7,) [rad].
+        q_seed: joints from which the arm would go there, shape (7,) [rad].
     """
     try:
         T_base_tool = check_pose(T_base_tool)
@@ -59,7 +59,7 @@ def check_tool_pose(chain: TargetChain, T_base_tool: np.ndarray, scale: float, n
     distance = np.linalg.norm(T_base_tool[:3, 3])
     if distance > MAX_DISTANCE_M:
         return ToolCheck(f"The tool pose is refused: it is {distance:.4g} m from the base; is it in metres?")
-    target = chain.reach(T_base_tool, near)
+    target = chain.reach(T_base_tool, q_seed)
     if isinstance(target, Infeasible):
         return ToolCheck(f"The tool pose is outside the workspace: {target}.")
     if target.bounds:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from common.config import parse
 from common.errors import ConfigError
-from kuka_control.kinematics import DhDeviations
+from kuka_control.model.calibration_file import DhDeviations
 from kuka_control.model.config import ArmConfig, neighbours
 from kuka_control.model.home_pose import HomeError
 from kuka_control.model.rig import Rig

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kuka_control.kinematics import Kinematics
+from iiwa_kinematics import Kinematics
 
 RCOND = 0.02
 """Directions in which the arm is so near to a singular pose that torques tell nothing about the wrench are left out."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from common.config import parse
 from common.errors import ConfigError
-from kuka_control.kinematics import DhDeviations
+from kuka_control.model.calibration_file import DhDeviations
 from kuka_control.model.config import ArmConfig
 from kuka_control.ros.parameter_server import read_yaml
 

@@ -13,13 +13,13 @@ import numpy as np
 import rospy
 
 from common.errors import ConfigError, DeviceError, RigError
+from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 from kst.client import KstClient
 from kst.errors import ReplyTimeout, ServerBusy
 from kst.limits import JointLimits
 from kuka_control.limits.joint_motion import ARRIVED_DEG, JointMotion, MotionWatch, Progress
 from kuka_control.model.joint_configurations import chosen_configuration, named_configurations
 from kuka_control.model.robot_address import OPTIONS, RobotAddress, robot_address
-from kuka_control.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 from kuka_control.ros.parameter_server import (
     NoMaster,
     NoParameters,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.rotations import rotation_about
-from kuka_control.model.link_frames import link_frames
+from iiwa_kinematics import arm_points
 from kuka_control.model.reach_study import ReachStudy
 from kuka_control.model.rig import Rig
 from kuka_control.model.workspace_samples import ConstrainedSamples
@@ -35,9 +35,7 @@ class Picture:
     @property
     def arm(self) -> np.ndarray:
         """Base, shoulder, elbow, wrist, flange and tool point at home, shape (6, 3) [m]."""
-        frames = link_frames(self.rig.model, self.rig.home.q)
-        corners = frames[[1, 3, 5, 7], :3, 3]
-        return np.vstack([np.zeros(3), corners, self.rig.home.T_base_tool[:3, 3]])
+        return np.vstack([arm_points(self.rig.model, self.rig.home.q), self.rig.home.T_base_tool[:3, 3]])
 
     @property
     def unreached(self) -> np.ndarray:

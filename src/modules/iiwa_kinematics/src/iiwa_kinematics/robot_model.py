@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.poses import read_only
+from iiwa_kinematics.poses import read_only
 
 FLANGE_HEIGHTS = {
     "MF_elektrisch": 0.035,

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.kinematics.arcs import CIRCLE, TURN, intersection, nearest, positive, remaining
+from iiwa_kinematics.arcs import CIRCLE, TURN, intersection, nearest, positive, remaining
 
 ANGLES = np.linspace(-math.pi, math.pi, 721)
 EDGE = 1e-9

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from kuka_control.kinematics import forward
-from kuka_control.robot_model import FLANGE_HEIGHTS, robot_model
+from iiwa_kinematics import forward
+from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, robot_model
 
-URDF = Path(__file__).parents[2] / "modules" / "rig_description" / "urdf"
+URDF = Path(__file__).parents[2] / "rig_description" / "urdf"
 ARMS = [(robot, flange) for robot in ("LBR7R800", "LBR14R820") for flange in FLANGE_HEIGHTS]
 
 

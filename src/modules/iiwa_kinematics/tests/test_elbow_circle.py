@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from common.rotations import unit
-from kuka_control.kinematics import Branch, forward
-from kuka_control.kinematics.arcs import TURN
-from kuka_control.kinematics.elbow_circle import BRANCHES, ElbowCircle, Limits
-from kuka_control.robot_model import robot_model
+from iiwa_kinematics import Branch, forward
+from iiwa_kinematics.arcs import TURN
+from iiwa_kinematics.elbow_circle import BRANCHES, ElbowCircle, Limits
+from iiwa_kinematics.robot_model import robot_model
 
 MODELS = [robot_model("LBR7R800", "MF_elektrisch"), robot_model("LBR14R820", "MF_touch_pneumatisch")]
 ANGLES = np.linspace(-math.pi, math.pi, 73)

@@ -1,8 +1,8 @@
 """Forward kinematics of the seven joints, and their geometric Jacobian.
 
-At zero the arm stands upright; joints 1, 3, 5, 7 turn about the arm's length (z), joint 2 and 6 about y, joint 4 about
+At zero the arm stands upright. Joints 1, 3, 5, 7 turn about the arm's length (z), joints 2 and 6 about y, joint 4 about
 -y:  R_base_flange = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7). This is the chain of the KUKA Sunrise Toolbox.
-The arithmetic is written out in plain floats: for single poses that is several times faster than 4 x 4 products.
+The arithmetic is written out in plain floats: for single poses this is several times faster than 4 x 4 products.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Tuple
 
 import numpy as np
 
-from kuka_control.robot_model import RobotModel
+from iiwa_kinematics.robot_model import RobotModel
 
 Vector = Tuple[float, float, float]
 Frames = Tuple[Tuple[Vector, ...], Vector, Vector, Vector, Vector, Tuple[Vector, Vector, Vector]]
@@ -53,6 +53,12 @@ def forward(model: RobotModel, q: np.ndarray) -> np.ndarray:
     ])  # fmt: skip
 
 
+def arm_points(model: RobotModel, q: np.ndarray) -> np.ndarray:
+    """Returns base, shoulder, elbow, wrist and flange, shape (5, 3) [m], at joints q, shape (7,) [rad]."""
+    _, shoulder, elbow, wrist, flange, _ = _frames(model, q)
+    return np.array([(0.0, 0.0, 0.0), shoulder, elbow, wrist, flange])
+
+
 def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None = None) -> np.ndarray:
     """Returns the geometric Jacobian of the tool point in the base frame, shape (6, 7).
 
@@ -61,7 +67,7 @@ def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None 
     Args:
         model: the arm.
         q: joint angles, shape (7,) [rad].
-        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m]; the flange itself where left out.
+        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m]; the flange itself if omitted.
     """
     axes, shoulder, elbow, wrist, p, (x, y, z) = _frames(model, q)
     if T_flange_tool is not None:

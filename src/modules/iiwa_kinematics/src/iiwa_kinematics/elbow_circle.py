@@ -20,8 +20,8 @@ from typing import Callable, Iterable, NamedTuple, Sequence
 
 import numpy as np
 
-from kuka_control.kinematics.arcs import FLAT, TURN, Arc, Interval, intersection, positive, remaining
-from kuka_control.kinematics.chain import Vector, combination, cross
+from iiwa_kinematics.arcs import FLAT, TURN, Arc, Interval, intersection, positive, remaining
+from iiwa_kinematics.chain import Vector, combination, cross
 
 ALIGNED = 1e-10
 """Below this sine of joint 2 (or 6) the axes of joints 1 and 3 (or 5 and 7) count as one, only their sum matters."""

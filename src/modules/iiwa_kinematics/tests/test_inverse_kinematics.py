@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from kuka_control.kinematics import Branch, IkFailure, Kinematics
-from kuka_control.kinematics.inverse import RETURN_SHARE
-from kuka_control.robot_model import robot_model
+from iiwa_kinematics import Branch, IkFailure, Kinematics
+from iiwa_kinematics.elbow_choice import RETURN_FRACTION
+from iiwa_kinematics.robot_model import robot_model
 
 TOOL = translation(0.0, 0.0, 0.106)
 ARMS = [
@@ -65,7 +65,7 @@ def test_small_step_of_the_tool_is_a_small_step_of_the_joints(arm):
         check(arm, result, T)
         assert result.branch == Branch.of(q)
         # q + dq is one of the solutions; joint 3 weighs most, and the way back adds its share.
-        assert np.linalg.norm(result.q - q) < 4.0 * (1.0 + RETURN_SHARE) * np.linalg.norm(dq) + 1e-5
+        assert np.linalg.norm(result.q - q) < 4.0 * (1.0 + RETURN_FRACTION) * np.linalg.norm(dq) + 1e-5
         checked += 1
     assert checked > 300
 
@@ -231,10 +231,10 @@ def test_arm_that_was_stretched_out_bends_the_way_it_did():
 def test_target_along_the_axis_of_the_present_joint_4():
     """The present elbow says nothing about where the elbow is to be."""
     arm = Kinematics(ARMS[0].model)
-    near = np.array([0.0, 0.5, 0.0, -1.0, 0.0, 0.6, 0.0])
+    seed = np.array([0.0, 0.5, 0.0, -1.0, 0.0, 0.6, 0.0])
     T = pose(p=(0.0, 0.6 + arm.model.wrist_flange, arm.model.base_shoulder))
     T[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
-    check(arm, arm.inverse(T, near), T)
+    check(arm, arm.inverse(T, seed), T)
 
 
 @pytest.mark.parametrize("turn", [-2.0, 0.0, 0.5])
@@ -338,10 +338,10 @@ def test_what_is_no_pose_is_refused(T):
         ARMS[0].inverse(T, HOME)
 
 
-@pytest.mark.parametrize("near", [np.full(7, np.nan), np.zeros(6)])
-def test_present_joints_must_be_seven_numbers(near):
-    with pytest.raises(ValueError, match="seven finite numbers"):
-        ARMS[0].inverse(ARMS[0].forward(HOME), near)
+@pytest.mark.parametrize("seed", [np.full(7, np.nan), np.zeros(6)])
+def test_present_joints_must_be_seven_numbers(seed):
+    with pytest.raises(ValueError, match="seven finite"):
+        ARMS[0].inverse(ARMS[0].forward(HOME), seed)
 
 
 def test_result_cannot_be_changed():

@@ -11,8 +11,7 @@ from hypothesis.extra import numpy as st_numpy
 
 from common.poses import pose
 from common.rotations import rotation_from_zyx
-from kuka_control.kinematics import Kinematics, forward, jacobian
-from kuka_control.robot_model import robot_model
+from iiwa_kinematics import Kinematics, arm_points, forward, jacobian, robot_model
 
 MODEL = robot_model("LBR7R800", "MF_elektrisch")
 TURNED = np.radians([10.0, 20.0, 30.0, -40.0, 50.0, 60.0, 70.0])
@@ -60,3 +59,11 @@ def test_jacobian_is_the_derivative(q, tool):
 
 def test_jacobian_without_a_tool_is_that_of_the_flange():
     np.testing.assert_array_equal(jacobian(MODEL, TURNED), jacobian(MODEL, TURNED, np.eye(4)))
+
+
+@given(joints)
+def test_points_of_the_arm_keep_its_lengths(q):
+    points = arm_points(MODEL, q)
+    lengths = [MODEL.base_shoulder, MODEL.shoulder_elbow, MODEL.elbow_wrist, MODEL.wrist_flange]
+    np.testing.assert_allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), lengths, atol=1e-12)
+    np.testing.assert_array_equal(points[-1], forward(MODEL, q)[:3, 3])

@@ -1,0 +1,52 @@
+"""The file of a calibrated arm: what it may hold, and what the kinematics make of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from common.config import parse
+from common.errors import ConfigError
+from kuka_control.model.calibration_file import DhDeviations
+
+EXAMPLE = Path(__file__).parents[1] / "config" / "dh_parameters_example.yaml"
+
+
+def example(**changes):
+    return parse(DhDeviations, {**yaml.safe_load(EXAMPLE.read_text()), **changes}, "arm.yaml: ")
+
+
+def test_the_example_is_good_and_says_its_units():
+    found = example()
+    assert found.robot == "LBR7R800"
+    np.testing.assert_allclose(found.parameters.d, 1e-3 * found.delta_d)
+    np.testing.assert_allclose(found.parameters.theta, np.pi / 180.0 * found.delta_theta)
+    assert found.parameters.any
+    for line in EXAMPLE.read_text().splitlines():
+        assert line.startswith("#") or not line or any(unit in line for unit in ("# mm", "# deg", "no unit")), line
+
+
+@pytest.mark.parametrize(
+    "key, value, allowed",
+    [
+        ("delta_a", [0, 0, 0, 0, 0, 0, 5.1], r"7 finite numbers, each in \[-5, 5\] mm"),
+        ("delta_d", [0.34, 0, 0.4, 0, 400.0, 0, 0.161], r"each in \[-5, 5\] mm"),
+        ("delta_alpha", [-1.01, 0, 0, 0, 0, 0, 0], r"each in \[-1, 1\] deg"),
+        ("delta_theta", [0, 0, float("nan"), 0, 0, 0, 0], r"each in \[-1, 1\] deg"),
+        ("delta_theta", [0] * 6, "7 finite numbers"),
+        ("robot", "LBR8", "one of LBR7R800, LBR14R820"),
+        ("serial", 123, "a string that is not empty"),
+        ("date", "", "a string that is not empty"),
+    ],
+)
+def test_a_value_that_is_not_plausible_is_refused_with_its_key_and_range(key, value, allowed):
+    with pytest.raises(ConfigError, match=rf"^arm.yaml: {key} is .*, but must be .*{allowed}"):
+        example(**{key: value})
+
+
+def test_a_key_that_is_not_known_is_refused():
+    with pytest.raises(ConfigError, match="delta_q is not a known key"):
+        example(delta_q=[0] * 7)

@@ -1,0 +1,187 @@
+"""Where the elbow is chosen: of all joints that reach a tool pose, those that continue best from the present ones.
+
+The pose leaves one angle free, the elbow's position on its circle, and up to eight branches. The criteria, in this
+order: all joints within their ranges; close to the seed; then a slow return to the preferred arm angle, away from the
+ends of the joint ranges and from the singular poses in which joint 2 or joint 6 is zero.
+
+Close means a small weighted joint step in which joint 3 counts most. With joint 3 nearly fixed, the arm moves like one
+with six joints: its elbow stays in its plane, and the tool may pass over positions in which joint 2 goes through zero
+without any joint racing. The slow return adds at most a fraction of the joint step that the tool asks for, so an arm
+whose tool is at rest does not move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, radians
+from typing import Sequence
+
+from iiwa_kinematics.arcs import TURN, Interval, nearest
+from iiwa_kinematics.elbow_circle import BRANCHES, Branch, ElbowCircle, Limits, wrapped
+from iiwa_kinematics.robot_model import RobotModel
+
+JOINT_TOLERANCE_RAD = 1e-10
+"""A joint out of its range by at most this is a rounding error."""
+
+JOINT_3_WEIGHT = 10.0
+"""How much more a step of joint 3 costs than one of another joint."""
+
+RETURN_FRACTION = 0.25
+"""Fraction of the joint step that may be added for the return to the preferred arm angle."""
+
+MARGIN_RAD = radians(5.0)
+"""The arm angle is led away where a joint is nearer to its limit than this, or joint 2 or 6 nearer to zero."""
+
+NEARBY_RAD = radians(3.0)
+"""A solution with a joint step of at most this is taken without trying others."""
+
+CROSSING_RAD = radians(10.0)
+"""A joint goes through zero if it is nearer to zero than this before and after the step."""
+
+WOUND = -0.5
+"""Below this cosine of joint 3, the preferred arm angle would need joints 1 and 3 turned over: it is not used."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Joints that reach the pose.
+
+    Attributes:
+        cost: squared weighted joint step from the seed.
+        angle: of the elbow on its circle [rad].
+        q: joints, 7 angles [rad].
+        branch: signs of joints 2, 4 and 6.
+        interval: of the angles around `angle` at which all joints are in their ranges [rad].
+    """
+
+    cost: float
+    angle: float
+    q: list[float]
+    branch: Branch
+    interval: Interval
+
+
+class ElbowChoice:
+    """Chooses branch and arm angle.
+
+    Args:
+        model: the arm.
+        preference: arm angle to which the elbow slowly returns [rad]; 0 is up.
+    """
+
+    def __init__(self, model: RobotModel, preference: float) -> None:
+        self._preference = preference
+        self._limits = Limits(model.lower, model.upper)
+        self._margins = Limits(model.lower + MARGIN_RAD, model.upper - MARGIN_RAD, MARGIN_RAD)
+        speeds = model.max_speed.tolist()
+        mean = sum(speeds) / len(speeds)
+        self._weights = [(mean / speed) ** 2 for speed in speeds]
+        self._weights[2] *= JOINT_3_WEIGHT
+
+    def can_bend(self, angle: float) -> bool:
+        """Returns whether joint 4 can be at the angle [rad]."""
+        low, high = self._limits.lower[3], self._limits.upper[3]
+        return low - JOINT_TOLERANCE_RAD <= angle <= high + JOINT_TOLERANCE_RAD
+
+    def continued(self, circle: ElbowCircle, seed: list[float]) -> Candidate | None:
+        """Returns the best joints of the seed's branch, or of one that joint 2 or joint 6 enters through zero."""
+        present = Branch.of(seed)
+        best = self._best_in_branch(circle, present, seed)
+        if best is not None and _step(best.q, seed) <= NEARBY_RAD:
+            return best
+        for branch in BRANCHES:
+            crossed = [joint for joint, a, b in zip((1, 3, 5), branch, present) if a != b]
+            if crossed and 3 not in crossed and all(abs(seed[joint]) < CROSSING_RAD for joint in crossed):
+                found = self._best_in_branch(circle, branch, seed)
+                if found is not None and all(abs(found.q[joint]) < CROSSING_RAD for joint in crossed):
+                    best = found if best is None or found.cost < best.cost else best
+        return best
+
+    def refolded(self, circle: ElbowCircle, seed: list[float]) -> Candidate | None:
+        """Returns the best joints of all branches."""
+        found = [self._best_in_branch(circle, branch, seed) for branch in BRANCHES]
+        reached = [one for one in found if one is not None]
+        return min(reached, key=lambda one: one.cost) if reached else None
+
+    def led_back(self, circle: ElbowCircle, found: Candidate, seed: list[float], zero: float) -> Candidate:
+        """Returns `found`, led towards the preferred arm angle by a small part of its joint step.
+
+        Args:
+            circle: of the elbow.
+            found: joints that reach the pose.
+            seed: present joints [rad].
+            zero: arm angle at the circle's angle zero [rad].
+        """
+        goal = self._goal(circle, found, zero)
+        fastest = max(1.0, max(map(abs, circle.self_motion(found.q))))
+        most = RETURN_FRACTION * _step(found.q, seed) / fastest
+        step = min(max(goal - found.angle, -most), most)
+        if step == 0.0:
+            return found
+        angle = min(max(found.angle + step, found.interval[0]), found.interval[1])
+        q = self._in_range(circle.joints(angle, found.branch, seed, self._limits))
+        return found if q is None else Candidate(found.cost, angle, q, found.branch, found.interval)
+
+    def _best_in_branch(self, circle: ElbowCircle, branch: Branch, seed: list[float]) -> Candidate | None:
+        """Returns the joints of a branch that are cheapest to reach from `seed`, or None if it has none in range."""
+        if not self.can_bend(circle.bend * branch.elbow):
+            return None
+        starts = circle.keeping_joint_3(seed[2], branch) or [0.0 if branch.elbow == Branch.of(seed).elbow else pi]
+        best = None
+        for interval in circle.free(branch, self._limits):
+            for start in starts:
+                best = self._descend(circle, branch, interval, nearest(interval, start), seed, best)
+            if best is None or _step(best.q, seed) > NEARBY_RAD:
+                best = self._descend(circle, branch, interval, (interval[0] + interval[1]) / 2.0, seed, best)
+        return best
+
+    def _descend(
+        self,
+        circle: ElbowCircle,
+        branch: Branch,
+        interval: Interval,
+        angle: float,
+        seed: list[float],
+        best: Candidate | None,
+    ) -> Candidate | None:
+        """Returns the better of `best` and the result of Gauss-Newton steps from `angle` within the interval."""
+        for _ in range(3):
+            q = self._in_range(circle.joints(angle, branch, seed, self._limits))
+            if q is None:
+                return best
+            differences = [a - b for a, b in zip(q, seed)]
+            cost = sum(w * d * d for w, d in zip(self._weights, differences))
+            if best is not None and cost >= best.cost:
+                return best
+            best = Candidate(cost, angle, q, branch, interval)
+            motion = circle.self_motion(q)
+            slope = sum(w * m * d for w, m, d in zip(self._weights, motion, differences))
+            step = slope / sum(w * m * m for w, m in zip(self._weights, motion))
+            angle = min(max(angle - step, interval[0]), interval[1])
+        return best
+
+    def _goal(self, circle: ElbowCircle, found: Candidate, zero: float) -> float:
+        """Returns the circle's angle near the preference that keeps the margins and is not across a limit [rad]."""
+        low, high = found.interval
+        preferred = found.angle + wrapped(self._preference - zero - found.angle)
+        if circle.cosine_of_joint_3(preferred, found.branch) < WOUND:
+            preferred = found.angle
+        inside = []
+        for with_margins in circle.free(found.branch, self._margins):
+            for shift in (-TURN, 0.0, TURN):
+                a, b = max(with_margins[0] + shift, low), min(with_margins[1] + shift, high)
+                if a < b:
+                    inside.append((max(a - found.angle, found.angle - b, 0.0), a, b))
+        if not inside:
+            return (low + high) / 2.0
+        _, a, b = min(inside)
+        return min(max(preferred, a), b)
+
+    def _in_range(self, q: list[float]) -> list[float] | None:
+        """Returns the joints without rounding errors beyond their ranges, None if they are further out."""
+        inside = [min(max(a, low), high) for a, low, high in zip(q, self._limits.lower, self._limits.upper)]
+        return inside if _step(inside, q) <= JOINT_TOLERANCE_RAD else None
+
+
+def _step(q: Sequence[float], seed: Sequence[float]) -> float:
+    return max(abs(a - b) for a, b in zip(q, seed))
