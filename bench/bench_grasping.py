@@ -1,8 +1,8 @@
-"""From a depth picture to a grasp, stage by stage: the live chain against the published pipeline, in the same run.
+"""From a depth image to a grasp, stage by stage: the live chain against the published pipeline, in the same run.
 
 The published pipeline is written here from its description: scaling of the window, filling of its holes, the network
 layer by layer with four heads, blurs of the quality and of the angle itself, the highest pixel, and its place before
-the camera. Both have the same weights, the same pictures and one processor, and what is measured is its time for them.
+the camera. Both have the same weights, the same images and one processor, and what is measured is its time for them.
 The live chain does more: it averages maps over time, and finds, follows and turns several grasps.
 """
 
@@ -22,7 +22,7 @@ from bench.measure import SRC, Row, row
 from common.camera_model import pinhole
 from grasping.network.networks import GGCNN, HEADS
 from grasping.network.weights import load
-from grasping.pipeline.live import Finder
+from grasping.pipeline.live import GraspPipeline
 from grasping.pipeline.predictor import Predictor, PredictorSettings
 from grasping.pipeline.settings import overlaid, settings_from
 
@@ -37,18 +37,18 @@ CLOCK = time.thread_time
 def rows(quick: bool) -> list[Row]:
     """Returns the time of each stage [ms] of the published pipeline and of the live chain."""
     count = 3 if quick else 40
-    pictures = [depth_picture(seed) for seed in range(count + 1)]
+    images = [depth_picture(seed) for seed in range(count + 1)]
     before = torch.get_num_threads(), cv2.getNumThreads()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
-        return _rows(pictures)
+        return _rows(images)
     finally:
         torch.set_num_threads(before[0])
         cv2.setNumThreads(before[1])
 
 
-def _rows(pictures: list[np.ndarray]) -> list[Row]:
+def _rows(images: list[np.ndarray]) -> list[Row]:
     torch.manual_seed(0)
     folder = SRC / "grasping"
     networks = {
@@ -64,10 +64,10 @@ def _rows(pictures: list[np.ndarray]) -> list[Row]:
         }  # the live chain rearranges its own
         for view in ("camera", "table"):
             s = settings_from(overlaid(values, {"view": view}))
-            finder = Finder(s.views(), Predictor(network, PredictorSettings()), s.live(UP), CLOCK)
+            finder = GraspPipeline(s.views(), Predictor(network, PredictorSettings()), s.live(UP), CLOCK)
             chains[f"live, view {view}"] = lambda depth, now, f=finder: f.step(depth, CAMERA, np.eye(4), now).seconds
         times = {chain: [] for chain in chains}
-        for i, depth in enumerate(pictures):  # in turns, so that a busy moment meets all
+        for i, depth in enumerate(images):  # in turns, so that a busy moment meets all
             for chain, call in chains.items():
                 times[chain].append(call(depth, i / 15.0))
         table += _table(name, times)
@@ -90,7 +90,7 @@ def _table(name: str, times: dict[str, list]) -> list[Row]:
 
 
 def depth_picture(seed: int) -> np.ndarray:
-    """Returns a noisy depth picture, float32 [m], of boxes on a table below, with shadows, NaN, beside them."""
+    """Returns a noisy depth image, float32 [m], of boxes on a table below, with shadows, NaN, beside them."""
     random = np.random.default_rng(seed)
     depth = 0.8 + 0.0015 * random.standard_normal((480, 640)).astype(np.float32)
     for _ in range(6):
@@ -103,7 +103,7 @@ def depth_picture(seed: int) -> np.ndarray:
 
 
 def published(network: torch.nn.Module, depth: np.ndarray, _) -> dict[str, float]:
-    """Returns how long each stage takes [s]; the time of the picture does not matter."""
+    """Returns how long each stage takes [s]; the time of the image does not matter."""
     marks = [CLOCK()]
     crop = cv2.resize(depth[ROWS, COLUMNS], (300, 300))
     crop = cv2.copyMakeBorder(crop, 1, 1, 1, 1, cv2.BORDER_DEFAULT)

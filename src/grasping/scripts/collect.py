@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Records what the camera saw and where a person then grasped."""
+"""Records what the camera saw and where an operator then grasped."""
 
 import signal
 

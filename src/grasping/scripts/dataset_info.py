@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Tells what is in a dataset of grasps by a person."""
+"""Tells what is in a dataset of grasps by an operator."""
 
 from grasping.lab.programs.dataset_info import main
 

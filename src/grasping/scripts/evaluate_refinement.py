@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Compares what predicts a person's grasps."""
+"""Compares what predicts an operator's grasps."""
 
 from grasping.lab.programs.evaluate_refinement import main
 

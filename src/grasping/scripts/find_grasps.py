@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Finds grasps in one depth picture."""
+"""Finds grasps in one depth image."""
 
 from grasping.lab.programs.find_grasps import main
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Looks for grasps in the camera's depth pictures."""
+"""Looks for grasps in the camera's depth images."""
 
 import signal
 

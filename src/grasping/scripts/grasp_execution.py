@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Lets the arm wait above a proposed grasp for a person's hand."""
+"""Lets the arm wait above a proposed grasp for an operator's hand."""
 
 from grasping.ros.execution_node import main
 

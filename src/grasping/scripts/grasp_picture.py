@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes what the node ggcnn sees and finds into a picture file."""
+"""Writes what the node ggcnn sees and finds into an image file."""
 
 from grasping.ros.grasp_picture import main
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes episodes of a simulated person's grasps."""
+"""Makes episodes of a simulated operator's grasps."""
 
 from grasping.lab.programs.make_episodes import main
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Trains the second network on episodes of a person's grasps."""
+"""Trains the refinement network on episodes of an operator's grasps."""
 
 from grasping.lab.programs.train_refinement import main
 

@@ -1,4 +1,4 @@
-"""A rig for grasp_collection without arm, hand or camera: what it would publish while a person grasps, tick by tick."""
+"""A rig for grasp_collection without devices: publishes, tick by tick, what a rig would while an operator grasps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def tool(z: float) -> np.ndarray:
 
 
 def grasp(touched: bool = True) -> list[tuple]:
-    """What the person does: (seconds, bend of the fingers, touched, height of the tool before, and after)."""
+    """What the operator does: (seconds, bend of the fingers, touched, height of the tool before, and after)."""
     return [
         (0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z + 0.1),
         (2.0, OPEN, False, GRASP_Z + 0.1, GRASP_Z),
@@ -57,7 +57,7 @@ def hand_message(bend: float, touched: bool):
     return message
 
 
-def picture() -> np.ndarray:
+def image() -> np.ndarray:
     """A box on a table, in millimetres."""
     depth = np.full((480, 640), 900, np.uint16)
     depth[220:260, 300:340] = 850
@@ -66,13 +66,13 @@ def picture() -> np.ndarray:
 
 
 def messages(stamp, bend, touched, z, depth=None) -> list[tuple]:
-    """Returns topics and messages of a tick; the picture comes last."""
+    """Returns topics and messages of a tick; the image comes last."""
     from tf2_msgs.msg import TFMessage
 
     from common.ros.conversions import stamped_transform
     from common.ros.images import camera_info_message, image_message
 
-    depth = picture() if depth is None else depth
+    depth = image() if depth is None else depth
     flange = tool(z) @ translation(0.0, 0.0, -TOOL_LENGTH_M)
     return [
         (
@@ -90,7 +90,7 @@ def messages(stamp, bend, touched, z, depth=None) -> list[tuple]:
     ]
 
 
-def camera_place(stamp):
+def camera_pose(stamp):
     """The message of /tf_static."""
     from tf2_msgs.msg import TFMessage
 
@@ -134,9 +134,9 @@ class PuppetRig:
         self.publishers.update(
             {name: rospy.Publisher(name, kind, queue_size=1, latch=True) for name, kind in latched.items()}
         )
-        self.publishers["/tf_static"].publish(camera_place(rospy.Time.now()))
+        self.publishers["/tf_static"].publish(camera_pose(rospy.Time.now()))
         self.say("/leap_kuka/stream", stream(False))
-        self.depth = picture()
+        self.depth = image()
         self.silent: set[str] = set()
         self._tick = (OPEN, False, GRASP_Z + 0.1)
         self._ended = threading.Event()
@@ -147,7 +147,7 @@ class PuppetRig:
         self.publishers[topic].publish(message)
 
     def perform(self, phases) -> None:
-        """Does what the person does, in its time."""
+        """Does what the operator does, in its time."""
         for tick in ticks(phases):
             self._tick = tick
             time.sleep(TICK_S)

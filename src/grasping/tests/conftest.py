@@ -1,4 +1,4 @@
-"""The published networks stand beside the tests; torch keeps to one processor, which small pictures do best with."""
+"""The published networks stand beside the tests; torch keeps to one processor, which small images do best with."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from grasping.lab.dataset.episode import TELEOPERATION, Episode, Metadata
 from grasping.network.depth_image import Crop
 
 CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
-"""Its optical axis goes through the middle of its picture."""
+"""Its optical axis goes through the middle of its image."""
 DOWN = pose(rotation_about(0, np.pi), (0.5, -0.4, 1.0))
 """A camera that looks straight down."""
 
@@ -34,7 +34,7 @@ CROP = Crop(40, 120, 400)
 
 
 def episode(n: int = 3, crop: Crop = CROP, m: int = 150, depth_mm: int = 900, **changes) -> Episode:
-    """An episode of a camera that looks down at a plain; the person grasps a little beside GGCNN's pixel."""
+    """An episode of a camera that looks down at a plain; the operator grasps a little beside GGCNN's pixel."""
     rng = np.random.default_rng(4)
     steps = np.arange(n, dtype=float)
     tools = np.stack([DOWN @ translation(0.1, 0.05, 0.5 + 0.01 * i) for i in range(n)])

@@ -1,4 +1,4 @@
-"""Depth pictures of boxes on a table, by ray casting, for the tests of what looks at them."""
+"""Depth images of boxes on a table, by ray casting, for the tests of what looks at them."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from collection_rig import (
     KUKA,
     OPEN,
     PuppetRig,
-    camera_place,
+    camera_pose,
     grasp,
     messages,
     stream,
@@ -157,8 +157,8 @@ def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status
     wait_until(lambda: status()["frames_kept"] == "1", 15.0, "a frame of the tool at rest")
     state("approaching")
     wait_until(lambda: status()["frames_kept"] == "2", 15.0, "one of the approach, as the one before is dropped")
-    rig.say("/grasping/outcome", GraspOutcome(reason="The person gave it up."))
-    wait_until(lambda: "is no episode: The person gave it up." in process.log_path.read_text(), 15.0, "the sentence")
+    rig.say("/grasping/outcome", GraspOutcome(reason="The operator gave it up."))
+    wait_until(lambda: "is no episode: The operator gave it up." in process.log_path.read_text(), 15.0, "the sentence")
     wrong = GraspOutcome(tool=stamped_pose(tool(GRASP_Z), "elsewhere", rospy.Time.now()))
     rig.say("/grasping/outcome", wrong)
     wait_until(lambda: "is of no use" in process.log_path.read_text(), 15.0, "the sentence")
@@ -179,7 +179,7 @@ def write_bag(path: Path, began: float) -> None:
 
     with rosbag.Bag(str(path), "w") as bag:
         now = rospy.Time.from_sec(began)
-        bag.write("/tf_static", camera_place(now), now)
+        bag.write("/tf_static", camera_pose(now), now)
         bag.write("/leap_kuka/stream", stream(True), now)
         for i, tick in enumerate(ticks([*grasp(), *grasp(touched=False)])):
             now = rospy.Time.from_sec(began + 0.05 * (i + 1))
@@ -188,8 +188,8 @@ def write_bag(path: Path, began: float) -> None:
 
 
 def test_a_recording_makes_the_same_episodes_and_makes_them_once(ros, folder, tmp_path):
-    write_bag(tmp_path / "person.bag", 1.6e9)
-    arguments = {"bag": str(tmp_path / "person.bag"), "folder": str(folder), "object": "cup", "operator": "puppet"}
+    write_bag(tmp_path / "operator.bag", 1.6e9)
+    arguments = {"bag": str(tmp_path / "operator.bag"), "folder": str(folder), "object": "cup", "operator": "puppet"}
     process = ros.launch("grasping", "collect.launch", **arguments)
     assert process.wait(180.0) == 0
     log = process.log_path.read_text()
@@ -264,7 +264,7 @@ def test_killed_before_the_next_grasp_it_loses_no_grasp(rig, start, status, fold
 def test_what_is_missing_is_said_and_comes_back(rig, start, status, folder, wait_until):
     rig.silent = {"/camera/depth/image", "/camera/depth/camera_info", "/reflex_takktile/hand_state"}
     start()
-    wait_until(lambda: status()["message"] == "waits for depth pictures and the state of the hand", 60.0, "the status")
+    wait_until(lambda: status()["message"] == "waits for depth images and the state of the hand", 60.0, "the status")
     rig.silent = {"/camera/depth/camera_info"}
     wait_until(lambda: "nobody publishes /camera/depth/camera_info" in status()["message"], 15.0, "the status")
     rig.silent = set()
@@ -282,7 +282,9 @@ def test_frames_in_which_ggcnn_takes_the_robot_for_an_object_make_no_episode(rig
     process = start(frames__hand_radius=2.0, frames__hand_reach=1.0)
     wait_until(lambda: int(status().get("frames_on_hand", 0)) > 0, 60.0, "frames that are left out")
     rig.perform([(1.0, FIST, True, GRASP_Z, GRASP_Z), (1.5, FIST, True, GRASP_Z, GRASP_Z + 0.1)])
-    wait_until(lambda: "no frame was kept since the person began" in process.log_path.read_text(), 15.0, "the sentence")
+    wait_until(
+        lambda: "no frame was kept since the operator began" in process.log_path.read_text(), 15.0, "the sentence"
+    )
     assert status()["frames_kept"] == "0" and not files(folder)
 
 
@@ -329,7 +331,7 @@ def test_a_wrong_parameter_is_refused(ros, parameters, change, sentence):
 def test_a_recording_without_the_topics_ends_with_a_sentence(start):
     process = start(from_bag=True)
     assert process.wait(180.0) == 1
-    assert "The recording holds no depth pictures" in process.log_path.read_text()
+    assert "The recording holds no depth images" in process.log_path.read_text()
 
 
 def test_an_interrupt_ends_it(start, status, processes, wait_until):

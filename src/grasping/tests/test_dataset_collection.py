@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.errors import ConfigError
 from common.poses import translation
-from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
+from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
 from grasping.lab.dataset.collector import Collector
 from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig, KeptFrame, Optics, on_hand
@@ -40,8 +40,8 @@ GGCNN = settings_from(GGCNN_YAML)
 OPTICS = Optics(CAMERA, CROP, CAMERA)
 UP = np.array([0.0, 0.0, 1.0])
 DRIFT = np.full((3, 9), 30.0)
-OPEN = HandState(np.zeros(3), DRIFT, np.zeros(3))
-FIST = HandState(np.full(3, 1.8), DRIFT + 2.0, np.full(3, 100.0))
+OPEN = HandMeasurement(np.zeros(3), DRIFT, np.zeros(3))
+FIST = HandMeasurement(np.full(3, 1.8), DRIFT + 2.0, np.full(3, 100.0))
 
 
 def pressing(*fingers):
@@ -194,7 +194,7 @@ def test_frames_are_thinned_by_rate_and_motion(steps, speed):
 
 def test_an_episode_has_the_newest_frames_up_to_the_grasp(collector):
     offer(collector, range(100, 110))
-    finished = collector.outcome(SeenGrasp(107.5, LOW, True, "Seen."))
+    finished = collector.outcome(ObservedGrasp(107.5, LOW, True, "Seen."))
     assert [row.stamp for row in finished.frames.rows] == [105, 106, 107]
     assert finished.source == EXECUTION and collector.waiting == 0
     assert not collector.wants(107.4, HIGH) and collector.wants(107.6, HIGH), "the next episode begins after the grasp"
@@ -203,7 +203,7 @@ def test_an_episode_has_the_newest_frames_up_to_the_grasp(collector):
 
 def test_frames_that_are_too_old_belong_to_no_episode(collector):
     offer(collector, [100.0, 101.0, 150.0])
-    rows = collector.outcome(SeenGrasp(100.5 + FRAMES.longest, LOW, True, "Seen.")).frames.rows
+    rows = collector.outcome(ObservedGrasp(100.5 + FRAMES.longest, LOW, True, "Seen.")).frames.rows
     assert [row.stamp for row in rows] == [101.0, 150.0]
 
 
@@ -256,15 +256,15 @@ def test_a_grasp_that_both_see_is_one_episode(collector):
     collector.executing(True)
     offer(collector, [100.0])
     assert not grasped(collector), "the outcome counts while a proposal is executed"
-    assert collector.outcome(SeenGrasp(101.2, LOW, True, "Seen.")).frames.rows
+    assert collector.outcome(ObservedGrasp(101.2, LOW, True, "Seen.")).frames.rows
     collector.executing(False)
-    assert collector.outcome(SeenGrasp(101.9, LOW, True, "Seen again.")) is None
+    assert collector.outcome(ObservedGrasp(101.9, LOW, True, "Seen again.")) is None
 
 
 def test_time_that_goes_back_begins_anew(collector):
     assert not collector.went_back(100.0)
     offer(collector, [100.0])
-    collector.outcome(SeenGrasp(100.0, LOW, True, "Seen."))
+    collector.outcome(ObservedGrasp(100.0, LOW, True, "Seen."))
     offer(collector, [101.0])
     assert not collector.went_back(100.9), "stamps of several sources are never quite in order"
     assert collector.went_back(50.0)
@@ -295,19 +295,19 @@ def ramp(_):
 
 
 @pytest.mark.parametrize("kind", ["camera", "table"])
-def test_what_is_kept_of_a_picture_is_what_the_network_saw_and_said(kind):
+def test_what_is_kept_of_a_image_is_what_the_network_saw_and_said(kind):
     views = GGCNN.views() if kind == "table" else CameraView(CropConfig(400, 0))
     depth = np.full((480, 640), 0.8, np.float32)
     depth[230:260, 310:340] = 0.7
     seen = views.step(depth, CAMERA)
     view, T_view_own = look(ramp, seen, GGCNN.live(UP))
-    assert view.depth.shape == (seen.picture.crop.side,) * 2 and view.depth.dtype == np.uint16
+    assert view.depth.shape == (seen.image.crop.side,) * 2 and view.depth.dtype == np.uint16
     assert len(np.unique(view.depth)) == 2 and np.ptp(view.depth) == pytest.approx(100, abs=1)
     assert view.maps.shape == (4, MAP_SIDE, MAP_SIDE) and view.maps.dtype == np.float16
     np.testing.assert_allclose(view.maps[1][:, 0], (np.arange(150) * 2 + 0.5) / 299.0, atol=1e-3)
     np.testing.assert_allclose(view.maps[2], -view.maps[1])
-    assert view.mean == pytest.approx(seen.picture.mean)
-    own = grasp_at(view.peak, seen.picture.crop, 300, seen.depth, seen.camera)
+    assert view.mean == pytest.approx(seen.image.mean)
+    own = grasp_at(view.peak, seen.image.crop, 300, seen.depth, seen.camera)
     np.testing.assert_array_equal(T_view_own, own.T_camera_grasp)
     if kind == "camera":
         assert view.peak.row == pytest.approx(0.4 * 299, abs=1.0)

@@ -80,11 +80,11 @@ def test_another_rig_is_named_with_what_differs(info, folder):
     assert line.split()[1:] == ["1", "robot"]
 
 
-def test_the_picture_is_drawn(info, folder):
-    code, text = info("--plot", str(folder / "picture.png"))
+def test_the_image_is_drawn(info, folder):
+    code, text = info("--plot", str(folder / "image.png"))
     assert code == 0, text
-    assert (folder / "picture.png").read_bytes().startswith(b"\x89PNG")
-    code, text = info("--plot", str(folder / "picture.xyz"))
+    assert (folder / "image.png").read_bytes().startswith(b"\x89PNG")
+    code, text = info("--plot", str(folder / "image.xyz"))
     assert code == 2 and "cannot be written" in text and "Traceback" not in text
 
 

@@ -1,4 +1,4 @@
-"""The person's grasp against GGCNN's: zero where they are equal, and turned and shifted with the picture."""
+"""The operator's grasp against GGCNN's: zero where they are equal, and turned and shifted with the image."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ FRAME = episode(1).frame(0)
 
 
 def grasped(frame, T_camera_grasp):
-    """The frame with another grasp of the person."""
+    """The frame with another grasp of the operator."""
     return frame._replace(T_base_grasp=frame.T_base_camera @ T_camera_grasp)
 
 
@@ -56,10 +56,10 @@ def test_the_label_tells_the_whole_grasp_but_for_half_a_turn(x, y, z, turn, abou
 
 @given(ANGLES, ANGLES, TILTS, TILTS, SMALL, SMALL)
 @settings(max_examples=50)
-def test_a_picture_that_turns_about_the_optical_axis_turns_the_label(by, turn, about_x, about_y, x, y):
+def test_a_image_that_turns_about_the_optical_axis_turns_the_label(by, turn, about_x, about_y, x, y):
     frame = grasped(FRAME, pose(rotation(about_x, about_y, turn), (x, y, 0.9)))
     before = relative_label(frame)
-    # The camera turns by `by`: the picture, GGCNN's pixel and its angle turn the other way, here anticlockwise.
+    # The camera turns by `by`: the image, GGCNN's pixel and its angle turn the other way, here anticlockwise.
     c, s = np.cos(by), np.sin(by)
     middle = 149.5
     row, column = frame.peak.row - middle, frame.peak.column - middle

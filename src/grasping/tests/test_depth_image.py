@@ -1,4 +1,4 @@
-"""The network's picture: the published steps where there are no holes, and holes filled where there are."""
+"""The network's image: the published steps where there are no holes, and holes filled where there are."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def published(depth):
     return np.clip(crop - crop.mean(), -1, 1)
 
 
-def test_without_holes_it_is_the_published_picture():
+def test_without_holes_it_is_the_published_image():
     depth = scene()
     np.testing.assert_allclose(prepare(depth, centre_crop(depth.shape)).input, published(depth), atol=1e-6)
 
 
-def test_with_holes_it_is_close_to_the_published_picture():
+def test_with_holes_it_is_close_to_the_published_image():
     depth = scene(1)
     depth[200:204, 300:306] = np.nan
     np.testing.assert_allclose(prepare(depth, centre_crop(depth.shape)).input, published(depth), atol=2e-3)
@@ -62,7 +62,7 @@ def test_filling_touches_holes_only_and_stays_in_range(seed, share):
 
 
 @pytest.mark.parametrize("nothing", [np.nan, np.inf, 0.0, -1.0])
-def test_a_picture_without_a_reading_is_refused(nothing):
+def test_a_image_without_a_reading_is_refused(nothing):
     with pytest.raises(ValueError, match="holds no reading"):
         prepare(np.full((480, 640), nothing), centre_crop((480, 640)))
 
@@ -70,7 +70,7 @@ def test_a_picture_without_a_reading_is_refused(nothing):
 def test_zeros_and_infinities_are_holes():
     depth = scene(2)
     depth[210:215, 310:315], depth[300:303, 300:303] = 0.0, np.inf
-    picture = prepare(depth, centre_crop(depth.shape))
-    assert not picture.valid.all()
-    assert np.abs(picture.input).max() < 0.2
-    assert picture.mean == pytest.approx(float(picture.depth.mean()))
+    image = prepare(depth, centre_crop(depth.shape))
+    assert not image.valid.all()
+    assert np.abs(image.input).max() < 0.2
+    assert image.mean == pytest.approx(float(image.depth.mean()))

@@ -15,9 +15,9 @@ from grasping.lab.evaluation.rectangles import angle_between, is_right, overlap
 from grasping.lab.evaluation.trials import judge, oracle, situation
 from grasping.lab.programs.evaluate import calibration, table
 from grasping.lab.synthetic.labels import Gripper
-from grasping.lab.synthetic.scene import Scene, world_xml
+from grasping.lab.synthetic.scene import HeapScene, world_xml
 from grasping.lab.synthetic.shapes import Geom
-from grasping.network.depth_image import Crop, Picture
+from grasping.network.depth_image import Crop, NetworkImage
 from grasping.network.maps import Peak
 
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -51,7 +51,7 @@ def test_rectangle_metric_needs_angle_and_place():
     assert not is_right(label, [])
 
 
-def bar_picture():
+def bar_image():
     """A bar 60 x 20 pixels, 50 mm high, at +30 degrees on a sloping table."""
     row, column = np.mgrid[:300, :300].astype(float)
     a = np.radians(30.0)
@@ -60,35 +60,35 @@ def bar_picture():
     depth = 0.7 + 1e-4 * row
     depth[(np.abs(along) < 30) & (np.abs(across) < 10)] -= 0.05
     depth = depth.astype(np.float32)
-    return Picture(Crop(0, 0, 400), depth - depth.mean(), depth, depth > 0.0, float(depth.mean()))
+    return NetworkImage(Crop(0, 0, 400), depth - depth.mean(), depth, depth > 0.0, float(depth.mean()))
 
 
 @pytest.mark.parametrize("name", ["principal axis", "edge pair"])
 def test_heuristics_grasp_a_bar_across(name):
-    found = heuristics.HEURISTICS[name](bar_picture(), 60.0, np.random.default_rng(1))
+    found = heuristics.HEURISTICS[name](bar_image(), 60.0, np.random.default_rng(1))
     assert np.hypot(found.row - 130, found.column - 170) < 32.0
     assert angle_between(found.angle, np.radians(-60.0)) < np.radians(12.0)
     assert 20.0 < found.width < 42.0
 
 
 def test_random_pixel_is_on_the_object():
-    picture = bar_picture()
+    image = bar_image()
     for seed in range(10):
-        found = heuristics.random_pixel(picture, 60.0, np.random.default_rng(seed))
-        assert picture.depth[found.row, found.column] < 0.69
+        found = heuristics.random_pixel(image, 60.0, np.random.default_rng(seed))
+        assert image.depth[found.row, found.column] < 0.69
 
 
 @pytest.mark.parametrize("name", heuristics.HEURISTICS)
 def test_heuristics_find_nothing_on_a_bare_table(name):
     depth = np.full((300, 300), 0.7, np.float32)
-    picture = Picture(Crop(0, 0, 400), depth * 0, depth, depth > 0.0, 0.7)
-    assert heuristics.HEURISTICS[name](picture, 60.0, np.random.default_rng(1)) is None
+    image = NetworkImage(Crop(0, 0, 400), depth * 0, depth, depth > 0.0, 0.7)
+    assert heuristics.HEURISTICS[name](image, 60.0, np.random.default_rng(1)) is None
 
 
 def box_scene():
     objects = ((Geom("box", (0.05, 0.015, 0.02)),),)
     state = np.array([0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0])
-    return Scene(world_xml(objects), state, objects, ("box",))
+    return HeapScene(world_xml(objects), state, objects, ("box",))
 
 
 @pytest.mark.parametrize(

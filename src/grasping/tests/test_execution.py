@@ -25,10 +25,10 @@ from grasping.execution.execution import (
     WAITING_FOR_HAND,
     Execution,
     ExecutionConfig,
-    Observation,
+    ExecutionObservation,
 )
-from grasping.execution.execution_request import Controller, Proposal, Proposals, Refusal, choose, way_to
-from grasping.execution.grasp_watch import GraspWatchConfig, HandState
+from grasping.execution.execution_request import ControllerState, ProposalList, ProposedPose, Refusal, choose, tool_goal
+from grasping.execution.grasp_watch import GraspWatchConfig, HandMeasurement
 from grasping.pipeline.tool_pose import ToolPoseConfig
 
 FOLDER = Path(__file__).parents[1] / "config"
@@ -39,13 +39,13 @@ TOOL = parse(ToolPoseConfig, yaml.safe_load((FOLDER / "tool_pose.yaml").read_tex
 UP = np.array([0.0, 0.0, 1.0])
 DOWN = np.diag([-1.0, 1.0, -1.0])
 ABOVE = pose(DOWN, (0.5, 0.0, 0.4))
-GRASP = Proposal(7, pose(DOWN, (0.5, 0.0, 0.2)))
-HOME, SERVO = Controller(True, "home", "The arm is at home."), Controller(True, "servo", "It follows.")
+GRASP = ProposedPose(7, pose(DOWN, (0.5, 0.0, 0.2)))
+HOME, SERVO = ControllerState(True, "home", "The arm is at home."), ControllerState(True, "servo", "It follows.")
 DT = 0.05
 
 
 def hand(angle=0.0, pressure=0.0, load=0.0):
-    return HandState(np.full(3, angle), np.full((3, 9), pressure), np.full(3, load))
+    return HandMeasurement(np.full(3, angle), np.full((3, 9), pressure), np.full(3, load))
 
 
 OPEN, EMPTY, FULL = hand(), hand(1.6), hand(1.2, pressure=20.0)
@@ -57,7 +57,7 @@ class Trial:
     def __init__(self):
         self.execution = Execution(CONFIG, WATCH, UP)
         self.now = 100.0
-        self.seen = Observation(1.7e9, HOME, NONE, "no hand is seen", translation(0.4, 0.0, 0.5), OPEN)
+        self.seen = ExecutionObservation(1.7e9, HOME, NONE, "no hand is seen", translation(0.4, 0.0, 0.5), OPEN)
         self.outcomes = []
 
     def start(self):
@@ -124,7 +124,12 @@ def test_a_grasp_that_is_held_and_lifted():
         (lambda t: t.run(1.0, hand=FULL).run(0.1, hand=None), False, True, "state of the robot hand is unknown"),
         (lambda t: t.run(0.1, T_base_tool=None), False, False, "place of the tool is unknown"),
         (lambda t: t.run(0.1, controller=None), False, False, "controller is silent"),
-        (lambda t: t.run(0.1, controller=Controller(True, "home", "Home.")), False, False, "left the grasp: Home."),
+        (
+            lambda t: t.run(0.1, controller=ControllerState(True, "home", "Home.")),
+            False,
+            False,
+            "left the grasp: Home.",
+        ),
         (lambda t: t.run(181.0), False, False, "Nothing was decided within 180 s"),
     ],
 )
@@ -141,7 +146,7 @@ def test_how_the_grasp_of_a_person_ends(goes_on, held, closed, reason):
         ({}, 2.1, "The tool was not held for a hand: no hand is seen."),
         ({"hold": HELD}, 30.1, "The tool was not above the grasp after 30 s."),
         ({"hold": HELD, "controller": dataclasses.replace(HOME, control_on=False)}, 0.1, "Control of the arm was sw"),
-        ({"hold": HELD, "controller": Controller(True, "stopped", "It hit.")}, 0.1, "The arm stopped: It hit."),
+        ({"hold": HELD, "controller": ControllerState(True, "stopped", "It hit.")}, 0.1, "The arm stopped: It hit."),
         ({"hold": HELD, "controller": None}, 0.1, "The arm's controller is silent."),
         ({"hold": HELD, "T_base_tool": None}, 0.1, "The place of the tool is unknown."),
     ],
@@ -156,7 +161,7 @@ def test_how_an_approach_ends(changes, seconds, reason):
     "changes, seconds, reason",
     [
         ({"hold": NONE, "hold_reason": "the tool is held no longer"}, 0.1, "for a hand: the tool is held no longer."),
-        ({"controller": Controller(True, "returning", "Home.")}, 0.1, "The arm left the grasp: Home."),
+        ({"controller": ControllerState(True, "returning", "Home.")}, 0.1, "The arm left the grasp: Home."),
         ({}, 63.0, "No hand took over in time."),
     ],
 )
@@ -170,7 +175,7 @@ def test_a_hand_that_comes_early_takes_over_on_the_way():
 
 
 def test_an_arm_on_its_way_home_may_be_asked():
-    trial = Trial().start().run(1.0, hold=HELD, controller=Controller(True, "returning", "Home."))
+    trial = Trial().start().run(1.0, hold=HELD, controller=ControllerState(True, "returning", "Home."))
     assert trial.execution.state == APPROACHING
 
 
@@ -178,14 +183,16 @@ def test_each_execution_has_its_number_and_its_outcome():
     trial = Trial().waiting()
     with pytest.raises(ValueError, match="1 is not over"):
         trial.start()
-    assert trial.execution.end("The person cancelled it.").release
+    assert trial.execution.end("The operator cancelled it.").release
     trial.with_person().run(1.0, hand=FULL)
     outcome = trial.execution.end("The node ended.")
     assert (outcome.episode, outcome.closed is not None, outcome.release) == (2, True, False)
     assert trial.run(1.0).outcomes == []
 
 
-controllers = st.sampled_from([HOME, SERVO, None, Controller(False, "home", "."), Controller(True, "stopped", ".")])
+controllers = st.sampled_from(
+    [HOME, SERVO, None, ControllerState(False, "home", "."), ControllerState(True, "stopped", ".")]
+)
 moments = st.tuples(
     controllers,
     st.sampled_from([NONE, HELD, HELD, TAKEN, TAKEN]),
@@ -208,26 +215,31 @@ def test_whatever_comes_an_execution_ends_once(moments):
 
 
 def test_the_best_grasp_is_executed_and_no_other_in_its_place():
-    best, other = Proposal(8, GRASP.T_base_grasp), Proposal(6, GRASP.T_base_grasp)
-    assert choose(Proposals(0.3, [best, other, GRASP]), HOME, False, CONFIG.fresh) is best
-    unknown = Proposal(9, None, "its pose is of no use: nan")
-    assert isinstance(choose(Proposals(0.3, [unknown, best]), HOME, False, CONFIG.fresh), Refusal)
+    best, other = ProposedPose(8, GRASP.T_base_grasp), ProposedPose(6, GRASP.T_base_grasp)
+    assert choose(ProposalList(0.3, [best, other, GRASP]), HOME, False, CONFIG.fresh) is best
+    unknown = ProposedPose(9, None, "its pose is of no use: nan")
+    assert isinstance(choose(ProposalList(0.3, [unknown, best]), HOME, False, CONFIG.fresh), Refusal)
 
 
 @pytest.mark.parametrize(
     "proposals, controller, followed, sentence",
     [
-        (Proposals(0.1, [GRASP]), None, False, "The arm's controller is silent."),
-        (Proposals(0.1, [GRASP]), Controller(False, "home", "."), False, "Control of the arm is off."),
-        (Proposals(0.1, [GRASP]), Controller(True, "stopped", "It hit."), False, "The arm cannot go there: It hit."),
-        (Proposals(0.1, [GRASP]), SERVO, True, "The arm follows a hand; take it away first."),
-        (None, HOME, False, "No grasp was proposed yet."),
-        (Proposals(2.5, [GRASP]), HOME, False, "The newest proposal is 2.5 s old."),
-        (Proposals(-9.0, [GRASP]), HOME, False, "The newest proposal is -9.0 s old."),
-        (Proposals(float("nan"), [GRASP]), HOME, False, "The newest proposal is nan s old."),
-        (Proposals(0.1, [], "no peak"), HOME, False, "No grasp is proposed: no peak."),
+        (ProposalList(0.1, [GRASP]), None, False, "The arm's controller is silent."),
+        (ProposalList(0.1, [GRASP]), ControllerState(False, "home", "."), False, "Control of the arm is off."),
         (
-            Proposals(0.1, [Proposal(1, None)]),
+            ProposalList(0.1, [GRASP]),
+            ControllerState(True, "stopped", "It hit."),
+            False,
+            "The arm cannot go there: It hit.",
+        ),
+        (ProposalList(0.1, [GRASP]), SERVO, True, "The arm follows a hand; take it away first."),
+        (None, HOME, False, "No grasp was proposed yet."),
+        (ProposalList(2.5, [GRASP]), HOME, False, "The newest proposal is 2.5 s old."),
+        (ProposalList(-9.0, [GRASP]), HOME, False, "The newest proposal is -9.0 s old."),
+        (ProposalList(float("nan"), [GRASP]), HOME, False, "The newest proposal is nan s old."),
+        (ProposalList(0.1, [], "no peak"), HOME, False, "No grasp is proposed: no peak."),
+        (
+            ProposalList(0.1, [ProposedPose(1, None)]),
             HOME,
             False,
             "The place of the grasp is unknown: the camera's place is unknown.",
@@ -241,7 +253,7 @@ def test_what_is_refused(proposals, controller, followed, sentence):
 @given(st.floats(-3.1, 3.1), st.floats(-0.5, 0.5))
 def test_the_tool_waits_upright_above_the_grasp_turned_as_near_to_home_as_it_can(angle, tilt):
     T_base_grasp = pose(rotation_about(2, angle) @ DOWN @ rotation_about(1, tilt), (0.5, 0.1, 0.2))
-    way = way_to(T_base_grasp, TOOL, DOWN, UP)
+    way = tool_goal(T_base_grasp, TOOL, DOWN, UP)
     np.testing.assert_allclose(way.T_base_above[:3, 2], -UP, atol=1e-9)
     np.testing.assert_allclose((way.T_base_above - way.T_base_tool)[:3, 3], TOOL.clearance * UP, atol=1e-9)
     np.testing.assert_allclose(way.T_base_grip[:3, 3], T_base_grasp[:3, 3], atol=1e-9)
@@ -252,4 +264,4 @@ def test_the_tool_waits_upright_above_the_grasp_turned_as_near_to_home_as_it_can
 
 def test_fingers_one_above_the_other_are_refused():
     upright = pose(rotation_about(1, np.pi / 2.0), (0.5, 0.0, 0.2))
-    assert "The hand cannot take the grasp" in way_to(upright, TOOL, DOWN, UP).sentence
+    assert "The hand cannot take the grasp" in tool_goal(upright, TOOL, DOWN, UP).sentence

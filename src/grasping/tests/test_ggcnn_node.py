@@ -37,10 +37,10 @@ TYPES = {
 
 
 class Camera:
-    """Publishes a depth picture ten times a second, with a new stamp each time.
+    """Publishes a depth image ten times a second, with a new stamp each time.
 
     Attributes:
-        depth: the picture; None: nothing is published.
+        depth: the image; None: nothing is published.
         late: how much earlier than now its stamp is [s].
         info: whether camera_info comes too.
     """
@@ -218,12 +218,12 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
         return message
 
     camera.depth = np.full_like(depth, np.nan)
-    says("the depth picture holds no reading inside the crop")
+    says("the depth image holds no reading inside the crop")
     wait_until(lambda: "no reading inside" in status().get("message", ""), PATIENCE_S, "diagnostics")
     camera.depth = depth_picture(ASIDE, [])
     says("nothing stands on the table")
     camera.depth = np.ascontiguousarray(depth[:240])
-    says("the depth picture is 640 x 240, and its camera_info says 640 x 480")
+    says("the depth image is 640 x 240, and its camera_info says 640 x 480")
     camera.depth, camera.late = depth, 5.0
     says("s old")
     camera.late = -5.0
@@ -242,7 +242,7 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
     assert "Traceback" not in log
 
 
-def test_a_torn_picture_is_refused(ros, camera, wait_until):
+def test_a_torn_image_is_refused(ros, camera, wait_until):
     import rospy
     from sensor_msgs.msg import Image
 
@@ -251,9 +251,9 @@ def test_a_torn_picture_is_refused(ros, camera, wait_until):
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.depth, torn = None, rospy.Publisher("camera/depth/image", Image, queue_size=1)
     process = start(ros)
-    newest(lists, wait_until, lambda m: "no depth picture has come on /camera/depth/image" in m.reason, "no camera")
+    newest(lists, wait_until, lambda m: "no depth image has come on /camera/depth/image" in m.reason, "no camera")
     camera.info = True
-    pictures = {
+    images = {
         "bytes instead of": Image(height=480, width=640, encoding="32FC1", step=2560, data=b"\0" * 1000),
         "has the encoding mono8": Image(height=480, width=640, encoding="mono8", step=640, data=b"\0" * 640 * 480),
         "is not understood": Image(height=1, width=1, encoding="64FC3", step=24, data=b"\0" * 24),
@@ -261,7 +261,7 @@ def test_a_torn_picture_is_refused(ros, camera, wait_until):
     camera.depth = np.full((480, 640), np.nan, np.float32)
     newest(lists, wait_until, lambda m: "no reading" in m.reason, "the camera's description")
     camera.depth = None
-    for reason, image in pictures.items():
+    for reason, image in images.items():
         seen = len(lists)
 
         def told(reason=reason, image=image, seen=seen):
@@ -387,9 +387,9 @@ def test_a_second_network_of_an_older_version_or_none_is_refused(tmp_path):
 
     file = str(tmp_path / "refinement.pt")
     torch.save(RefinementNetwork().state_dict(), file)
-    with pytest.raises(RigError, match="no second network of version 2: train it anew"):
+    with pytest.raises(RigError, match="no refinement network of version 2: train it anew"):
         load_refinement(file, rig())
-    with pytest.raises(RigError, match="no second network of version 2"):
+    with pytest.raises(RigError, match="no refinement network of version 2"):
         load_refinement("ggcnn2.pt", rig())
     with pytest.raises(RigError, match=r"none comes with the package: train one .* with train_refinement.py"):
         load_refinement("refinement.pt", rig())

@@ -1,4 +1,4 @@
-"""The likelihood of a person's place: highest for the map that the person follows, and as sharp as the person is."""
+"""The likelihood of an operator's pixel: highest for the map that the operator follows, and as sharp as they are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole way from depth pictures to grasps that may be told, without ROS."""
+"""The whole way from depth images to grasps that may be told, without ROS."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from common.config import parse
 from common.errors import ConfigError
 from common.poses import check_pose, inverse, pose
 from common.rotations import rotation_about
-from grasping.network.refinement import Refined, Refinement, RefinementNetwork
+from grasping.network.refinement import MapRefiner, RefinedMaps, RefinementNetwork
 from grasping.pipeline import drawing
 from grasping.pipeline.limits import LimitsConfig, objection
-from grasping.pipeline.live import Finder, Findings
+from grasping.pipeline.live import GraspPipeline, PipelineResult
 from grasping.pipeline.predictor import Predictor, PredictorSettings
-from grasping.pipeline.reach import Reach, ReachBook, ReachConfig
+from grasping.pipeline.reach import Reachability, ReachabilityCache, ReachConfig
 from grasping.pipeline.refined_grasp import angle_deviation
 from grasping.pipeline.settings import overlaid, sentences, settings_from
 
@@ -39,16 +39,16 @@ ASIDE = looking_at((0.45, 0.1, 0.65), (0.0, 0.0, 0.0))
 DT = 1.0 / 15.0
 
 
-def finder(changes=None, network=None, refinement=None) -> Finder:
+def finder(changes=None, network=None, refinement=None) -> GraspPipeline:
     """The whole chain; the clock advances by a second at each look."""
     s = settings_from(overlaid(YAML, changes or {}))
     predictor = Predictor(Nearest() if network is None else network, PredictorSettings(), refinement)
-    return Finder(s.views(), predictor, s.live(UP), itertools.count().__next__)
+    return GraspPipeline(s.views(), predictor, s.live(UP), itertools.count().__next__)
 
 
-def look(chain: Finder, T_base_camera, boxes=(BOX,), known=True, pictures=1) -> Findings:
+def look(chain: GraspPipeline, T_base_camera, boxes=(BOX,), known=True, images=1) -> PipelineResult:
     depth = depth_picture(T_base_camera, boxes)
-    for i in range(pictures):
+    for i in range(images):
         found = chain.step(depth, CAMERA, T_base_camera if known else None, DT * i)
     return found
 
@@ -77,7 +77,7 @@ def test_in_the_cameras_view_the_grasp_is_what_the_network_said():
 
 
 def test_across_the_surface_means_the_surface_and_straight_down_the_worlds_vertical():
-    """From the side, in the camera's own picture: three approaches, three directions."""
+    """From the side, in the camera's own image: three approaches, three directions."""
     changes = {"view": "camera", "peaks": {"threshold": 0.01}, "approach": {"radius": 0.02, "max_tilt": 70.0}}
     directions = {}
     for kind in ("camera", "normal", "vertical"):
@@ -123,10 +123,10 @@ def test_no_grasp_has_a_reason(changes, boxes, reason):
     assert re.search(reason, found.reason), found.reason
 
 
-def test_an_empty_picture_has_a_reason_and_the_next_one_works():
+def test_an_empty_image_has_a_reason_and_the_next_one_works():
     chain = finder()
     nothing = chain.step(np.full((480, 640), np.nan, np.float32), CAMERA, ABOVE, 0.0)
-    assert nothing.reason == "the depth picture holds no reading inside the crop"
+    assert nothing.reason == "the depth image holds no reading inside the crop"
     assert nothing.view is None
     assert look(chain, ABOVE).proposals
 
@@ -155,21 +155,21 @@ def test_each_stage_is_timed():
 
 
 class Deeper:
-    """A second network that always says: 1 cm deeper, tilted by 0.1 rad about x, 6 px wider open."""
+    """A refinement network that always says: 1 cm deeper, tilted by 0.1 rad about x, 6 px wider open."""
 
-    def apply(self, output, picture):
-        flat = np.ones(picture.input.shape, np.float32)
+    def apply(self, output, image):
+        flat = np.ones(image.input.shape, np.float32)
         spreads = np.stack([0.01 * flat, 5.0 * flat, 0.2 * flat])
-        return Refined(output, 0.01 * flat, 0.1 * flat, 0.0 * flat, 6.0 * flat, 4.0 * flat, spreads)
+        return RefinedMaps(output, 0.01 * flat, 0.1 * flat, 0.0 * flat, 6.0 * flat, 4.0 * flat, spreads)
 
 
-def learned() -> Refinement:
-    """Returns a second network that changes what it sees, without what has the axes of the view."""
+def learned() -> MapRefiner:
+    """Returns a refinement network that changes what it sees, without what has the axes of the view."""
     torch.manual_seed(1)
     network = RefinementNetwork()
     network.last.weight.data.normal_(0.0, 0.3)
     network.load_state_dict(network.without_axes())
-    return Refinement(network)
+    return MapRefiner(network)
 
 
 VIEWS = pytest.mark.parametrize("view", ["camera", "table"])
@@ -179,8 +179,8 @@ VIEWS = pytest.mark.parametrize("view", ["camera", "table"])
 @pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
 def test_an_untrained_second_network_changes_nothing_bit_by_bit(view, place):
     changes = {"view": view, "approach": {"kind": "camera"}, "peaks": {"threshold": 0.01}}
-    plain = look(finder(changes), place, pictures=3)
-    refined = look(finder(changes, refinement=Refinement(RefinementNetwork())), place, pictures=3)
+    plain = look(finder(changes), place, images=3)
+    refined = look(finder(changes, refinement=MapRefiner(RefinementNetwork())), place, images=3)
     for a, b in zip(plain.maps, refined.maps):
         np.testing.assert_array_equal(a, b)
     assert len(plain.proposals) == len(refined.proposals) > 0
@@ -199,7 +199,7 @@ def test_the_second_network_moves_and_tilts_the_grasp_in_the_axes_of_the_view(vi
     assert after[2, 3] - before[2, 3] == pytest.approx(0.01, abs=1e-6)
     np.testing.assert_allclose(after[:2, 3] / after[2, 3], before[:2, 3] / before[2, 3], atol=1e-6)
     a, b = plain.proposals[0], refined.proposals[0]
-    pixel_m = refined.view.picture.crop.side / 300.0 / refined.view.camera.K[0, 0] * before[2, 3]
+    pixel_m = refined.view.image.crop.side / 300.0 / refined.view.camera.K[0, 0] * before[2, 3]
     assert b.width == pytest.approx((a.width + 6.0 * pixel_m) * after[2, 3] / before[2, 3], rel=1e-3)
     assert a.spread is None
     assert 0.0 < b.spread.probability <= 1.0
@@ -251,7 +251,7 @@ def test_what_it_learned_of_things_does_not_depend_on_the_cameras_heading(view, 
     np.testing.assert_allclose(a[:3, 2], b[:3, 2], atol=0.02)
 
 
-def test_pictures_for_people():
+def test_images_for_people():
     found = look(finder(), ASIDE)
     plain = drawing.plain(found.maps)
     assert plain.shape == (300, 300, 3)
@@ -306,11 +306,11 @@ def test_the_limits_know_no_base_before_the_calibration():
 
 
 REACH = parse(ReachConfig, YAML["reach"])
-YES = Reach(True, "")
+YES = Reachability(True, "")
 
 
 def test_a_grasp_is_asked_for_once_while_its_pose_stays():
-    book, T = ReachBook(REACH), pose(p=(0.4, 0.0, 0.1))
+    book, T = ReachabilityCache(REACH), pose(p=(0.4, 0.0, 0.1))
     assert book.wanted(1, T, 0.0)
     assert book.known(1) is None
     book.asked(1, T, 0.0)
@@ -322,7 +322,7 @@ def test_a_grasp_is_asked_for_once_while_its_pose_stays():
 
 
 def test_another_pose_is_asked_for_and_the_old_answer_is_forgotten():
-    book, T = ReachBook(REACH), pose(p=(0.4, 0.0, 0.1))
+    book, T = ReachabilityCache(REACH), pose(p=(0.4, 0.0, 0.1))
     book.asked(1, T, 0.0)
     book.answered(1, YES)
     for other in (T @ pose(p=(0.006, 0.0, 0.0)), T @ pose(rotation_about(2, 0.1))):
@@ -332,7 +332,7 @@ def test_another_pose_is_asked_for_and_the_old_answer_is_forgotten():
 
 
 def test_while_it_is_asked_anew_the_answer_holds():
-    book, T = ReachBook(REACH), pose()
+    book, T = ReachabilityCache(REACH), pose()
     book.asked(1, T, 0.0)
     book.answered(1, YES)
     book.asked(1, T, 11.0)
@@ -341,14 +341,14 @@ def test_while_it_is_asked_anew_the_answer_holds():
 
 @given(st.floats(0.0, 100.0))
 def test_what_was_not_answered_is_asked_again_after_a_second(now):
-    book = ReachBook(REACH)
+    book = ReachabilityCache(REACH)
     book.asked(1, pose(), 0.0)
     book.answered(1, None)
     assert book.wanted(1, pose(), now) == (now > 1.0)
 
 
 def test_grasps_out_of_sight_are_forgotten_and_their_answers_too():
-    book = ReachBook(REACH)
+    book = ReachabilityCache(REACH)
     book.asked(1, pose(), 0.0)
     book.keep_only({2})
     book.answered(1, YES)

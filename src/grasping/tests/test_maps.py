@@ -10,21 +10,21 @@ from hypothesis import strategies as st
 from grasping.network.maps import Maps, Smoothing, gaussian, highest, peaks, smoothed
 
 
-def blurred(picture, sigma):
+def blurred(image, sigma):
     """SciPy's gaussian_filter, written out."""
     radius = int(4.0 * sigma + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
     kernel /= kernel.sum()
     for axis in (0, 1):
-        padded = np.pad(picture, [(radius, radius) if a == axis else (0, 0) for a in (0, 1)], mode="symmetric")
-        picture = np.apply_along_axis(np.convolve, axis, padded, kernel, "valid")
-    return picture
+        padded = np.pad(image, [(radius, radius) if a == axis else (0, 0) for a in (0, 1)], mode="symmetric")
+        image = np.apply_along_axis(np.convolve, axis, padded, kernel, "valid")
+    return image
 
 
 @pytest.mark.parametrize("sigma", [1.0, 2.0, 5.0])
 def test_blur_is_scipys(sigma):
-    picture = np.random.default_rng(1).standard_normal((60, 70)).astype(np.float32)
-    np.testing.assert_allclose(gaussian(picture, sigma), blurred(picture.astype(float), sigma), atol=1e-5)
+    image = np.random.default_rng(1).standard_normal((60, 70)).astype(np.float32)
+    np.testing.assert_allclose(gaussian(image, sigma), blurred(image.astype(float), sigma), atol=1e-5)
 
 
 def output(angle, quality=None, width=0.4):

@@ -27,20 +27,20 @@ def pair(name):
 @pytest.mark.parametrize("side", [300, 156])
 def test_output_is_the_published_networks(name, side):
     published, network = pair(name)
-    picture = torch.randn(2, 1, side, side)
+    image = torch.randn(2, 1, side, side)
     with torch.no_grad():
-        wanted = published(picture)
-        torch.testing.assert_close(network(picture), wanted, rtol=0.0, atol=1e-5)
+        wanted = published(image)
+        torch.testing.assert_close(network(image), wanted, rtol=0.0, atol=1e-5)
         if side == 300:
-            torch.testing.assert_close(frozen(network)(picture[:1]), wanted[:1], rtol=0.0, atol=1e-5)
+            torch.testing.assert_close(frozen(network)(image[:1]), wanted[:1], rtol=0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_gradients_are_the_published_networks(name):
     published, network = pair(name)
-    picture = torch.randn(1, 1, 60, 60)
+    image = torch.randn(1, 1, 60, 60)
     for net in (published, network):
-        net(picture).square().sum().backward()
+        net(image).square().sum().backward()
     for (key, a), (_, b) in zip(published.named_parameters(), network.named_parameters()):
         torch.testing.assert_close(b.grad, a.grad, rtol=1e-3, atol=1e-4 * float(a.grad.abs().max()), msg=key)
 
@@ -62,7 +62,7 @@ def test_shuffled_transpose_is_the_transposed_convolution(h, w, inputs, outputs)
 
 @pytest.mark.parametrize(("name", "side"), [("ggcnn", 302), ("ggcnn2", 301)])
 def test_sides_that_change_the_size_are_refused(name, side):
-    with pytest.raises(ValueError, match=f"the picture is {side} x {side}, but its sides must be multiples of"):
+    with pytest.raises(ValueError, match=f"the image is {side} x {side}, but its sides must be multiples of"):
         NETWORKS[name]()(torch.zeros(1, 1, side, side))
 
 
@@ -87,8 +87,8 @@ def test_keras_borders_are_keras_same_padding():
     network = GGCNN(KERAS)
     for parameter in network.parameters():
         parameter.data.uniform_(-0.2, 0.2)
-    picture = torch.randn(1, 1, 300, 300)
-    x = picture
+    image = torch.randn(1, 1, 300, 300)
+    x = image
     for layer in (network.conv1, network.conv2, network.conv3):
         x = F.relu(same_convolution(x, layer.weight.data, layer.stride[0]) + layer.bias.data[:, None, None])
     for layer in (network.convt1, network.convt2, network.convt3):
@@ -96,4 +96,4 @@ def test_keras_borders_are_keras_same_padding():
     heads = [network.pos_output, network.cos_output, network.sin_output, network.width_output]
     wanted = torch.cat([same_convolution(x, h.weight.data, 1) + h.bias.data[:, None, None] for h in heads], dim=1)
     with torch.no_grad():
-        torch.testing.assert_close(network(picture), wanted, rtol=1e-5, atol=1e-5 * float(wanted.abs().max()))
+        torch.testing.assert_close(network(image), wanted, rtol=1e-5, atol=1e-5 * float(wanted.abs().max()))

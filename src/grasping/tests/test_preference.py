@@ -16,7 +16,7 @@ from table_scene import CAMERA, UP, depth_picture, looking_at
 from common.config import parse
 from common.errors import ConfigError
 from grasping.network.maps import Maps, Peak
-from grasping.pipeline.live import Finder
+from grasping.pipeline.live import GraspPipeline
 from grasping.pipeline.predictor import Predictor, PredictorSettings
 from grasping.pipeline.preference import preferred
 from grasping.pipeline.projection import grasp, pixel_size
@@ -98,11 +98,11 @@ def test_the_share_that_is_left():
 
 def test_the_size_of_a_pixel_is_that_of_the_grasps_opening():
     depth = depth_picture(ABOVE, [SLENDER])
-    picture = CameraView(CropConfig(side=400, rows_up=0)).step(depth, CAMERA).picture
-    size = pixel_size(picture, CAMERA)
-    assert size.shape == picture.depth.shape
+    image = CameraView(CropConfig(side=400, rows_up=0)).step(depth, CAMERA).image
+    size = pixel_size(image, CAMERA)
+    assert size.shape == image.depth.shape
     for row, column in ((150, 150), (120, 90)):
-        seen = grasp(Peak(row, column, 0.5, 0.0, 30.0), picture.crop, len(picture.input), depth, CAMERA)
+        seen = grasp(Peak(row, column, 0.5, 0.0, 30.0), image.crop, len(image.input), depth, CAMERA)
         assert 30.0 * size[row, column] == pytest.approx(seen.width, rel=1e-5)
 
 
@@ -118,11 +118,13 @@ class LeftSlender(torch.nn.Module):
 
 
 def best_x(boxes, **changes) -> float:
-    """Returns where the best grasp is [m]; left in the picture is -x."""
+    """Returns where the best grasp is [m]; left in the image is -x."""
     tool = {**YAML, "preferred_opening": [0.045, 0.12], "outside_ramp": 0.01, **changes}
     ggcnn = yaml.safe_load((CONFIG / "ggcnn.yaml").read_text())
     s = settings_from(overlaid({**ggcnn, "view": "camera"}, {"tool": tool, "approach": {"kind": "camera"}}))
-    chain = Finder(s.views(), Predictor(LeftSlender(), PredictorSettings()), s.live(UP), itertools.count().__next__)
+    chain = GraspPipeline(
+        s.views(), Predictor(LeftSlender(), PredictorSettings()), s.live(UP), itertools.count().__next__
+    )
     found = chain.step(depth_picture(ABOVE, boxes), CAMERA, ABOVE, 0.0)
     assert found.reason == ""
     assert found.proposals[0].quality == pytest.approx(found.maps.quality[found.proposals[0].peak[:2]])

@@ -158,7 +158,7 @@ def test_evaluation_refuses_a_bad_hand(tmp_path, monkeypatch, capsys, content, s
 
 
 @pytest.mark.parametrize("kind", ["npy", "png"])
-def test_grasps_of_one_picture(tmp_path, monkeypatch, capsys, kind):
+def test_grasps_of_one_image(tmp_path, monkeypatch, capsys, kind):
     depth = np.full((480, 640), 0.7, np.float32)
     depth[225:255, 255:385] = 0.65
     path = tmp_path / f"depth.{kind}"
@@ -178,9 +178,9 @@ def test_grasps_of_one_picture(tmp_path, monkeypatch, capsys, kind):
 
 
 @pytest.mark.parametrize(
-    ("content", "sentence"), [(None, "No such file"), (b"?", "not a 16-bit picture"), ("hole", "holds no reading")]
+    ("content", "sentence"), [(None, "No such file"), (b"?", "not a 16-bit image"), ("hole", "holds no reading")]
 )
-def test_bad_pictures_are_refused(tmp_path, monkeypatch, capsys, content, sentence):
+def test_bad_images_are_refused(tmp_path, monkeypatch, capsys, content, sentence):
     path = tmp_path / "depth.png"
     if content == "hole":
         cv2.imwrite(str(path), np.zeros((480, 640), np.uint16))

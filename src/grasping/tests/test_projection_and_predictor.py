@@ -1,4 +1,4 @@
-"""From pixels to poses, and the chain from a depth picture to a grasp."""
+"""From pixels to poses, and the chain from a depth image to a grasp."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_the_grasp_is_where_its_pixel_looks(row, column, angle, z):
     T = found.T_camera_grasp
     np.testing.assert_allclose(CAMERA.project(T[:3, 3]), found.pixel, atol=1e-9)
     assert T[2, 3] == pytest.approx(z)
-    # Both fingers, projected, lie on a line of that angle (v runs down), `width` apart in the network's picture.
+    # Both fingers, projected, lie on a line of that angle (v runs down), `width` apart in the network's image.
     ends = CAMERA.project(np.array([T[:3, 3] + s * 0.5 * found.width * T[:3, 0] for s in (-1.0, 1.0)]))
     line = (ends[1] - ends[0]) * 300 / 400
     np.testing.assert_allclose(line, 60.0 * np.array([np.cos(angle), -np.sin(angle)]), atol=1e-6)
@@ -63,7 +63,7 @@ directions = st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)).map(lambda t:
 
 @settings(max_examples=50)
 @given(st.integers(20, 280), st.integers(20, 280), st.floats(-1.57, 1.57), directions, st.floats(5.0, 60.0))
-def test_another_approach_leaves_the_fingers_on_their_line_in_the_picture(row, column, angle, direction, width):
+def test_another_approach_leaves_the_fingers_on_their_line_in_the_image(row, column, angle, direction, width):
     first = grasp(Peak(row, column, 0.8, angle, width), CROP, 300, np.full((480, 640), 0.8), CAMERA)
     n = direction / np.linalg.norm(direction)
     turned = along(first, n, CAMERA)
@@ -115,6 +115,6 @@ def test_predictor_finds_the_near_spot():
     assert [(p.row, p.column) for p in several.peaks] == [(found.peaks[0].row, found.peaks[0].column)]
 
 
-def test_predictor_refuses_a_small_picture():
+def test_predictor_refuses_a_small_image():
     with pytest.raises(ValueError, match="does not fit"):
         Predictor(Nearest(), PredictorSettings()).predict(np.ones((300, 300)), CAMERA)

@@ -1,4 +1,4 @@
-"""The programs about the second network, from simulated episodes to table, on a handful of them."""
+"""The programs about the refinement network, from simulated episodes to table, on a handful of them."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(data, tmp_
 
 def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
     """Without bias, tremor and lean the grasp lies on the surface that the camera sees, and comes straight down."""
-    who = episodes.person.Person(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0, lean=0.0, follow=0.0)
+    who = episodes.operator.SimulatedOperator(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0, lean=0.0, follow=0.0)
     network, sha256 = make_episodes.network(WEIGHTS)
     episode = episodes.episode("person", NUMBERS[1], network, sha256, who, 1)
     frame = episode.frame(0)
@@ -143,7 +143,7 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert "| untrained less GGCNN alone | " + " | ".join(["+0.0 (+0.0 to +0.0)"] * 6) + " |" in text
     assert "| untrained | " in text.partition("log-likelihood")[2]
     assert "| +0.00 (+0.00 to +0.00) |" in text
-    attitudes = text.partition("rotation error at the person's place")[2]
+    attitudes = text.partition("rotation error at the operator's place")[2]
     assert all(f"| {name} | " in attitudes for name in ("GGCNN alone", "GGCNN + constant offset", "trained"))
     assert "| trained less GGCNN + constant offset | " in attitudes
     assert not (results / "curve.png").exists()

@@ -1,4 +1,4 @@
-"""Training of the second network: labels, what turns with the picture, losses, the constant offset."""
+"""Training of the refinement network: labels, what turns with the image, losses, the constant offset."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from common.camera_model import pinhole
 from common.poses import pose
 from common.rotations import rotation_about
-from grasping.lab.dataset.episode import Frame
+from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import pose_from_label
 from grasping.lab.evaluation.attitude import (
     CONCENTRATIONS,
@@ -25,9 +25,9 @@ from grasping.lab.evaluation.attitude import (
 )
 from grasping.lab.evaluation.operator_errors import Neighbours, miss
 from grasping.lab.training.refinement_batches import batch, place_target
-from grasping.lab.training.refinement_examples import Offset, constant_offset, example, offset_label
-from grasping.lab.training.refinement_losses import Losses, losses
-from grasping.lab.training.refinement_trainer import Settings, Trainer
+from grasping.lab.training.refinement_examples import OperatorOffset, constant_offset, example, offset_label
+from grasping.lab.training.refinement_losses import RefinementLosses, losses
+from grasping.lab.training.refinement_trainer import RefinementTrainer, RefinementTraining
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
 from grasping.network.maps import Peak, Smoothing, highest, smoothed
 from grasping.network.refinement import (
@@ -38,7 +38,7 @@ from grasping.network.refinement import (
     OPENING,
     SIDE,
     SIN,
-    Refinement,
+    MapRefiner,
     RefinementNetwork,
 )
 from grasping.pipeline.projection import grasp
@@ -47,7 +47,7 @@ from grasping.pipeline.refined_grasp import angle_deviation, refined_grasp
 CAMERA = pinhole("camera", 400, 400, [[570.0, 0.0, 199.5], [0.0, 570.0, 199.5], [0.0, 0.0, 1.0]])
 CROP = Crop(0, 0, 400)
 PEAK = Peak(150, 170, 0.9, 0.3, 60.0)
-NO_OFFSET = Offset()
+NO_OFFSET = OperatorOffset()
 MAP_SIDE = 150
 LOGS = np.linspace(-3.0, 4.0, 141)
 
@@ -62,11 +62,11 @@ def maps_of(peak: Peak) -> np.ndarray:
     ).astype(np.float32)
 
 
-def frame_of(T_camera_grasp: np.ndarray, peak: Peak = PEAK) -> Frame:
+def frame_of(T_camera_grasp: np.ndarray, peak: Peak = PEAK) -> EpisodeFrame:
     """Returns a frame above a level table, 0.7 m away."""
     small = maps_of(peak).reshape(4, MAP_SIDE, 2, MAP_SIDE, 2).mean(axis=(2, 4))
     depth = np.full((400, 400), 700, np.uint16)
-    return Frame(CAMERA, CROP, depth, small.astype(np.float16), peak, np.eye(4), T_camera_grasp)
+    return EpisodeFrame(CAMERA, CROP, depth, small.astype(np.float16), peak, np.eye(4), T_camera_grasp)
 
 
 def grasp_at(x, y, z=0.7, angle=0.0, tilt=(0.0, 0.0)) -> np.ndarray:
@@ -116,9 +116,9 @@ def _middle(bell: np.ndarray) -> tuple[float, float]:
 
 def test_the_constant_offset_is_taken_off_the_label():
     one = example(frame_of(grasp_at(0.02, -0.015, 0.7, 0.4, (0.1, -0.05))), held=True)
-    _, target = batch([one], Offset(x=8.0 * one.mean, y=-12.0 * one.mean))
+    _, target = batch([one], OperatorOffset(x=8.0 * one.mean, y=-12.0 * one.mean))
     assert _middle(target.place[0].numpy()) == pytest.approx((one.row + 3.0, one.column - 2.0), abs=0.01)
-    offset = Offset(depth=0.01, angle=0.4, tilt_x=0.02, tilt_y=-0.01, opening=0.05)
+    offset = OperatorOffset(depth=0.01, angle=0.4, tilt_x=0.02, tilt_y=-0.01, opening=0.05)
     _, target = batch([one._replace(opening=0.3)], offset)
     assert float(target.height) == pytest.approx(one.height + 0.01)
     assert (float(target.cos), float(target.sin)) == pytest.approx((1.0, 0.0), abs=1e-6)
@@ -127,7 +127,7 @@ def test_the_constant_offset_is_taken_off_the_label():
 
 
 def test_the_constant_offset_is_found_and_undone():
-    """A person who always adds the same: GGCNN with the offset is exact, and so is the untrained network with it."""
+    """An operator who always adds the same: GGCNN with the offset is exact, and so is the untrained network with it."""
     frames = []
     for row, column in ((140, 120), (150, 170), (170, 160), (120, 150)):
         peak = PEAK._replace(row=row, column=column)
@@ -143,10 +143,10 @@ def test_the_constant_offset_is_found_and_undone():
     found = pose_from_label(frame, offset_label(frame, offset))
     np.testing.assert_allclose(found[:3, 3], frame.T_camera_grasp[:3, 3], atol=1e-6)
     np.testing.assert_allclose(found[:3, 2], frame.T_camera_grasp[:3, 2], atol=0.03)
-    network = Trainer(Settings(), offset).network
-    picture = prepare(frame.depth_m, CROP)
-    refined = Refinement(network).apply(maps_of(frame.peak), picture)
-    peak = highest(smoothed(refined.output, picture.valid, Smoothing(quality=2.0)))
+    network = RefinementTrainer(RefinementTraining(), offset).network
+    image = prepare(frame.depth_m, CROP)
+    refined = MapRefiner(network).apply(maps_of(frame.peak), image)
+    peak = highest(smoothed(refined.output, image.valid, Smoothing(quality=2.0)))
     T = refined_grasp(grasp(peak, CROP, NETWORK_SIDE, frame.depth_m, CAMERA), refined, peak).T_camera_grasp
     np.testing.assert_allclose(T[:3, 3], frame.T_camera_grasp[:3, 3], atol=0.0012)  # half a pixel
 
@@ -166,7 +166,7 @@ def test_a_miss_does_not_mind_which_finger_is_which():
 
 
 def test_the_nearest_neighbour_of_a_known_frame_is_that_frame():
-    """What the person did there comes back, whichever of the frames it is."""
+    """What the operator did there comes back, whichever of the frames it is."""
     frames = []
     for k, (row, column) in enumerate(((140, 120), (150, 170), (170, 160))):
         frame = frame_of(grasp_at(0.01 * k, -0.01, 0.69, 0.1 * k), PEAK._replace(row=row, column=column))
@@ -195,7 +195,7 @@ LOSS_OF = {
 """Which loss each output of the network changes."""
 
 
-def leaning_frame() -> Frame:
+def leaning_frame() -> EpisodeFrame:
     """A grasp with all that is to be learned, in front of a slope."""
     frame = frame_of(grasp_at(0.02, -0.015, 0.67, 0.5, (0.1, -0.05)))._replace(opening=0.08)
     slope = np.round(660.0 + 0.2 * np.arange(400)).astype(np.uint16)
@@ -239,7 +239,7 @@ def test_losses_are_smallest_at_the_label(name, size, negative):
     else:
         worse[:, OF[name]] += (-size if negative else size) * CHANGES[name]
     found = losses(seen, worse, target)
-    for part in Losses._fields[1:]:
+    for part in RefinementLosses._fields[1:]:
         if part == LOSS_OF[name]:
             assert getattr(found, part) > getattr(best, part) + 1e-4
         else:
@@ -308,12 +308,12 @@ def test_the_place_target_is_a_bell_of_sum_one(row, column):
     assert _middle(bell) == pytest.approx((row, column), abs=0.01)
 
 
-def test_a_place_outside_the_picture_has_no_target():
+def test_a_place_outside_the_image_has_no_target():
     assert place_target(-30.0, 37.0).sum() < 1e-6
 
 
 def test_training_learns_what_the_person_prefers():
-    """Two equal peaks; the person takes the nearer surface, always 5 mm below it."""
+    """Two equal peaks; the operator takes the nearer surface, always 5 mm below it."""
     rng = np.random.default_rng(0)
     examples = []
     for _ in range(12):
@@ -331,7 +331,7 @@ def test_training_learns_what_the_person_prefers():
             depth=np.round(1000.0 * big).astype(np.uint16), maps=small
         )
         examples.append(example(frame, held=True))
-    trainer = Trainer(Settings(steps=40, count=4, rate=2e-2, hidden=8), constant_offset([]))
+    trainer = RefinementTrainer(RefinementTraining(steps=40, count=4, rate=2e-2, hidden=8), constant_offset([]))
     before = trainer.validate(examples)
     for _ in range(40):
         trainer.train(examples)
@@ -341,13 +341,13 @@ def test_training_learns_what_the_person_prefers():
 
 
 def test_training_learns_an_attitude_that_depends_on_the_place():
-    """On things 4 cm high the person turns the line by 0.6 rad and leans by 0.3 rad, low ones are taken as they lie."""
+    """On things 4 cm high the operator turns the line by 0.6 rad and leans by 0.3 rad; low things neither."""
     examples = []
     for high in (True, False):
         frame = frame_of(grasp_at(0.01, -0.02, 0.66 if high else 0.69, PEAK.angle + 0.6 * high, (0.3 * high, 0.0)))
         frame.depth[100:300, 100:300] = 660 if high else 690
         examples.append(example(frame, held=True))
-    trainer = Trainer(Settings(steps=600, count=2, rate=2e-2, hidden=8), NO_OFFSET)
+    trainer = RefinementTrainer(RefinementTraining(steps=600, count=2, rate=2e-2, hidden=8), NO_OFFSET)
     for _ in range(600):
         trainer.train(examples)
     for one, (turn, tilt) in zip(examples, ((0.6, 0.3), (0.0, 0.0))):
@@ -362,12 +362,14 @@ def test_training_learns_an_attitude_that_depends_on_the_place():
 
 def test_training_goes_on_where_it_was_left():
     examples = [example(frame_of(own_pose()), held=True)]
-    whole, first = (Trainer(Settings(steps=4, count=1, hidden=2), constant_offset([])) for _ in range(2))
+    whole, first = (
+        RefinementTrainer(RefinementTraining(steps=4, count=1, hidden=2), constant_offset([])) for _ in range(2)
+    )
     for _ in range(4):
         whole.train(examples)
     for _ in range(2):
         first.train(examples)
-    second = Trainer(Settings(steps=4, count=1, hidden=2), constant_offset([]))
+    second = RefinementTrainer(RefinementTraining(steps=4, count=1, hidden=2), constant_offset([]))
     second.resume(first.state())
     for _ in range(2):
         second.train(examples)

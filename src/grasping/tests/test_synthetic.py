@@ -84,7 +84,7 @@ def test_a_bar_is_grasped_across():
     assert best.opening[middle] == pytest.approx(0.03 + 2.0 * GRIPPER.clearance, abs=2.0 * CELL)
 
 
-def test_angles_follow_the_picture():
+def test_angles_follow_the_image():
     """A bar from lower left to upper right, at +45 degrees, is grasped at -45 degrees."""
     c = CELL * (np.arange(N) - 0.5 * (N - 1))
     x, y = np.meshgrid(c, c)
@@ -134,13 +134,13 @@ def test_disc_prefers_the_horizontal():
     assert abs(best.angle[N // 2, N // 2]) < 0.2
 
 
-def test_labels_in_the_picture_sit_on_the_object():
+def test_labels_in_the_image_sit_on_the_object():
     surface = heights((0.03, -0.02, 0.05, 0.015, 0.04))
     exact = np.full((300, 300), 0.7)
     focal = 427.7
     rows, columns = (150 + np.array([-0.035, -0.005]) / 0.66 * focal, 150 + np.array([-0.02, 0.08]) / 0.66 * focal)
     exact[int(rows[0]) : int(rows[1]), int(columns[0]) : int(columns[1])] = 0.66
-    label = labels.in_picture(labels.best(found(surface)), surface, CELL, exact, focal)
+    label = labels.in_image(labels.best(found(surface)), surface, CELL, exact, focal)
     row, column = np.unravel_index(np.argmax(label.quality), label.quality.shape)
     assert rows[0] < row < rows[1]
     assert columns[0] < column < columns[1]

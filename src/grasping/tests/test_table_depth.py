@@ -42,8 +42,8 @@ def test_it_is_seen_past_things_noise_and_holes(focal, distance, lean_x, lean_y,
 def test_where_no_plane_is_seen_it_is_the_mean():
     depth = np.full((SIDE, SIDE), np.nan)
     depth[0, 0] = 0.7
-    picture = prepare(depth, Crop(0, 0, SIDE))
-    np.testing.assert_array_equal(table_depth(picture), np.full_like(picture.depth, picture.mean))
+    image = prepare(depth, Crop(0, 0, SIDE))
+    np.testing.assert_array_equal(table_depth(image), np.full_like(image.depth, image.mean))
 
 
 def test_a_table_seen_edge_on_ends_at_the_horizon():

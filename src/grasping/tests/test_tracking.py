@@ -15,10 +15,10 @@ from common.poses import check_pose, pose
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
 from grasping.pipeline.tracking import (
     AveragingConfig,
+    GraspDetection,
     GraspTracker,
     MapAverage,
     PoseFilter,
-    Sighting,
     TrackingConfig,
 )
 
@@ -86,12 +86,12 @@ def test_a_weight_of_one_is_no_average():
     np.testing.assert_allclose(average.step(newest, depth)[0], newest, atol=1e-6)
 
 
-def sighting(x: float, quality: float, angle: float = 0.0, y: float = 0.0) -> Sighting:
-    return Sighting(pose(DOWN @ rotation_about(2, angle), (x, y, 0.1)), 0.05, quality)
+def detection(x: float, quality: float, angle: float = 0.0, y: float = 0.0) -> GraspDetection:
+    return GraspDetection(pose(DOWN @ rotation_about(2, angle), (x, y, 0.1)), 0.05, quality)
 
 
-def best_ids(tracker: GraspTracker, pictures) -> list[int]:
-    return [tracker.step(sightings, DT * i)[0].id for i, sightings in enumerate(pictures)]
+def best_ids(tracker: GraspTracker, images) -> list[int]:
+    return [tracker.step(detections, DT * i)[0].id for i, detections in enumerate(images)]
 
 
 def test_numbers_stay_with_their_grasps_while_these_shake_and_change_places():
@@ -99,36 +99,39 @@ def test_numbers_stay_with_their_grasps_while_these_shake_and_change_places():
     names = {}
     for i in range(20):
         shake = 0.005 * rng.normal(size=3)
-        seen = [sighting(0.0 + shake[0], 0.8), sighting(0.1 + shake[1], 0.75), sighting(0.2 + shake[2], 0.7)]
+        seen = [detection(0.0 + shake[0], 0.8), detection(0.1 + shake[1], 0.75), detection(0.2 + shake[2], 0.7)]
         order = rng.permutation(3)
         for t in tracker.step([seen[k] for k in order], DT * i):
-            names.setdefault(int(order[t.sighting]), set()).add(t.id)
+            names.setdefault(int(order[t.detection]), set()).add(t.id)
     assert all(len(ids) == 1 for ids in names.values())
     assert len(set.union(*names.values())) == 3
 
 
 def test_the_best_stays_until_a_rival_has_led_for_a_while():
     tracker = GraspTracker(tracking())
-    pictures = [[sighting(0.0, 0.6), sighting(0.1, 0.55)]] * 3
-    pictures += [[sighting(0.0, 0.6), sighting(0.1, 0.69)]] * 20  # better, but not by enough
-    pictures += [[sighting(0.0, 0.6), sighting(0.1, 0.75)]] * 4  # by enough, but not for long enough
-    pictures += [[sighting(0.0, 0.6), sighting(0.1, 0.6)]]
-    pictures += [[sighting(0.0, 0.6), sighting(0.1, 0.75)]] * 5
-    assert best_ids(tracker, pictures) == [1] * (len(pictures) - 1) + [2]
+    images = [[detection(0.0, 0.6), detection(0.1, 0.55)]] * 3
+    images += [[detection(0.0, 0.6), detection(0.1, 0.69)]] * 20  # better, but not by enough
+    images += [[detection(0.0, 0.6), detection(0.1, 0.75)]] * 4  # by enough, but not for long enough
+    images += [[detection(0.0, 0.6), detection(0.1, 0.6)]]
+    images += [[detection(0.0, 0.6), detection(0.1, 0.75)]] * 5
+    assert best_ids(tracker, images) == [1] * (len(images) - 1) + [2]
 
 
 def test_two_rivals_that_take_turns_displace_nobody():
     tracker = GraspTracker(tracking())
     turns = [
-        [sighting(0.0, 0.5), sighting(0.1, 0.7 + 0.1 * (i % 2)), sighting(0.2, 0.8 - 0.1 * (i % 2))] for i in range(9)
+        [detection(0.0, 0.5), detection(0.1, 0.7 + 0.1 * (i % 2)), detection(0.2, 0.8 - 0.1 * (i % 2))]
+        for i in range(9)
     ]
-    first = [[sighting(0.0, 0.5)]]
+    first = [[detection(0.0, 0.5)]]
     assert set(best_ids(tracker, first + turns)) == {1}
 
 
 def test_a_best_grasp_that_becomes_bad_is_given_up_at_once():
     tracker = GraspTracker(tracking())
-    assert best_ids(tracker, [[sighting(0.0, 0.6), sighting(0.1, 0.5)], [sighting(0.0, 0.25), sighting(0.1, 0.5)]]) == [
+    assert best_ids(
+        tracker, [[detection(0.0, 0.6), detection(0.1, 0.5)], [detection(0.0, 0.25), detection(0.1, 0.5)]]
+    ) == [
         1,
         2,
     ]
@@ -136,16 +139,16 @@ def test_a_best_grasp_that_becomes_bad_is_given_up_at_once():
 
 def test_a_grasp_out_of_sight_keeps_its_number_for_a_while_only():
     tracker = GraspTracker(tracking(keep=0.5))
-    assert tracker.step([sighting(0.0, 0.6)], 0.0)[0].id == 1
+    assert tracker.step([detection(0.0, 0.6)], 0.0)[0].id == 1
     assert tracker.step([], 0.1) == []
-    assert tracker.step([sighting(0.0, 0.6)], 0.3)[0].id == 1
+    assert tracker.step([detection(0.0, 0.6)], 0.3)[0].id == 1
     assert tracker.step([], 0.9) == []
-    assert tracker.step([sighting(0.0, 0.6)], 1.0)[0].id == 2
+    assert tracker.step([detection(0.0, 0.6)], 1.0)[0].id == 2
 
 
 def test_no_rival_is_told_while_the_best_is_out_of_sight_for_a_moment():
     tracker = GraspTracker(tracking(keep=0.5))
-    both, rival = [sighting(0.0, 0.7), sighting(0.3, 0.6)], [sighting(0.3, 0.6)]
+    both, rival = [detection(0.0, 0.7), detection(0.3, 0.6)], [detection(0.3, 0.6)]
     assert [t.id for t in tracker.step(both, 0.0)] == [1, 2] and not tracker.best_out_of_sight
     for now in (0.1, 0.3, 0.5):
         assert tracker.step(rival, now) == [] and tracker.best_out_of_sight
@@ -156,9 +159,9 @@ def test_no_rival_is_told_while_the_best_is_out_of_sight_for_a_moment():
 
 def test_numbers_are_not_used_again_after_a_reset():
     tracker = GraspTracker(tracking())
-    tracker.step([sighting(0.0, 0.6)], 0.0)
+    tracker.step([detection(0.0, 0.6)], 0.0)
     tracker.reset()
-    assert tracker.step([sighting(0.0, 0.6)], 0.1)[0].id == 2
+    assert tracker.step([detection(0.0, 0.6)], 0.1)[0].id == 2
 
 
 rotations = st.builds(rotation_from_zyx, st.floats(-3.1, 3.1), st.floats(-1.4, 1.4), st.floats(-3.1, 3.1))
@@ -196,7 +199,7 @@ def test_noise_shrinks_and_single_jumps_have_no_effect():
     assert max(min(e[1], np.pi - e[1]) for e in errors[5:]) < 0.1
 
 
-def test_a_jump_is_believed_when_five_pictures_agree():
+def test_a_jump_is_believed_when_five_images_agree():
     filtered = PoseFilter(tracking())
     for i in range(5):
         filtered.step(pose(DOWN), 0.05, DT * i)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from grasping.lab.training.batches import Targets, batch, random_batch
+from grasping.lab.training.batches import MapTargets, batch, random_batch
 from grasping.lab.training.losses import losses
-from grasping.lab.training.trainer import Settings, Trainer
+from grasping.lab.training.trainer import NetworkTrainer, NetworkTraining
 
-SMALL = Settings(steps=40, count=2, side=60, rate=3e-3, warm_up=5, half=False)
+SMALL = NetworkTraining(steps=40, count=2, side=60, rate=3e-3, warm_up=5, half=False)
 
 
 def some_samples(count=4, side=120, seed=0):
-    """Pictures of bars, to be grasped across."""
+    """Images of bars, to be grasped across."""
     rng = np.random.default_rng(seed)
     shape = (count, side, side)
     samples = {
@@ -32,7 +32,7 @@ def some_samples(count=4, side=120, seed=0):
     return samples
 
 
-def maps_of(target: Targets) -> torch.Tensor:
+def maps_of(target: MapTargets) -> torch.Tensor:
     return torch.stack([target.quality, target.cos, target.sin, target.width], dim=1)
 
 
@@ -64,7 +64,7 @@ def test_unknown_pixels_do_not_count():
 def test_batches_depend_on_the_seed_alone():
     samples = some_samples()
     for a, b in zip(*(random_batch(samples, np.random.default_rng(8), 3, 96) for _ in range(2))):
-        for x, y in zip(a, b) if isinstance(a, Targets) else [(a, b)]:
+        for x, y in zip(a, b) if isinstance(a, MapTargets) else [(a, b)]:
             assert torch.equal(x, y)
 
 
@@ -82,14 +82,14 @@ def test_mirrors_turn_the_angle():
 
 def test_a_run_may_end_and_go_on(tmp_path):
     samples = some_samples()
-    whole = Trainer(SMALL)
+    whole = NetworkTrainer(SMALL)
     for _ in range(6):
         whole.train(samples)
-    first = Trainer(SMALL)
+    first = NetworkTrainer(SMALL)
     for _ in range(3):
         first.train(samples)
     torch.save(first.state(), tmp_path / "state.pt")
-    second = Trainer(SMALL)
+    second = NetworkTrainer(SMALL)
     second.resume(torch.load(tmp_path / "state.pt", weights_only=True))
     for _ in range(3):
         second.train(samples)
@@ -100,7 +100,7 @@ def test_a_run_may_end_and_go_on(tmp_path):
 
 def test_training_learns():
     samples = some_samples()
-    trainer = Trainer(SMALL)
+    trainer = NetworkTrainer(SMALL)
     before = trainer.validate(samples)["validation"]
     found = [trainer.train(samples) for _ in range(SMALL.steps)]
     assert np.mean(found[-5:]) < 0.7 * np.mean(found[:5])
@@ -108,7 +108,7 @@ def test_training_learns():
 
 
 def test_rate_warms_up_and_ends_at_zero():
-    trainer = Trainer(Settings(steps=1000, rate=1e-3, warm_up=100, decay=0.2))
+    trainer = NetworkTrainer(NetworkTraining(steps=1000, rate=1e-3, warm_up=100, decay=0.2))
     rates = []
     for trainer.step in range(1001):
         rates.append(trainer.rate())

@@ -58,11 +58,11 @@ def test_from_wherever_the_camera_looks_the_view_shows_the_table_from_above(plac
 
 
 def test_the_views_input_is_the_networks():
-    picture = table_view().step(depth_picture(ABOVE, [BOX]), CAMERA).picture
-    assert picture.input.shape == (NETWORK_SIDE, NETWORK_SIDE)
-    assert picture.input.dtype == np.float32
-    assert abs(picture.input.mean()) < 1e-4
-    np.testing.assert_allclose(picture.input, picture.depth - picture.mean, atol=1e-6)
+    image = table_view().step(depth_picture(ABOVE, [BOX]), CAMERA).image
+    assert image.input.shape == (NETWORK_SIDE, NETWORK_SIDE)
+    assert image.input.dtype == np.float32
+    assert abs(image.input.mean()) < 1e-4
+    np.testing.assert_allclose(image.input, image.depth - image.mean, atol=1e-6)
 
 
 def test_the_view_stands_while_the_table_shakes_and_follows_when_it_turns():
@@ -133,10 +133,10 @@ def test_a_wall_is_no_table():
         table_view(max_slope=60.0).step(flat, CAMERA)
 
 
-def test_the_cameras_view_is_the_published_nodes_picture():
+def test_the_cameras_view_is_the_published_nodes_image():
     depth = depth_picture(ABOVE, [BOX])
     view = CameraView(CROP).step(depth, CAMERA)
-    np.testing.assert_array_equal(view.picture.input, prepare(depth, view.picture.crop).input)
+    np.testing.assert_array_equal(view.image.input, prepare(depth, view.image.crop).input)
     np.testing.assert_array_equal(view.T_camera_view, np.eye(4))
     with pytest.raises(NoView, match="no reading inside the crop"):
         CameraView(CROP).step(np.full((480, 640), np.nan, np.float32), CAMERA)

@@ -41,11 +41,11 @@ def test_published_keras_file_loads(shared_data):
     loaded = weights.load(path.read_bytes(), "07ed61da2f5b5aa5d8d10a85c0a26023bae489c3b15fe16e58227c14738a3770")
     assert (loaded.name, loaded.origin) == ("ggcnn_keras", "GG-CNN, RSS 2018, Keras")
     # A ridge 60 mm high and 40 pixels broad: the grasp is on it and across it.
-    picture = torch.zeros(1, 1, 300, 300)
-    picture[:, :, 60:240, 130:170] = -0.06
-    picture -= picture.mean()
+    image = torch.zeros(1, 1, 300, 300)
+    image[:, :, 60:240, 130:170] = -0.06
+    image -= image.mean()
     with torch.no_grad():
-        quality, cos, _, width = loaded.network(picture)[0]
+        quality, cos, _, width = loaded.network(image)[0]
     row, column = divmod(int(quality.argmax()), 300)
     assert 60 <= row < 240
     assert 130 <= column < 170
@@ -94,7 +94,7 @@ class Program(torch.nn.Module):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("load", [weights.load, refinement_file.load], ids=["first network", "second network"])
+@pytest.mark.parametrize("load", [weights.load, refinement_file.load], ids=["first network", "refinement network"])
 def test_no_program_runs(tmp_path, monkeypatch, load):
     monkeypatch.chdir(tmp_path)
     buffer = io.BytesIO()

@@ -1,1 +1,1 @@
-"""Grasps proposed by a network from depth images, confirmed and corrected by the person."""
+"""Grasps proposed by a network from depth images, confirmed and corrected by the operator."""

@@ -1,9 +1,9 @@
-"""The execution of a proposed grasp: the arm approaches, a person's hand takes over, and what it holds is noted.
+"""The execution of a proposed grasp: the arm approaches, an operator's hand takes over, and what it holds is noted.
 
-    approaching -> waiting_for_hand -> person -> over
+    approaching -> waiting_for_hand -> operator -> over
 
 Every execution that was started ends in exactly one outcome. Nothing here moves the arm: leap_kuka holds the tool above
-the grasp for a hand, and a person does the rest.
+the grasp for a hand, and an operator does the rest.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 
 from common.config import number
 from common.rotations import rotation_angle
-from grasping.execution.execution_request import UNABLE, Controller
-from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
+from grasping.execution.execution_request import UNABLE, ControllerState
+from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
 
 IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
 NONE, HELD, TAKEN = "none", "held", "taken"
@@ -29,18 +29,18 @@ FOLLOWING, AWAY = ("pick_up", "servo"), ("returning", "homing", "home")
 class ExecutionConfig:
     """The times and tolerances of an execution."""
 
-    fresh: float = number("s", above=0.0, high=30.0, doc="proposals in an older picture are refused")
+    fresh: float = number("s", above=0.0, high=30.0, doc="proposals in an older image are refused")
     answer_time: float = number("s", above=0.0, high=30.0, doc="longest wait for an answer of another node")
     silence: float = number("s", above=0.0, high=10.0, doc="what was not told for so long is unknown")
     arrival_distance: float = number("m", above=0.0, high=0.1, doc="the tool has arrived when it is this near, and")
     arrival_angle: float = number("deg", above=0.0, high=45.0, doc="turned by no more than this")
     approach_time: float = number("s", above=0.0, high=120.0, doc="longest time for the way above the grasp")
     wait_for_hand: float = number("s", above=0.0, high=120.0, doc="how long the tool is held for a hand")
-    person_time: float = number("s", above=0.0, high=3600.0, doc="longest time until the person's grasp is decided")
+    person_time: float = number("s", above=0.0, high=3600.0, doc="longest time until the operator's grasp is decided")
 
 
 @dataclass(frozen=True)
-class Observation:
+class ExecutionObservation:
     """What is known now.
 
     Attributes:
@@ -53,15 +53,15 @@ class Observation:
     """
 
     clock: float
-    controller: Controller | None
+    controller: ControllerState | None
     hold: str
     hold_reason: str
     T_base_tool: np.ndarray | None
-    hand: HandState | None
+    hand: HandMeasurement | None
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ExecutionOutcome:
     """What became of an execution.
 
     Attributes:
@@ -73,7 +73,7 @@ class Outcome:
     """
 
     episode: int
-    closed: SeenGrasp | None
+    closed: ObservedGrasp | None
     held: bool
     reason: str
     release: bool
@@ -124,7 +124,7 @@ class Execution:
         self.episode += 1
         self._enter(APPROACHING, "The arm goes above the grasp.", now)
 
-    def step(self, seen: Observation, now: float) -> Outcome | None:
+    def step(self, seen: ExecutionObservation, now: float) -> ExecutionOutcome | None:
         """Returns the outcome of the execution if it ends now.
 
         Args:
@@ -137,7 +137,7 @@ class Execution:
         self._followed |= seen.controller is not None and seen.controller.mode in FOLLOWING
         if self.state != PERSON and seen.hold == TAKEN:
             self._watch.reset()
-            self._enter(PERSON, "A person's hand has taken over; close the fingers, then lift.", now)
+            self._enter(PERSON, "An operator's hand has taken over; close the fingers, then lift.", now)
         why = self._hindrance(seen, now)
         if why is not None:
             return self.end(f"{why}.")
@@ -150,10 +150,10 @@ class Execution:
             if self._watch.closed:
                 self.reason = "The fingers have closed; now lift."
         if self.state == APPROACHING and self._arrived(seen.T_base_tool):
-            self._enter(WAITING_FOR_HAND, "The tool waits above the grasp for a person's hand.", now)
+            self._enter(WAITING_FOR_HAND, "The tool waits above the grasp for an operator's hand.", now)
         return None
 
-    def end(self, sentence: str) -> Outcome:
+    def end(self, sentence: str) -> ExecutionOutcome:
         """Ends the execution before its grasp is decided.
 
         Args:
@@ -161,7 +161,7 @@ class Execution:
         """
         return self._over(self._watch.give_up(sentence), False, sentence)
 
-    def _hindrance(self, seen: Observation, now: float) -> str | None:
+    def _hindrance(self, seen: ExecutionObservation, now: float) -> str | None:
         """Returns why the execution cannot go on, a sentence without its full stop, or None."""
         arm = seen.controller
         if arm is None:
@@ -177,7 +177,7 @@ class Execution:
             return f"The arm left the grasp: {arm.reason.rstrip('.')}"
         return why
 
-    def _without_hold(self, seen: Observation, now: float) -> str | None:
+    def _without_hold(self, seen: ExecutionObservation, now: float) -> str | None:
         config = self._config
         if seen.hold == NONE and (self._held or now - self._began > config.silence):
             return f"The tool was not held for a hand: {seen.hold_reason}"
@@ -187,13 +187,13 @@ class Execution:
             return f"The tool was not above the grasp after {config.approach_time:g} s"
         return None
 
-    def _without_person(self, seen: Observation, now: float) -> str | None:
+    def _without_person(self, seen: ExecutionObservation, now: float) -> str | None:
         if seen.hold != TAKEN:
-            return f"The person's hand is followed no more: {seen.hold_reason}"
+            return f"The operator's hand is followed no more: {seen.hold_reason}"
         if seen.hand is None:
             return "The state of the robot hand is unknown"
         if now - self._since > self._config.person_time:
-            return f"Nothing was decided within {self._config.person_time:g} s of the person's hand taking over"
+            return f"Nothing was decided within {self._config.person_time:g} s of the operator's hand taking over"
         return None
 
     def _arrived(self, T_base_tool: np.ndarray) -> bool:
@@ -203,8 +203,8 @@ class Execution:
         turn = rotation_angle(target[:3, :3].T @ T_base_tool[:3, :3])
         return bool(near and np.degrees(turn) <= self._config.arrival_angle)
 
-    def _over(self, closed: SeenGrasp | None, held: bool, sentence: str) -> Outcome:
-        outcome = Outcome(self.episode, closed, held, sentence, release=self.state != PERSON)
+    def _over(self, closed: ObservedGrasp | None, held: bool, sentence: str) -> ExecutionOutcome:
+        outcome = ExecutionOutcome(self.episode, closed, held, sentence, release=self.state != PERSON)
         self._watch.reset()
         self.state, self.reason = OVER, sentence
         return outcome

@@ -1,4 +1,4 @@
-"""Which proposed grasp is executed when a person asks for one, and where the tool goes for it; or why none is."""
+"""Which proposed grasp is executed when an operator asks for one, and where the tool goes for it; or why none is."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UNABLE = (NOT_STARTED, ENDING, STOPPED)
 
 
 @dataclass(frozen=True)
-class Proposal:
+class ProposedPose:
     """A proposed grasp.
 
     Attributes:
@@ -31,22 +31,22 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class Proposals:
-    """The grasps in the newest picture, best first.
+class ProposalList:
+    """The grasps in the newest image, best first.
 
     Attributes:
-        age: of the picture [s].
+        age: of the image [s].
         grasps: what is proposed; those that the arm's controller refused come last.
         reason: why nothing is.
     """
 
     age: float
-    grasps: Sequence[Proposal]
+    grasps: Sequence[ProposedPose]
     reason: str = ""
 
 
 @dataclass(frozen=True)
-class Controller:
+class ControllerState:
     """What the arm's controller tells: whether control is on, its mode, and why it is in it."""
 
     control_on: bool
@@ -62,7 +62,7 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Way:
+class ToolGoal:
     """Where the tool goes.
 
     Attributes:
@@ -77,15 +77,15 @@ class Way:
 
 
 def choose(
-    proposals: Proposals | None, controller: Controller | None, hand_followed: bool, fresh: float
-) -> Proposal | Refusal:
+    proposals: ProposalList | None, controller: ControllerState | None, hand_followed: bool, fresh: float
+) -> ProposedPose | Refusal:
     """Returns the best grasp, which the arm's controller is to be asked about, or why there is none.
 
     Args:
         proposals: the newest; None if none came yet.
         controller: what it told last; None if it is silent.
         hand_followed: whether the arm follows a hand.
-        fresh: proposals in an older picture are refused [s].
+        fresh: proposals in an older image are refused [s].
     """
     if controller is None:
         return Refusal("The arm's controller is silent.")
@@ -105,7 +105,9 @@ def choose(
     return best if best.T_base_grasp is not None else Refusal(f"The place of the grasp is unknown: {best.reason}.")
 
 
-def way_to(T_base_grasp: np.ndarray, settings: ToolPoseConfig, R_home: np.ndarray, up: np.ndarray) -> Way | Refusal:
+def tool_goal(
+    T_base_grasp: np.ndarray, settings: ToolPoseConfig, R_home: np.ndarray, up: np.ndarray
+) -> ToolGoal | Refusal:
     """Returns where the tool goes for a grasp.
 
     Args:
@@ -118,4 +120,4 @@ def way_to(T_base_grasp: np.ndarray, settings: ToolPoseConfig, R_home: np.ndarra
         T_base_tool = tool_pose(T_base_grasp, settings, R_home, up)
     except ValueError as error:
         return Refusal(f"The hand cannot take the grasp: {error}.")
-    return Way(T_base_tool, above(T_base_tool, settings.clearance), T_base_tool @ grasp_in_tool(settings))
+    return ToolGoal(T_base_tool, above(T_base_tool, settings.clearance), T_base_tool @ grasp_in_tool(settings))

@@ -1,4 +1,4 @@
-"""Sees in the hand's state and the tool's height when a person grasped something, and whether it was held.
+"""Sees in the hand's state and the tool's height when an operator grasped something, and whether it was held.
 
 The fingers have closed when the thumb and a finger beside it are bent and none moves any more. Then the tool has to be
 lifted: the hand holds something if the thumb and a finger still feel it a moment after the tool is up.
@@ -47,7 +47,7 @@ class GraspWatchConfig:
 
 
 @dataclass(frozen=True)
-class HandState:
+class HandMeasurement:
     """What the hand tells of index, middle and thumb.
 
     Attributes:
@@ -62,7 +62,7 @@ class HandState:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenGrasp:
+class ObservedGrasp:
     """A grasp and what became of it.
 
     Attributes:
@@ -108,7 +108,7 @@ class GraspWatch:
         """Whether the fingers have closed, and it is not known yet what became of it."""
         return self._closed is not None
 
-    def step(self, hand: HandState, T_base_tool: np.ndarray, now: float) -> SeenGrasp | None:
+    def step(self, hand: HandMeasurement, T_base_tool: np.ndarray, now: float) -> ObservedGrasp | None:
         """Takes a state of the hand in and returns the grasp whose fate it decides, or None.
 
         Args:
@@ -127,7 +127,7 @@ class GraspWatch:
             self._closed = (now, np.array(T_base_tool))
         return None
 
-    def give_up(self, reason: str) -> SeenGrasp | None:
+    def give_up(self, reason: str) -> ObservedGrasp | None:
         """Returns the grasp whose fate is not known yet as one that was not held; None if the fingers are not closed.
 
         Args:
@@ -135,9 +135,9 @@ class GraspWatch:
         """
         closed = self._closed
         self.reset()
-        return None if closed is None else SeenGrasp(*closed, False, reason)
+        return None if closed is None else ObservedGrasp(*closed, False, reason)
 
-    def _at_rest(self, hand: HandState, now: float) -> bool:
+    def _at_rest(self, hand: HandMeasurement, now: float) -> bool:
         """Takes the angles in and returns whether they rest."""
         self._recent.append((now, hand.angles))
         began = None
@@ -149,23 +149,23 @@ class GraspWatch:
         angles = np.stack([angles for _, angles in self._recent])
         return bool(np.ptp(angles, axis=0).max() < self._config.rest_angle)
 
-    def _opened(self) -> SeenGrasp | None:
+    def _opened(self) -> ObservedGrasp | None:
         closed, lifted = self._closed, self._lifted
         self.reset()
         self._open_seen = True
         if closed is None:
             return None
         how = "before it had been held long enough" if lifted is not None else "before the tool was lifted"
-        return SeenGrasp(*closed, False, f"The fingers opened {how}.")
+        return ObservedGrasp(*closed, False, f"The fingers opened {how}.")
 
-    def _feels(self, hand: HandState) -> np.ndarray:
+    def _feels(self, hand: HandMeasurement) -> np.ndarray:
         """Returns whether each finger feels something, shape (3,)."""
         pressed = (hand.pressures - self._untouched).max(axis=1) > self._config.touch_pressure
         return pressed | (hand.loads - self._config.spring_load * hand.angles > self._config.touch_load)
 
     def _judge(
-        self, time: float, T_closed: np.ndarray, hand: HandState, T_base_tool: np.ndarray, now: float
-    ) -> SeenGrasp | None:
+        self, time: float, T_closed: np.ndarray, hand: HandMeasurement, T_base_tool: np.ndarray, now: float
+    ) -> ObservedGrasp | None:
         """The fingers have closed, at a time and a pose of the tool: returns the grasp once it is known whether it
         held."""
         config = self._config
@@ -183,7 +183,7 @@ class GraspWatch:
             what = "The thumb and a finger felt something" if held else "Thumb and fingers did not both feel something"
             reason = f"{what} when the tool was {1e3 * height:.0f} mm higher."
         self.reset()
-        return SeenGrasp(time, T_closed, held, reason)
+        return ObservedGrasp(time, T_closed, held, reason)
 
 
 def _opposed(fingers: np.ndarray) -> bool:

@@ -1,6 +1,6 @@
-"""From a depth picture to the network's input: crop, fill the holes, scale to 300 x 300, take off the mean.
+"""From a depth image to the network's input: crop, fill the holes, scale to 300 x 300, take off the mean.
 
-The steps are those of the published node (ggcnn_kinova_grasping), except that holes are filled before the picture is
+The steps are those of the published node (ggcnn_kinova_grasping), except that holes are filled before the image is
 scaled: a missing pixel would otherwise spoil all that are interpolated from it.
 """
 
@@ -19,7 +19,7 @@ CROP_SIDE = 400
 
 
 class Crop(NamedTuple):
-    """A square window of the camera's picture.
+    """A square window of the camera's image.
 
     Attributes:
         row: first row.
@@ -32,11 +32,11 @@ class Crop(NamedTuple):
     side: int
 
 
-class Picture(NamedTuple):
+class NetworkImage(NamedTuple):
     """What the network sees.
 
     Attributes:
-        crop: where it was cut from the camera's picture.
+        crop: where it was cut from the camera's image.
         input: network input, shape (300, 300), float32, in [-1, 1] [m].
         depth: the same without holes and with its mean, shape (300, 300) [m].
         valid: where the camera had a reading, shape (300, 300), bool.
@@ -51,10 +51,10 @@ class Picture(NamedTuple):
 
 
 def centre_crop(shape: tuple[int, ...], side: int = CROP_SIDE, rows_up: int = 0) -> Crop:
-    """Returns the window in the middle of a picture of `shape`, moved up by `rows_up`.
+    """Returns the window in the middle of an image of `shape`, moved up by `rows_up`.
 
     Raises:
-        ValueError: it does not lie in the picture.
+        ValueError: it does not lie in the image.
     """
     row, column = (shape[0] - side) // 2 - rows_up, (shape[1] - side) // 2
     if side < 1 or row < 0 or column < 0 or row + side > shape[0]:
@@ -62,13 +62,13 @@ def centre_crop(shape: tuple[int, ...], side: int = CROP_SIDE, rows_up: int = 0)
     return Crop(row, column, side)
 
 
-def prepare(depth: np.ndarray, crop: Crop, side: int = NETWORK_SIDE) -> Picture:
-    """Returns the network's picture of a window of the depth picture.
+def prepare(depth: np.ndarray, crop: Crop, side: int = NETWORK_SIDE) -> NetworkImage:
+    """Returns the network's image of a window of the depth image.
 
     Args:
-        depth: the camera's picture, shape (h, w) [m]; NaN, infinite and non-positive values mean no reading.
+        depth: the camera's image, shape (h, w) [m]; NaN, infinite and non-positive values mean no reading.
         crop: the window.
-        side: rows and columns of the network's picture.
+        side: rows and columns of the network's image.
 
     Raises:
         ValueError: the window holds no reading at all.
@@ -76,15 +76,15 @@ def prepare(depth: np.ndarray, crop: Crop, side: int = NETWORK_SIDE) -> Picture:
     window = depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side].astype(np.float32)
     valid = np.isfinite(window) & (window > 0.0)
     if not valid.any():
-        raise ValueError("the depth picture holds no reading inside the crop")
+        raise ValueError("the depth image holds no reading inside the crop")
     scaled = cv2.resize(fill_holes(window, valid), (side, side), interpolation=cv2.INTER_LINEAR)
     seen = cv2.resize(valid.astype(np.uint8), (side, side), interpolation=cv2.INTER_NEAREST) > 0
     mean = float(scaled.mean())
-    return Picture(crop, np.clip(scaled - mean, -1.0, 1.0), scaled, seen, mean)
+    return NetworkImage(crop, np.clip(scaled - mean, -1.0, 1.0), scaled, seen, mean)
 
 
 def fill_holes(depth: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Returns the picture with its holes filled by Navier-Stokes inpainting, shape as `depth`, float32 [m].
+    """Returns the image with its holes filled by Navier-Stokes inpainting, shape as `depth`, float32 [m].
 
     Args:
         depth: shape (h, w), float32 [m].

@@ -1,4 +1,4 @@
-"""From the network's four maps to grasps in the network's picture: smooth, find the best pixels.
+"""From the network's four maps to grasps in the network's image: smooth, find the best pixels.
 
 The steps are those of the published node, except that cos and sin are smoothed and not the angle, which would be
 spoilt where it jumps from +90 to -90 degrees.
@@ -29,7 +29,7 @@ class Maps(NamedTuple):
 
     Attributes:
         quality: about 0 to 1.
-        angle: of the line through both fingers, from the picture's horizontal, anticlockwise, in [-pi/2, pi/2] [rad].
+        angle: of the line through both fingers, from the image's horizontal, anticlockwise, in [-pi/2, pi/2] [rad].
         width: opening [px].
     """
 
@@ -39,7 +39,7 @@ class Maps(NamedTuple):
 
 
 class Peak(NamedTuple):
-    """A grasp in the network's picture.
+    """A grasp in the network's image.
 
     Attributes:
         row: of the pixel between the fingers.
@@ -70,12 +70,12 @@ def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Map
     return Maps(quality, angle, gaussian(width, smoothing.width) * np.float32(WIDTH_SCALE_PX))
 
 
-def gaussian(picture: np.ndarray, sigma: float) -> np.ndarray:
-    """Returns the picture blurred as SciPy's gaussian_filter does: cut at 4 sigma, mirrored at the border."""
+def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Returns the image blurred as SciPy's gaussian_filter does: cut at 4 sigma, mirrored at the border."""
     if sigma == 0.0:
-        return picture
+        return image
     side = 2 * int(4.0 * sigma + 0.5) + 1
-    return cv2.GaussianBlur(picture, (side, side), sigma, borderType=cv2.BORDER_REFLECT)
+    return cv2.GaussianBlur(image, (side, side), sigma, borderType=cv2.BORDER_REFLECT)
 
 
 def peaks(maps: Maps, count: int, distance: int = 20, threshold: float = 0.2) -> list[Peak]:

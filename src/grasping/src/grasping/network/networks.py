@@ -1,4 +1,4 @@
-"""GG-CNN and GG-CNN2: from a depth picture to one grasp a pixel.
+"""GG-CNN and GG-CNN2: from a depth image to one grasp a pixel.
 
 Both are the networks of Morrison, Corke and Leitner (RSS 2018; GG-CNN2 is the later, wider-sighted kind), with the
 layer names of the published files, so that those load. The arithmetic is arranged for a processor: the four heads are
@@ -21,11 +21,11 @@ from torch import nn
 MAPS = ("quality", "cos", "sin", "width")
 HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
 WIDTH_SCALE_PX = 150.0
-"""The opening, in pixels of the network's picture, that the width map calls 1."""
+"""The opening, in pixels of the network's image, that the width map calls 1."""
 
 
 class Borders(NamedTuple):
-    """How GG-CNN treats the border of the picture; the weights belong to one of the two kinds.
+    """How GG-CNN treats the border of the image; the weights belong to one of the two kinds.
 
     Attributes:
         conv: rows and columns of zeros before and after the input of the three convolutions.
@@ -43,7 +43,7 @@ class Borders(NamedTuple):
 TORCH = Borders(conv=((3, 3), (2, 2), (1, 1)), crop=(1, 2, 3), rest=(0, 0, 1), head=(0, 0))
 """The published torch network: symmetric padding."""
 KERAS = Borders(conv=((3, 3), (1, 2), (0, 1)), crop=(0, 1, 3), rest=(0, 0, 0), head=(0, 1))
-"""The published Keras network: "same" padding of a 300 x 300 picture, which is not symmetric."""
+"""The published Keras network: "same" padding of a 300 x 300 image, which is not symmetric."""
 
 
 class GGCNN(nn.Module):
@@ -137,12 +137,12 @@ def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor
 
 
 def check_side(depth: torch.Tensor, multiple: int) -> None:
-    """Raises ValueError when a network would return maps of another size than the picture's."""
+    """Raises ValueError when a network would return maps of another size than the image's."""
     if torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
         return  # a trace is of one size, which was checked before
     h, w = depth.shape[2:]
     if h % multiple or w % multiple:
-        raise ValueError(f"the picture is {w} x {h}, but its sides must be multiples of {multiple}")
+        raise ValueError(f"the image is {w} x {h}, but its sides must be multiples of {multiple}")
 
 
 def _conv_relu(inputs: int, outputs: int, kernel: int, dilation: int = 1) -> tuple[nn.Module, nn.Module]:

@@ -1,4 +1,4 @@
-"""The plane that most pixels of a depth picture, or of a part of it, lie in.
+"""The plane that most pixels of a depth image, or of a part of it, lie in.
 
 A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X: the unit vector along it points away from the
 camera, its length is one over the distance. Along a pixel's ray (x, y, 1) the inverse depth is a . ray, linear in a,
@@ -13,7 +13,7 @@ import numpy as np
 
 TRIPLES = 64
 """Of pixels, each a hypothesis: with a third of the pixels in the plane, one triple without an outlier is among them in
-nine of ten pictures."""
+nine of ten images."""
 GATE_SD = 3.0
 ROUNDS = 3
 FLAT = 1e-9
@@ -21,7 +21,7 @@ FLAT = 1e-9
 
 
 class PlaneFound(NamedTuple):
-    """A plane in a picture.
+    """A plane in an image.
 
     Attributes:
         a: shape (3,) [1/m].

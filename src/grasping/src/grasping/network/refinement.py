@@ -1,18 +1,18 @@
-"""The second network: GGCNN's maps in, the same maps after what a person was seen to do, and the rest of the pose.
+"""The refinement network: adapts GG-CNN's maps to what an operator did, and adds the rest of the pose.
 
-A small network looks, pixel by pixel, at a few quantities that a person's choice may depend on: GGCNN's quality and
+A small network looks, pixel by pixel, at a few quantities that an operator's choice may depend on: GGCNN's quality and
 opening, and the height above the table, here and in the neighbourhood. It says how much more or less than GGCNN the
-person likes to grasp there; how much deeper, turned and wider open; and how much the approach leans, about the axes of
-the picture and with the surface. Of each it says how sure it is: a Laplace distribution of depth, opening and lean, one
-of von Mises of twice the angle, as half a turn makes the same grasp, and over the pixels a softmax of the quality.
+operator likes to grasp there; how much deeper, turned and wider open; and how much the approach leans, about the axes
+of the image and with the surface. Of each it says how sure it is: a Laplace distribution of depth, opening and lean,
+one of von Mises of twice the angle, as half a turn makes the same grasp, and over the pixels a softmax of the quality.
 Untrained all changes are zero, and GGCNN's maps come back bit by bit.
 
-What the person does always, like grasping a centimetre to the right, is a constant offset beside it. The quantities are
-the same however the picture is turned or shifted, and so are the changes, but for the lean about the picture's axes:
-a person stays where they stand when the things turn.
+What the operator does always, like grasping a centimetre to the right, is a constant offset beside it. The quantities
+are the same however the image is turned or shifted, and so are the changes, but for the lean about the image's axes: an
+operator stays where they stand when the things turn.
 
-The maps are those of the network's picture, before they are smoothed. Offset and lean have the axes of the camera that
-sees it, x right and y down: of the real one, or of the imagined one above the table. So a weight file
+The maps are those of the network's image, before they are smoothed. OperatorOffset and lean have the axes of the camera
+that sees it, x right and y down: of the real one, or of the imagined one above the table. So a weight file
 (`refinement_file`) names the view in which it was learned.
 """
 
@@ -26,22 +26,22 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from grasping.network.depth_image import NETWORK_SIDE, Picture
+from grasping.network.depth_image import NETWORK_SIDE, NetworkImage
 from grasping.network.maps import gaussian
 from grasping.network.networks import WIDTH_SCALE_PX
 from grasping.network.table_depth import table_depth
 
 SHRINK = 4
-"""Pixels of the network's picture, in rows and in columns, to one of the second network's."""
+"""Pixels of the network's image, in rows and in columns, to one of the refinement network's."""
 SIDE = NETWORK_SIDE // SHRINK
 LOWEST_M, HIGHEST_M = -0.01, 0.25
 """Heights beyond are holes badly filled, or the arm."""
 QUALITY_BLURS, HEIGHT_BLURS = (1.25, 2.5), (1.25, 3.0, 6.0)
-"""Standard deviations of the neighbourhoods [px of the second network's maps]; one is about 7 mm."""
+"""Standard deviations of the neighbourhoods [px of the refinement network's maps]; one is about 7 mm."""
 LEAN_BLUR = HEIGHT_BLURS.index(3.0)
 """Of the heights whose slope is the surface's."""
 SLOPE_PX = 100.0
-"""About the focal length of the second network's picture [px]: makes slopes of differences of heights."""
+"""About the focal length of the refinement network's image [px]: makes slopes of differences of heights."""
 REACH_PX = 15
 """Width of the neighbourhood whose highest point is looked at."""
 HEIGHT = 1 + len(QUALITY_BLURS)
@@ -64,21 +64,21 @@ CHANGES = {
     "opening_spread": 1.0,
     "tilt_spread": 1.0,
 }
-"""What the network says of a pixel, as `Change` has it, and what makes it about 1."""
+"""What the network says of a pixel, as `RefinementOutput` has it, and what makes it about 1."""
 CONCENTRATION = 4.0
 DEPTH_M, OPENING_UNITS, TILT_RAD = 0.01, 0.05, 0.1
 """How sure an untrained network is: concentration of twice the angle, and scales of the Laplace distributions."""
 SHARPNESS = 20.0
 """Logits of the softmax over the pixels by quality."""
 LOBE_PX = 5
-"""So far about a pixel, in the second network's, the place is still the same one."""
+"""So far about a pixel, in the refinement network's, the place is still the same one."""
 HIDDEN = 32
 AXES = ("x", "y", "depth", "angle", "tilt_x", "tilt_y", "opening")
-"""Entries of the constant offset, with the units of `training.refinement_examples.Offset`."""
+"""Entries of the constant offset, with the units of `training.refinement_examples.OperatorOffset`."""
 
 
-class Change(NamedTuple):
-    """What the second network says of each pixel, without the constant offset; each shape (n, h, w).
+class RefinementOutput(NamedTuple):
+    """What the refinement network says of each pixel, without the constant offset; each shape (n, h, w).
 
     Attributes:
         quality: to be added to GGCNN's.
@@ -108,7 +108,7 @@ class Change(NamedTuple):
     tilt_spread: torch.Tensor
 
     @classmethod
-    def of(cls, output: torch.Tensor) -> Change:
+    def of(cls, output: torch.Tensor) -> RefinementOutput:
         """Returns what the network's output, shape (n, len(CHANGES), h, w), means."""
         change = cls(*output.unbind(1))
         return change._replace(
@@ -119,8 +119,8 @@ class Change(NamedTuple):
         )
 
 
-class Refined(NamedTuple):
-    """GGCNN's maps after the second network, each further one of shape (h, w).
+class RefinedMaps(NamedTuple):
+    """GGCNN's maps after the refinement network, each further one of shape (h, w).
 
     Attributes:
         output: quality, cos, sin, width as the first network gives them, shape (4, h, w); the width is the opening that
@@ -128,7 +128,7 @@ class Refined(NamedTuple):
         dz: how much deeper than the surface at the pixel the grasp is, along the optical axis [m].
         tilt_x: of the approach about the camera's x axis [rad].
         tilt_y: likewise about its y axis.
-        wider: how much wider than needed the person opens the hand [px of the network's picture].
+        wider: how much wider than needed the operator opens the hand [px of the network's image].
         concentration: of twice the angle.
         spreads: scales of the Laplace distributions of depth [m], opening [px] and lean [rad], shape (3, h, w).
     """
@@ -143,10 +143,10 @@ class Refined(NamedTuple):
 
 
 class RefinementNetwork(nn.Module):
-    """The changes that the second network makes, without the constant offset.
+    """The changes that the refinement network makes, without the constant offset.
 
     Attributes:
-        offset: what the person adds wherever it is, shape (len(AXES),).
+        offset: what the operator adds wherever it is, shape (len(AXES),).
     """
 
     offset: torch.Tensor
@@ -166,7 +166,7 @@ class RefinementNetwork(nn.Module):
         self.register_buffer("change_scale", scale[:, None, None], persistent=False)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Returns what `Change.of` reads, shape (n, len(CHANGES), h, w).
+        """Returns what `RefinementOutput.of` reads, shape (n, len(CHANGES), h, w).
 
         Args:
             x: as `features` has them, shape (n, LEAN_Y + 1, h, w); the last four are not looked at.
@@ -185,16 +185,16 @@ class RefinementNetwork(nn.Module):
         return state
 
 
-def features(output: np.ndarray, picture: Picture) -> np.ndarray:
-    """Returns what the second network looks at, and behind it GGCNN's line (cos and sin of twice its angle, length 1)
-    and the lean of the surface about the picture's axes [rad, never a right angle]; shape (LEAN_Y + 1, SIDE, SIDE),
+def features(output: np.ndarray, image: NetworkImage) -> np.ndarray:
+    """Returns what the refinement network looks at, and behind it GGCNN's line (cos and sin of twice its angle, length
+    1) and the lean of the surface about the image's axes [rad, never a right angle]; shape (LEAN_Y + 1, SIDE, SIDE),
     float32. The quality is the first, the height above the table [m] stands at `HEIGHT`.
 
     Args:
         output: of the first network, shape (4, h, w); h and w are multiples of `SIDE`.
-        picture: that it saw.
+        image: that it saw.
     """
-    quality, cos, sin, width, height = (shrunk(m) for m in (*output, table_depth(picture) - picture.depth))
+    quality, cos, sin, width, height = (shrunk(m) for m in (*output, table_depth(image) - image.depth))
     height = np.clip(height, LOWEST_M, HIGHEST_M)
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (REACH_PX, REACH_PX))
     heights = [gaussian(height, s) for s in HEIGHT_BLURS]
@@ -202,33 +202,33 @@ def features(output: np.ndarray, picture: Picture) -> np.ndarray:
     seen += [height, *heights, cv2.dilate(height, near)]
     length = np.hypot(cos, sin)
     line = np.maximum(length, np.float32(1e-6))
-    slopes = np.gradient(heights[LEAN_BLUR] * np.float32(SLOPE_PX / picture.mean))
+    slopes = np.gradient(heights[LEAN_BLUR] * np.float32(SLOPE_PX / image.mean))
     down, right = slopes / (np.float32(1.0) + np.hypot(*slopes))  # an edge is no slope to lean with
     # An opening in pixels times the distance is one in metres but for the focal length.
-    return np.stack([*seen, width * np.float32(picture.mean), length, cos / line, sin / line, -down, right])
+    return np.stack([*seen, width * np.float32(image.mean), length, cos / line, sin / line, -down, right])
 
 
-class Refinement:
-    """The second network and how to use it; `network` is that network."""
+class MapRefiner:
+    """The refinement network and how to use it; `network` is that network."""
 
     def __init__(self, network: RefinementNetwork) -> None:
         self.network = network.eval()
 
-    def apply(self, output: np.ndarray, picture: Picture) -> Refined:
+    def apply(self, output: np.ndarray, image: NetworkImage) -> RefinedMaps:
         """Returns GGCNN's maps refined.
 
         Args:
             output: of the first network, shape (4, 300, 300), float32.
-            picture: that it saw.
+            image: that it saw.
         """
-        seen = torch.from_numpy(features(output, picture))[None]
+        seen = torch.from_numpy(features(output, image))[None]
         with torch.no_grad():
-            said = Change.of(self.network(seen))
+            said = RefinementOutput.of(self.network(seen))
             said = said._replace(
                 tilt_x=said.tilt_x + said.follow * seen[:, LEAN_X], tilt_y=said.tilt_y + said.follow * seen[:, LEAN_Y]
             )
             large = F.interpolate(torch.stack(said, dim=1), scale_factor=SHRINK, mode="bilinear")[0].numpy()
-            change = dict(zip(Change._fields, large))
+            change = dict(zip(RefinementOutput._fields, large))
         x, y, deeper, angle, tilt_x, tilt_y, wider = self.network.offset.tolist()
         quality, cos, sin, width = output
         c, s = np.float32(np.cos(2.0 * angle)), np.float32(np.sin(2.0 * angle))
@@ -236,14 +236,14 @@ class Refinement:
         length = np.maximum(concentration, np.float32(1e-6))
         u, v = change["turn_cos"] / length, change["turn_sin"] / length
         c, s = u * c - v * s, u * s + v * c
-        to_px = np.float32(WIDTH_SCALE_PX / picture.mean)
-        depth = picture.depth.astype(np.float32)
+        to_px = np.float32(WIDTH_SCALE_PX / image.mean)
+        depth = image.depth.astype(np.float32)
         rest = [depth + change["depth"], change["tilt_x"], change["tilt_y"], to_px * change["opening"], concentration]
         spreads = [change["depth_spread"], to_px * change["opening_spread"], change["tilt_spread"]]
         maps = np.stack([quality + change["quality"], c * cos - s * sin, s * cos + c * sin, width, *rest, *spreads])
-        maps = _moved(maps, (x / picture.mean, y / picture.mean))
+        maps = _moved(maps, (x / image.mean, y / image.mean))
         # A shifted grasp keeps its depth, whatever is seen where it has come to.
-        return Refined(
+        return RefinedMaps(
             maps[:4],
             maps[4] - depth + np.float32(deeper),
             maps[5] + np.float32(tilt_x),
@@ -254,9 +254,9 @@ class Refinement:
         )
 
 
-def shrunk(picture: np.ndarray) -> np.ndarray:
+def shrunk(image: np.ndarray) -> np.ndarray:
     """Returns the mean of each block of pixels, shape (SIDE, SIDE), float32."""
-    return cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    return cv2.resize(image.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_AREA)
 
 
 def _moved(maps: np.ndarray, shift: tuple[float, float]) -> np.ndarray:

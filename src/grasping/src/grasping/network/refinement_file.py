@@ -1,4 +1,4 @@
-"""Weight files of the second network: a torch state dict, and in it of what rig the episodes were that it learned from.
+"""Weight files of the refinement network: a torch state dict with a description of the rig that it was trained on.
 
 What was learned with one first network, view, crop, table or hand is wrong with another: a constant offset of so many
 pixels is another distance, and another first network has other maps. So a file is refused where they differ. What a
@@ -16,23 +16,23 @@ import torch
 
 from grasping.network import weights
 from grasping.network.depth_image import CAMERA, TABLE, VIEWS
-from grasping.network.refinement import HIDDEN, Refinement, RefinementNetwork
+from grasping.network.refinement import HIDDEN, MapRefiner, RefinementNetwork
 from grasping.network.weights import WeightsError
 
 VERSION = 2
 ABOUT = "about"
 """Entry of a weight file beside the weights: the characters' codes of a JSON text."""
 TABLE_KEYS = ("extent", "distance")
-"""Of the settings of the view from above, those that make its picture another one."""
+"""Of the settings of the view from above, those that make its image another one."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The rig of episodes, as far as a second network depends on it; None where that is unknown or of no matter.
+    """The rig of episodes, as far as a refinement network depends on it; None where that is unknown or of no matter.
 
     Attributes:
         view: in which the network sees, a name in `view.VIEWS`.
-        crop: of the camera's picture, in its own view.
+        crop: of the camera's image, in its own view.
         table: extent and distance [m], in the view from above.
         network: SHA-256 of the first network's weight file.
         robot: which arm.
@@ -82,7 +82,7 @@ def taste(network: RefinementNetwork, origin: Origin) -> dict[str, torch.Tensor]
     return _with_about(network.without_axes(), Origin(network=origin.network))
 
 
-def load(data: bytes, sha256: str | None = None) -> tuple[Refinement, Origin]:
+def load(data: bytes, sha256: str | None = None) -> tuple[MapRefiner, Origin]:
     """Returns the refinement that a weight file holds, read without running what is in it, and of what rig it is.
 
     Args:
@@ -97,12 +97,12 @@ def load(data: bytes, sha256: str | None = None) -> tuple[Refinement, Origin]:
     about = _about(state.pop(ABOUT, None))
     if about.get("version") != VERSION:
         raise WeightsError(
-            f"The weight file holds no second network of version {VERSION}: train it anew, with train_refinement.py, "
-            "on the same episodes."
+            f"The weight file holds no refinement network of version {VERSION}: train it again on the same episodes "
+            "with train_refinement.py."
         )
     hidden = len(state.get("first.weight", ())) or HIDDEN
     network = weights.filled(RefinementNetwork(hidden), "the refinement network", state)
-    return Refinement(network), _origin(about)
+    return MapRefiner(network), _origin(about)
 
 
 def _with_about(state: dict[str, torch.Tensor], origin: Origin) -> dict[str, torch.Tensor]:

@@ -1,14 +1,14 @@
-"""Where the table would be seen if nothing stood on it: what a person's idea of high and low refers to.
+"""Where the table would be seen if nothing stood on it: what an operator's idea of high and low refers to.
 
 A camera that leans sees the near side of a bare table centimetres nearer than the far side; the heights of things are
-seen against that, not against the picture's mean.
+seen against that, not against the image's mean.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from grasping.network.depth_image import Picture
+from grasping.network.depth_image import NetworkImage
 from grasping.network.planes import best_plane
 
 NOISE = 0.003
@@ -19,16 +19,16 @@ FARTHEST_M = 10.0
 """Of a table that is seen nearly edge on."""
 
 
-def table_depth(picture: Picture) -> np.ndarray:
-    """Returns the depth of the plane that most of the picture lies in, shape (h, w), float32 [m]; the picture's mean
+def table_depth(image: NetworkImage) -> np.ndarray:
+    """Returns the depth of the plane that most of the image lies in, shape (h, w), float32 [m]; the image's mean
     where no plane is found."""
-    h, w = picture.depth.shape
+    h, w = image.depth.shape
     row, column = np.indices((h, w))
     # A plane's inverse depth is linear in rows and columns, whatever the camera's focal length.
     rays = np.stack([column / w - 0.5, row / h - 0.5, np.ones((h, w))], axis=-1)
     part = (slice(EVERY // 2, None, EVERY),) * 2
-    seen = picture.valid[part]
-    found = best_plane(rays[part][seen], picture.depth[part][seen], NOISE)
+    seen = image.valid[part]
+    found = best_plane(rays[part][seen], image.depth[part][seen], NOISE)
     if found is None:
-        return np.full((h, w), picture.mean, np.float32)
+        return np.full((h, w), image.mean, np.float32)
     return (1.0 / np.maximum(rays @ found.a, 1.0 / FARTHEST_M)).astype(np.float32)

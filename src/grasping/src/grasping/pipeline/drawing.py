@@ -1,4 +1,4 @@
-"""What the network sees and finds, as pictures for people."""
+"""What the network sees and finds, as images for people."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 
 from grasping.network.maps import Maps
-from grasping.pipeline.live import Findings, Proposal
+from grasping.pipeline.live import GraspProposal, PipelineResult
 
 SCALE = 2
 """Pixels of the heat map to one of the network's, in rows and columns."""
 BEST, OTHER, REFUSED, DISC = (255, 255, 255), (0, 190, 255), (80, 80, 255), (0, 255, 0)
 DISC_RADIUS, FINGER_PX = 5, 6.0
 DARK = 60
-"""Grey of what is farthest away, and of all that is farther than FAR times the picture's median depth."""
+"""Grey of what is farthest away, and of all that is farther than FAR times the image's median depth."""
 FAR = 1.3
 LINE_LETTERS = 66
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
@@ -23,21 +23,21 @@ FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 
 def plain(maps: Maps) -> np.ndarray:
     """Returns the quality in the red channel, as the published node draws it, shape (h, w, 3), uint8, blue first."""
-    picture = np.zeros((*maps.quality.shape, 3), np.uint8)
-    picture[..., 2] = np.uint8(255.0 * np.clip(maps.quality, 0.0, 1.0))
-    return picture
+    image = np.zeros((*maps.quality.shape, 3), np.uint8)
+    image[..., 2] = np.uint8(255.0 * np.clip(maps.quality, 0.0, 1.0))
+    return image
 
 
-def with_disc(picture: np.ndarray, best: Proposal | None) -> np.ndarray:
+def with_disc(image: np.ndarray, best: GraspProposal | None) -> np.ndarray:
     """Returns a copy of `plain` with a green disc at the best grasp."""
-    picture = picture.copy()
+    image = image.copy()
     if best is not None:
-        cv2.circle(picture, (best.peak.column, best.peak.row), DISC_RADIUS, DISC, cv2.FILLED)
-    return picture
+        cv2.circle(image, (best.peak.column, best.peak.row), DISC_RADIUS, DISC, cv2.FILLED)
+    return image
 
 
-def heat_map(findings: Findings, refused: set[int], reason: str) -> np.ndarray:
-    """Returns the network's picture in grey under the quality in colours, with the grasps: a bar from finger to
+def heat_map(findings: PipelineResult, refused: set[int], reason: str) -> np.ndarray:
+    """Returns the network's image in grey under the quality in colours, with the grasps: a bar from finger to
     finger, its ends the fingers, number and quality beside it; shape (600, 600, 3), uint8, blue first.
 
     Args:
@@ -49,22 +49,22 @@ def heat_map(findings: Findings, refused: set[int], reason: str) -> np.ndarray:
     quality = findings.maps.quality
     colours = cv2.applyColorMap((255.0 * np.clip(quality, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_JET)
     share = np.clip(1.5 * quality, 0.0, 0.6)[..., None]
-    mixed = (1.0 - share) * grey(findings.view.picture.depth)[..., None] + share * colours
-    picture = cv2.resize(mixed.astype(np.uint8), None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_LINEAR)
+    mixed = (1.0 - share) * grey(findings.view.image.depth)[..., None] + share * colours
+    image = cv2.resize(mixed.astype(np.uint8), None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_LINEAR)
     for proposal in reversed(findings.proposals):
         best, peak = proposal is findings.proposals[0], proposal.peak
         middle = np.array([peak.column, peak.row]) + 0.5
         half = 0.5 * max(0.0, peak.width) * np.array([np.cos(peak.angle), -np.sin(peak.angle)])
         colour = REFUSED if proposal.id in refused else BEST if best else OTHER
         label = f"{proposal.id}: {peak.quality:.2f}"
-        gripper(picture, SCALE * np.array([middle - half, middle + half]), label, colour, 2 if best else 1)
+        gripper(image, SCALE * np.array([middle - half, middle + half]), label, colour, 2 if best else 1)
     for i, line in enumerate(reversed(textwrap.wrap(reason, LINE_LETTERS))):
-        cv2.putText(picture, line, (8, len(picture) - 10 - 20 * i), FONT, FONT_SCALE, BEST, 1, cv2.LINE_AA)
-    return picture
+        cv2.putText(image, line, (8, len(image) - 10 - 20 * i), FONT, FONT_SCALE, BEST, 1, cv2.LINE_AA)
+    return image
 
 
 def grey(depth: np.ndarray) -> np.ndarray:
-    """Returns a depth picture in grey, the nearest white, the background dark, no reading black, uint8.
+    """Returns a depth image in grey, the nearest white, the background dark, no reading black, uint8.
 
     Args:
         depth: shape (h, w) [m], not finite = no reading; one pixel at least has one.
@@ -75,11 +75,11 @@ def grey(depth: np.ndarray) -> np.ndarray:
     return np.where(known, np.maximum(bright, DARK), 0.0).astype(np.uint8)
 
 
-def gripper(picture: np.ndarray, ends: np.ndarray, label: str, colour: tuple[int, int, int], thickness: int) -> None:
-    """Draws a gripper into a picture: a bar with a finger at each end.
+def gripper(image: np.ndarray, ends: np.ndarray, label: str, colour: tuple[int, int, int], thickness: int) -> None:
+    """Draws a gripper into an image: a bar with a finger at each end.
 
     Args:
-        picture: shape (h, w, 3), uint8, changed.
+        image: shape (h, w, 3), uint8, changed.
         ends: where the fingers are, u and v, shape (2, 2) [px].
         label: written beside it.
         colour: blue, green, red.
@@ -87,11 +87,11 @@ def gripper(picture: np.ndarray, ends: np.ndarray, label: str, colour: tuple[int
     """
     across = ends[1] - ends[0]
     finger = FINGER_PX * np.array([-across[1], across[0]]) / max(1e-6, float(np.hypot(*across)))
-    cv2.line(picture, _pixel(ends[0]), _pixel(ends[1]), colour, thickness, cv2.LINE_AA)
+    cv2.line(image, _pixel(ends[0]), _pixel(ends[1]), colour, thickness, cv2.LINE_AA)
     for end in ends:
-        cv2.line(picture, _pixel(end - finger), _pixel(end + finger), colour, thickness + 1, cv2.LINE_AA)
+        cv2.line(image, _pixel(end - finger), _pixel(end + finger), colour, thickness + 1, cv2.LINE_AA)
     beside = ends[np.argmax(ends[:, 0])] + (8.0, 4.0)
-    cv2.putText(picture, label, _pixel(beside), FONT, FONT_SCALE, colour, 1, cv2.LINE_AA)
+    cv2.putText(image, label, _pixel(beside), FONT, FONT_SCALE, colour, 1, cv2.LINE_AA)
 
 
 def _pixel(point: np.ndarray) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""From one depth picture after the other to grasps that may be told: view, network, tracking, approach, limits.
+"""From one depth image after the other to grasps that may be told: view, network, tracking, approach, limits.
 
 One object goes the whole way, so that a test needs no ROS. What it finds is in the camera's optical frame and, where
 the camera's place is known, in kuka/base_frame. No grasp is an answer too, with its reason.
@@ -15,28 +15,35 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.poses import inverse, read_only
 from grasping.network.maps import Maps, Peak, Smoothing, peaks, smoothed
-from grasping.network.refinement import Refined
+from grasping.network.refinement import RefinedMaps
 from grasping.pipeline.limits import LimitsConfig, objection
 from grasping.pipeline.predictor import Predictor
 from grasping.pipeline.preference import preferred
-from grasping.pipeline.projection import Grasp, along, grasp, pixel_size, seen_by
+from grasping.pipeline.projection import CameraGrasp, along, grasp, pixel_size, seen_by
 from grasping.pipeline.refined_grasp import Spread, opened, places, refined_grasp, spread
 from grasping.pipeline.surface import NORMAL, VERTICAL, ApproachConfig, surface_at
 from grasping.pipeline.tool_pose import ToolPoseConfig
-from grasping.pipeline.tracking import AveragingConfig, GraspTracker, MapAverage, Sighting, Tracked, TrackingConfig
-from grasping.pipeline.view import CameraView, NoView, TableView, View
+from grasping.pipeline.tracking import (
+    AveragingConfig,
+    GraspDetection,
+    GraspTracker,
+    MapAverage,
+    TrackedGrasp,
+    TrackingConfig,
+)
+from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
 
 OUT_OF_SIGHT = "the best grasp is out of sight for a moment"
 
 
 @dataclass(frozen=True)
-class LiveSettings:
+class PipelineSettings:
     """How grasps are looked for.
 
     Attributes:
         smoothing: of the maps.
         count: most grasps.
-        distance: between two peaks [px of the network's picture].
+        distance: between two peaks [px of the network's image].
         threshold: lowest quality.
         averaging, tracking, approach, limits: of each step.
         tool: the hand.
@@ -55,7 +62,7 @@ class LiveSettings:
     up: np.ndarray
 
 
-class Proposal(NamedTuple):
+class GraspProposal(NamedTuple):
     """A grasp that may be told.
 
     Attributes:
@@ -64,11 +71,11 @@ class Proposal(NamedTuple):
         T_base_grasp: the same in kuka/base_frame, None where that is unknown.
         width: opening [m].
         quality: about 0 to 1, for this hand.
-        angle: in the camera's picture, anticlockwise [rad].
-        pixel: u, v in the camera's picture [px].
-        width_px: opening in the camera's picture [px].
-        peak: in the network's picture.
-        spread: how the person's grasp may differ; None without a second network.
+        angle: in the camera's image, anticlockwise [rad].
+        pixel: u, v in the camera's image [px].
+        width_px: opening in the camera's image [px].
+        peak: in the network's image.
+        spread: how the operator's grasp may differ; None without a refinement network.
     """
 
     id: int
@@ -83,8 +90,8 @@ class Proposal(NamedTuple):
     spread: Spread | None
 
 
-class Findings(NamedTuple):
-    """What one depth picture showed.
+class PipelineResult(NamedTuple):
+    """What one depth image showed.
 
     Attributes:
         view: what the network saw, None where there was nothing to see.
@@ -95,26 +102,30 @@ class Findings(NamedTuple):
         seconds: how long each stage took [s].
     """
 
-    view: View | None
+    view: GraspView | None
     maps: Maps | None
-    proposals: tuple[Proposal, ...]
+    proposals: tuple[GraspProposal, ...]
     reason: str
     normals_missing: int
     seconds: Mapping[str, float]
 
 
-class Finder:
-    """Looks for grasps in a stream of depth pictures.
+class GraspPipeline:
+    """Looks for grasps in a stream of depth images.
 
     Args:
-        views: makes the network's picture.
+        views: makes the network's image.
         predictor: the networks.
         settings: of all steps behind them.
         clock: tells the time [s], to see how long each stage takes.
     """
 
     def __init__(
-        self, views: CameraView | TableView, predictor: Predictor, settings: LiveSettings, clock: Callable[[], float]
+        self,
+        views: CameraView | TableView,
+        predictor: Predictor,
+        settings: PipelineSettings,
+        clock: Callable[[], float],
     ) -> None:
         self._views, self._predictor, self._settings, self._clock = views, predictor, settings, clock
         self._average = MapAverage(settings.averaging)
@@ -123,20 +134,22 @@ class Finder:
         self._last = -np.inf
 
     def reset(self) -> None:
-        """Forgets all pictures."""
+        """Forgets all images."""
         self._last = -np.inf
         self._views.reset()
         self._average.reset()
         self._tracker.reset()
 
-    def step(self, depth: np.ndarray, camera: CameraModel, T_base_camera: np.ndarray | None, now: float) -> Findings:
-        """Returns the grasps in the newest picture.
+    def step(
+        self, depth: np.ndarray, camera: CameraModel, T_base_camera: np.ndarray | None, now: float
+    ) -> PipelineResult:
+        """Returns the grasps in the newest image.
 
         Args:
             depth: shape (h, w), float32 [m], not finite = no reading.
             camera: that took it.
             T_base_camera: where it stood, shape (4, 4) [m]; None where that is unknown.
-            now: stamp of the picture [s].
+            now: stamp of the image [s].
         """
         stages = _Stages(self._clock)
         if now < self._last:  # a recording that begins again
@@ -149,14 +162,14 @@ class Finder:
             view = self._views.step(depth, camera)
         except NoView as error:
             self._tracker.step((), now)
-            return Findings(None, None, (), str(error), 0, stages.end("view"))
+            return PipelineResult(None, None, (), str(error), 0, stages.end("view"))
         stages.end("view")
-        output = self._predictor.output(view.picture)
+        output = self._predictor.output(view.image)
         stages.end("network")
         if not np.isfinite(output).all():
-            return Findings(view, None, (), "the network's maps are not finite", 0, stages.seconds)
-        output, _ = self._average.step(output, view.picture.depth)
-        refined = self._predictor.refined(output, view.picture)
+            return PipelineResult(view, None, (), "the network's maps are not finite", 0, stages.seconds)
+        output, _ = self._average.step(output, view.image.depth)
+        refined = self._predictor.refined(output, view.image)
         s = self._settings
         maps = maps_of(output if refined is None else refined.output, view, s)
         found = peaks(maps, s.count, s.distance, s.threshold)
@@ -164,26 +177,26 @@ class Finder:
         candidates = self._candidates(found, view, refined, T_base_camera)
         told = [c for c in candidates if not c.objection]
         T_track = np.eye(4) if T_base_camera is None else T_base_camera
-        sightings = [Sighting(T_track @ c.T_camera_grasp, c.width, c.peak.quality) for c in told]
+        detections = [GraspDetection(T_track @ c.T_camera_grasp, c.width, c.peak.quality) for c in told]
         proposals = tuple(
-            _proposal(t, told[t.sighting], camera, T_base_camera) for t in self._tracker.step(sightings, now)
+            _proposal(t, told[t.detection], camera, T_base_camera) for t in self._tracker.step(detections, now)
         )
         stages.end("poses")
         missing = sum(c.no_normal for c in told)
-        return Findings(view, maps, proposals, self._reason(candidates, proposals), missing, stages.seconds)
+        return PipelineResult(view, maps, proposals, self._reason(candidates, proposals), missing, stages.seconds)
 
     def _candidates(
-        self, found: list[Peak], view: View, refined: Refined | None, T_base_camera: np.ndarray | None
+        self, found: list[Peak], view: GraspView, refined: RefinedMaps | None, T_base_camera: np.ndarray | None
     ) -> list[_Candidate]:
         s = self._settings
         candidates: list[_Candidate] = []
-        side = len(view.picture.input)
+        side = len(view.image.input)
         place = None if refined is None else places(refined)
         for peak in found:
             if refined is not None:
                 peak = opened(peak, refined)
             peak = peak._replace(width=max(0.0, peak.width))
-            seen = grasp(peak, view.picture.crop, side, view.depth, view.camera)
+            seen = grasp(peak, view.image.crop, side, view.depth, view.camera)
             if seen is None:
                 candidates.append(_Candidate(peak, np.eye(4), 0.0, False, "there is no reading near it", None))
                 continue
@@ -200,12 +213,14 @@ class Finder:
             why = objection(T, T_base, turned.width, s.tool.max_opening, s.limits)
             sure = None
             if refined is not None and place is not None:
-                pixel_m = view.picture.crop.side / side * seen.T_camera_grasp[2, 3] / view.camera.K[0, 0]
+                pixel_m = view.image.crop.side / side * seen.T_camera_grasp[2, 3] / view.camera.K[0, 0]
                 sure = spread(refined, place, peak, seen, pixel_m)
             candidates.append(_Candidate(peak, T, turned.width, no_normal, why, sure))
         return candidates
 
-    def _approached(self, seen: Grasp, view: View, T_base_camera: np.ndarray | None) -> tuple[Grasp | None, bool, str]:
+    def _approached(
+        self, seen: CameraGrasp, view: GraspView, T_base_camera: np.ndarray | None
+    ) -> tuple[CameraGrasp | None, bool, str]:
         """Returns the grasp with its approach, whether the normal is missing, and why there is no grasp."""
         c = self._settings.approach
         if c.kind == NORMAL:
@@ -220,7 +235,7 @@ class Finder:
             return along(seen, down, view.camera), False, "the camera looks at it too flatly for a vertical approach"
         return seen, False, ""
 
-    def _reason(self, candidates: list[_Candidate], proposals: tuple[Proposal, ...]) -> str:
+    def _reason(self, candidates: list[_Candidate], proposals: tuple[GraspProposal, ...]) -> str:
         if proposals:
             return ""
         if not candidates:
@@ -230,7 +245,7 @@ class Finder:
         return OUT_OF_SIGHT
 
 
-def maps_of(output: np.ndarray, view: View, settings: LiveSettings) -> Maps:
+def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> Maps:
     """Returns the maps in which peaks are looked for: smoothed, and with what the hand prefers.
 
     Args:
@@ -239,7 +254,7 @@ def maps_of(output: np.ndarray, view: View, settings: LiveSettings) -> Maps:
         settings: smoothing, threshold and hand.
     """
     maps = smoothed(output, view.graspable, settings.smoothing)
-    return preferred(maps, pixel_size(view.picture, view.camera), settings.tool, settings.threshold)
+    return preferred(maps, pixel_size(view.image, view.camera), settings.tool, settings.threshold)
 
 
 class _Candidate(NamedTuple):
@@ -251,12 +266,14 @@ class _Candidate(NamedTuple):
     spread: Spread | None
 
 
-def _proposal(tracked: Tracked, seen: _Candidate, camera: CameraModel, T_base_camera: np.ndarray | None) -> Proposal:
+def _proposal(
+    tracked: TrackedGrasp, seen: _Candidate, camera: CameraModel, T_base_camera: np.ndarray | None
+) -> GraspProposal:
     T_base = None if T_base_camera is None else tracked.T
     T_camera = tracked.T if T_base_camera is None else read_only(inverse(T_base_camera) @ tracked.T)
     angle, pixel, width_px = seen_by(camera, T_camera, tracked.width)
     peak = seen.peak
-    return Proposal(
+    return GraspProposal(
         tracked.id, T_camera, T_base, tracked.width, peak.quality, angle, pixel, width_px, peak, seen.spread
     )
 

@@ -1,7 +1,7 @@
-"""From a grasp in the network's picture to a grasp before the camera.
+"""From a grasp in the network's image to a grasp before the camera.
 
 The frame of a grasp: z the approach, at first along the camera's axis; x through both fingers, so that a grasp of
-angle 0 has the camera's axes. Angles in the picture run anticlockwise and y runs down: a turn about z by minus the
+angle 0 has the camera's axes. Angles in the image run anticlockwise and y runs down: a turn about z by minus the
 angle.
 """
 
@@ -14,14 +14,14 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.poses import pose, read_only
 from common.rotations import rotation_about, unit
-from grasping.network.depth_image import NETWORK_SIDE, Crop, Picture
+from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage
 from grasping.network.maps import Peak
 
 NEIGHBOURHOOD = 5
 """Rows and columns about the pixel whose readings give the depth."""
 BETWEEN_ROWS = slice(100, 140)
 BETWEEN_COLUMNS = slice(130, 170)
-"""Where a hand in front of the camera has its fingers, in the network's 300 x 300 picture (published node)."""
+"""Where a hand in front of the camera has its fingers, in the network's 300 x 300 image (published node)."""
 BETWEEN_COUNT = 10
 CLOSED_M = 1e-4
 """Half the opening of fingers that touch: small, but with a direction."""
@@ -29,16 +29,16 @@ LEAST_FACING = 0.26
 """Cosine of the widest angle, 75 degrees, between a line of sight and the approach: beyond, pixels tell little."""
 
 
-class Grasp(NamedTuple):
+class CameraGrasp(NamedTuple):
     """A grasp before the camera.
 
     Attributes:
         T_camera_grasp: shape (4, 4) [m]; its origin is the surface between the fingers.
-        angle: in the picture, anticlockwise [rad].
+        angle: in the image, anticlockwise [rad].
         width: opening [m].
-        width_px: opening in the network's picture [px].
+        width_px: opening in the network's image [px].
         quality: about 0 to 1.
-        pixel: u, v in the camera's picture [px].
+        pixel: u, v in the camera's image [px].
     """
 
     T_camera_grasp: np.ndarray
@@ -50,30 +50,30 @@ class Grasp(NamedTuple):
 
 
 def camera_pixel(row: float, column: float, crop: Crop, side: int) -> tuple[float, float]:
-    """Returns u, v in the camera's picture of a pixel of the network's picture with `side` rows and columns."""
+    """Returns u, v in the camera's image of a pixel of the network's image with `side` rows and columns."""
     scale = crop.side / side
     # Pixels are squares: their centres, not their corners, lie on each other's grid.
     return crop.column + (column + 0.5) * scale - 0.5, crop.row + (row + 0.5) * scale - 0.5
 
 
-def pixel_size(picture: Picture, camera: CameraModel) -> np.ndarray:
-    """Returns what each pixel of the network's picture shows of the scene, shape (h, w) [m].
+def pixel_size(image: NetworkImage, camera: CameraModel) -> np.ndarray:
+    """Returns what each pixel of the network's image shows of the scene, shape (h, w) [m].
 
     Args:
-        picture: the network's.
-        camera: that took the picture from which it was cut.
+        image: the network's.
+        camera: that took the image from which it was cut.
     """
-    return picture.crop.side / len(picture.depth) / camera.K[0, 0] * picture.depth
+    return image.crop.side / len(image.depth) / camera.K[0, 0] * image.depth
 
 
-def grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraModel) -> Grasp | None:
+def grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraModel) -> CameraGrasp | None:
     """Returns the grasp before the camera, None when the camera has no reading near the pixel.
 
     Args:
-        peak: in the network's picture.
-        crop: where that picture lies in the camera's.
-        side: rows and columns of the network's picture.
-        depth: the camera's picture, shape (h, w) [m].
+        peak: in the network's image.
+        crop: where that image lies in the camera's.
+        side: rows and columns of the network's image.
+        depth: the camera's image, shape (h, w) [m].
         camera: that took it.
     """
     pixel = camera_pixel(peak.row, peak.column, crop, side)
@@ -86,19 +86,19 @@ def grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraMo
     z = float(np.median(near))
     T = pose(rotation_about(2, -peak.angle), z * camera.rays(pixel))
     width = peak.width * crop.side / side * z / camera.K[0, 0]
-    return Grasp(read_only(T), peak.angle, width, peak.width, peak.quality, pixel)
+    return CameraGrasp(read_only(T), peak.angle, width, peak.width, peak.quality, pixel)
 
 
-def along(grasp: Grasp, approach: np.ndarray, camera: CameraModel) -> Grasp | None:
+def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> CameraGrasp | None:
     """Returns the grasp with another approach, None where the camera looks along the fingers' plane.
 
-    The fingers stay on the line that they have in the picture, and open over the same pixels: they move in the plane
+    The fingers stay on the line that they have in the image, and open over the same pixels: they move in the plane
     through the grasp across its approach.
 
     Args:
         grasp: along the camera's axis, its opening not negative.
         approach: unit vector in the camera's frame, shape (3,).
-        camera: that took the picture.
+        camera: that took the image.
     """
     p, n = grasp.T_camera_grasp[:3, 3], np.asarray(approach, dtype=float)
     half = 0.5 * grasp.width * camera.K[0, 0] / p[2]
@@ -115,7 +115,7 @@ def along(grasp: Grasp, approach: np.ndarray, camera: CameraModel) -> Grasp | No
 
 
 def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tuple[float, tuple[float, float], float]:
-    """Returns angle [rad], pixel (u, v) and opening [px] of a grasp in a camera's picture.
+    """Returns angle [rad], pixel (u, v) and opening [px] of a grasp in a camera's image.
 
     Args:
         camera: that looks.
@@ -135,8 +135,8 @@ def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
     """Returns how far the nearest things between the fingers are, the mean of the ten nearest readings [m].
 
     Args:
-        depth: the camera's picture, shape (h, w) [m].
-        crop: the window that is the network's picture.
+        depth: the camera's image, shape (h, w) [m].
+        crop: the window that is the network's image.
 
     Returns:
         NaN where there are fewer readings.

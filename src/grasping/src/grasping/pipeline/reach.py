@@ -29,7 +29,7 @@ class ReachConfig:
     same_angle: float = number("deg", above=0.0, high=45.0, doc="turned by no more than this")
 
 
-class Reach(NamedTuple):
+class Reachability(NamedTuple):
     """What is known of a tool pose.
 
     Attributes:
@@ -46,10 +46,10 @@ class Reach(NamedTuple):
 class _Entry(NamedTuple):
     T: np.ndarray
     asked: float
-    answer: Reach | None
+    answer: Reachability | None
 
 
-class ReachBook:
+class ReachabilityCache:
     """Keeps the answers by the number of the grasp; the controller itself is asked by somebody else."""
 
     def __init__(self, config: ReachConfig) -> None:
@@ -69,12 +69,12 @@ class ReachBook:
         kept = before.answer if before is not None and self._same(before.T, T_base_grasp) else None
         self._entries[number] = _Entry(T_base_grasp, now, kept)
 
-    def answered(self, number: int, answer: Reach | None) -> None:
+    def answered(self, number: int, answer: Reachability | None) -> None:
         """Notes what it said of the grasp that it was asked about last; None: it did not answer."""
         if number in self._entries:
             self._entries[number] = self._entries[number]._replace(answer=answer)
 
-    def known(self, number: int) -> Reach | None:
+    def known(self, number: int) -> Reachability | None:
         """Returns what it said of a grasp, None where it has said nothing yet."""
         entry = self._entries.get(number)
         return None if entry is None else entry.answer

@@ -1,6 +1,6 @@
-"""How sure the second network is of a grasp: the distribution of the person's grasp about a pixel.
+"""How sure the refinement network is of a grasp: the distribution of the operator's grasp about a pixel.
 
-Over the pixels it is a softmax of the refined quality, and what lies near a pixel is the same choice of the person's.
+Over the pixels it is a softmax of the refined quality, and what lies near a pixel is the same choice of the operator's.
 There the pose is spread as the network says. Standard deviations are those of the grasp's own axes: x through the
 fingers, z the approach.
 """
@@ -15,8 +15,8 @@ import torch
 
 from common.poses import pose, read_only
 from grasping.network.maps import Peak
-from grasping.network.refinement import LOBE_PX, SHARPNESS, SHRINK, SIDE, Refined, shrunk
-from grasping.pipeline.projection import Grasp
+from grasping.network.refinement import LOBE_PX, SHARPNESS, SHRINK, SIDE, RefinedMaps, shrunk
+from grasping.pipeline.projection import CameraGrasp
 
 LAPLACE, LAPLACE_OF_TWO = np.sqrt(2.0), np.sqrt(3.0)
 """Standard deviation of an axis of a Laplace distribution of one and of two dimensions, by its scale."""
@@ -25,10 +25,10 @@ UNIFORM = np.pi / np.sqrt(12.0)
 
 
 class Spread(NamedTuple):
-    """The distribution of the person's grasp.
+    """The distribution of the operator's grasp.
 
     Attributes:
-        probability: that the person grasps here rather than elsewhere in the picture, 0 to 1.
+        probability: that the operator grasps here rather than elsewhere in the image, 0 to 1.
         deviations: standard deviations along x, y, z [m] and about x, y, z [rad], shape (6,).
         opening: standard deviation of the opening [m].
     """
@@ -38,12 +38,12 @@ class Spread(NamedTuple):
     opening: float
 
 
-def opened(peak: Peak, refined: Refined) -> Peak:
-    """Returns the peak with the person's opening instead of the one that the grasp needs."""
+def opened(peak: Peak, refined: RefinedMaps) -> Peak:
+    """Returns the peak with the operator's opening instead of the one that the grasp needs."""
     return peak._replace(width=peak.width + float(refined.wider[peak.row, peak.column]))
 
 
-def refined_grasp(grasp: Grasp, refined: Refined, peak: Peak) -> Grasp:
+def refined_grasp(grasp: CameraGrasp, refined: RefinedMaps, peak: Peak) -> CameraGrasp:
     """Returns a grasp of the refined maps with its depth and tilt.
 
     Args:
@@ -59,14 +59,14 @@ def refined_grasp(grasp: Grasp, refined: Refined, peak: Peak) -> Grasp:
     return grasp._replace(T_camera_grasp=read_only(T), width=factor * grasp.width)
 
 
-def places(refined: Refined) -> np.ndarray:
-    """Returns how probable it is that the person grasps at a pixel, shape (SIDE, SIDE), sum 1."""
+def places(refined: RefinedMaps) -> np.ndarray:
+    """Returns how probable it is that the operator grasps at a pixel, shape (SIDE, SIDE), sum 1."""
     logits = SHARPNESS * shrunk(refined.output[0]).astype(float)
     mass = np.exp(logits - logits.max())
     return mass / mass.sum()
 
 
-def spread(refined: Refined, place: np.ndarray, peak: Peak, grasp: Grasp, pixel_m: float) -> Spread:
+def spread(refined: RefinedMaps, place: np.ndarray, peak: Peak, grasp: CameraGrasp, pixel_m: float) -> Spread:
     """Returns the distribution about a grasp.
 
     Args:
@@ -74,7 +74,7 @@ def spread(refined: Refined, place: np.ndarray, peak: Peak, grasp: Grasp, pixel_
         place: as `places` has it.
         peak: the pixel of the grasp in the maps.
         grasp: there.
-        pixel_m: what a pixel of the network's picture shows of the scene [m].
+        pixel_m: what a pixel of the network's image shows of the scene [m].
     """
     at = peak.row, peak.column
     probability, covariance = _about(place, *((i + 0.5) / SHRINK - 0.5 for i in at))

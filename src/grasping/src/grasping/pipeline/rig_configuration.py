@@ -40,7 +40,7 @@ def rig_configuration(
         kuka: the arm: robot, flange, mounting and file of calibrated parameters.
         T_flange_tool: shape (4, 4) [m].
         T_tool_grasp: shape (4, 4) [m].
-        camera: that takes the depth pictures.
+        camera: that takes the depth images.
         T_base_camera: where it stands, shape (4, 4) [m].
         settings: what the network sees of them.
         weights: SHA-256 of the network's weight file.
@@ -60,7 +60,7 @@ def rig_configuration(
 
 
 def live_origin(settings: GgcnnSettings, weights: str, robot: str | None) -> Origin:
-    """Returns what of this rig a second network depends on.
+    """Returns what of this rig a refinement network depends on.
 
     Args:
         settings: what the network sees, and the hand.

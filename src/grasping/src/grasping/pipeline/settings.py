@@ -15,7 +15,7 @@ from grasping.network.depth_image import TABLE, VIEWS
 from grasping.network.maps import Smoothing
 from grasping.network.networks import NETWORKS
 from grasping.pipeline.limits import LimitsConfig
-from grasping.pipeline.live import LiveSettings
+from grasping.pipeline.live import PipelineSettings
 from grasping.pipeline.reach import ReachConfig
 from grasping.pipeline.surface import ApproachConfig
 from grasping.pipeline.tool_pose import ToolPoseConfig
@@ -27,12 +27,12 @@ ANY, LISTED = "any", "listed"
 
 @dataclass(frozen=True)
 class InputConfig:
-    """Where depth pictures come from."""
+    """Where depth images come from."""
 
-    depth_topic: str = text(doc="depth pictures, 16UC1 in mm or 32FC1 in m")
+    depth_topic: str = text(doc="depth images, 16UC1 in mm or 32FC1 in m")
     info_topic: str = text(doc="description of the camera that takes them")
-    max_age: float = number("s", above=0.0, high=60.0, doc="a picture older than this, or as far ahead, is refused")
-    silence: float = number("s", above=0.0, high=60.0, doc="without a picture for so long the camera counts as silent")
+    max_age: float = number("s", above=0.0, high=60.0, doc="an image older than this, or as far ahead, is refused")
+    silence: float = number("s", above=0.0, high=60.0, doc="without an image for so long the camera counts as silent")
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class NetworkConfig:
 class PeaksConfig:
     """How grasps are taken out of the maps."""
 
-    count: int = integer(low=1, high=50, doc="most grasps in a picture")
-    distance: int = integer("px", low=1, high=100, doc="between two grasps in the network's picture")
+    count: int = integer(low=1, high=50, doc="most grasps in an image")
+    distance: int = integer("px", low=1, high=100, doc="between two grasps in the network's image")
     threshold: float = number(low=0.0, high=1.0, doc="lowest smoothed quality")
     quality_sigma: float = number("px", low=0.0, high=20.0, doc="standard deviation of the quality's blur")
     angle_sigma: float = number("px", low=0.0, high=20.0, doc="of the angle's, by its cosine and sine")
@@ -61,8 +61,8 @@ class PeaksConfig:
 class GgcnnConfig:
     """What stands beside the sections."""
 
-    view: str = choice(*VIEWS, doc="the camera's own picture, or one from above the table")
-    refine: bool = flag(doc="put the second network, learned from the person, behind the first")
+    view: str = choice(*VIEWS, doc="the camera's own image, or one from above the table")
+    refine: bool = flag(doc="put the refinement network, learned from the operator, behind the first")
     refinement_weights: str = text(doc="its weight file: a name in the package's folder weights, or an absolute path")
 
 
@@ -99,13 +99,13 @@ class GgcnnSettings:
     tool: ToolPoseConfig
 
     def views(self) -> CameraView | TableView:
-        """Returns what makes the network's picture."""
+        """Returns what makes the network's image."""
         return TableView(self.crop, self.table) if self.main.view == TABLE else CameraView(self.crop)
 
-    def live(self, up: np.ndarray) -> LiveSettings:
+    def live(self, up: np.ndarray) -> PipelineSettings:
         """Returns how grasps are looked for; `up` is the vertical in kuka/base_frame, shape (3,)."""
         p = self.peaks
-        return LiveSettings(
+        return PipelineSettings(
             Smoothing(p.quality_sigma, p.angle_sigma, p.width_sigma),
             p.count,
             p.distance,

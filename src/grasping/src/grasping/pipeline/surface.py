@@ -47,7 +47,7 @@ def surface_at(
     no say, as the plane is the one that most pixels lie in.
 
     Args:
-        depth: the picture, shape (h, w) [m], NaN = none.
+        depth: the image, shape (h, w) [m], NaN = none.
         rays: of its pixels, shape (h, w, 3).
         pixel: of the grasp, u, v.
         z: its depth [m].

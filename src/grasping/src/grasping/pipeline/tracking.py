@@ -1,4 +1,4 @@
-"""Grasps that stay the same from picture to picture: maps averaged over time, grasps recognised again, poses filtered.
+"""Grasps that stay the same from image to image: maps averaged over time, grasps recognised again, poses filtered.
 
 Settings as in the table of filters of the reference (ggcnn, 6.5). Poses are those of the grasp in a frame that does
 not move: the arm's base where the camera's place in it is known, else the camera.
@@ -30,7 +30,7 @@ class AveragingConfig:
 
     weight: float = number(above=0.0, high=1.0, doc="of the newest maps; 1 = no averaging")
     step: float = number("m", above=0.0, high=1.0, doc="depth that changed by more is something that moved")
-    share: float = number(low=0.0, high=1.0, doc="of the picture that may move before the average starts anew")
+    share: float = number(low=0.0, high=1.0, doc="of the image that may move before the average starts anew")
 
 
 class MapAverage:
@@ -70,12 +70,12 @@ class MapAverage:
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """How grasps are followed from picture to picture."""
+    """How grasps are followed from image to image."""
 
     same_distance: float = number("m", above=0.0, high=0.5, doc="a grasp this near to an earlier one is the same")
     keep: float = number("s", low=0.0, high=10.0, doc="a grasp not seen for longer is forgotten")
     better: float = number(low=0.0, high=1.0, doc="quality by which a rival must lead")
-    frames: int = integer(low=1, high=100, doc="pictures in a row in which it must, to become the best")
+    frames: int = integer(low=1, high=100, doc="images in a row in which it must, to become the best")
     lost: float = number(low=0.0, high=1.0, doc="quality below which the best is given up at once")
     median: int = integer(low=1, high=25, doc="newest poses whose median is taken")
     time_constant: float = number("s", low=0.0, high=1.0, doc="of the exponential filter behind it; 0 = none")
@@ -84,8 +84,8 @@ class TrackingConfig:
     gate_frames: int = integer(low=1, high=25, doc="until so many in a row agree with each other")
 
 
-class Sighting(NamedTuple):
-    """A grasp in one picture.
+class GraspDetection(NamedTuple):
+    """A grasp in one image.
 
     Attributes:
         T: its pose in the frame that does not move, shape (4, 4) [m].
@@ -98,19 +98,19 @@ class Sighting(NamedTuple):
     quality: float
 
 
-class Tracked(NamedTuple):
+class TrackedGrasp(NamedTuple):
     """A grasp that was recognised.
 
     Attributes:
         id: stays while the same grasp is seen again.
-        sighting: its number among the picture's.
+        detection: its number among the image's.
         T: filtered pose, shape (4, 4) [m].
         width: filtered opening [m].
         held: whether the newest pose was not believed.
     """
 
     id: int
-    sighting: int
+    detection: int
     T: np.ndarray
     width: float
     held: bool
@@ -130,21 +130,21 @@ class GraspTracker:
         self._best: _Track | None = None
         self._rival: tuple[int, int] = (0, 0)
 
-    def step(self, sightings: Sequence[Sighting], now: float) -> list[Tracked]:
-        """Returns the grasps of the newest picture, the best first, the others by their quality.
+    def step(self, detections: Sequence[GraspDetection], now: float) -> list[TrackedGrasp]:
+        """Returns the grasps of the newest image, the best first, the others by their quality.
 
         None at all while the best is out of sight and not yet forgotten: else the next best, which may belong to
-        another thing, would be taken for it in single pictures.
+        another thing, would be taken for it in single images.
 
         Args:
-            sightings: in the picture.
-            now: time of the picture [s].
+            detections: in the image.
+            now: time of the image [s].
         """
-        owners = self._owners(sightings)
+        owners = self._owners(detections)
         for track in self._tracks:
             track.in_sight = False
         for i, track in owners.items():
-            track.see(sightings[i], i, now)
+            track.see(detections[i], i, now)
         self._tracks = [t for t in self._tracks if now - t.last <= self._config.keep]
         seen = sorted(owners.values(), key=lambda t: -t.quality)
         self._choose(seen)
@@ -154,14 +154,14 @@ class GraspTracker:
 
     @property
     def best_out_of_sight(self) -> bool:
-        """Whether the best grasp was not in the newest picture, but is not forgotten yet."""
+        """Whether the best grasp was not in the newest image, but is not forgotten yet."""
         return self._best is not None and not self._best.in_sight
 
-    def _owners(self, sightings: Sequence[Sighting]) -> dict[int, _Track]:
-        """Returns the track of each sighting: the nearest pairs first, a new track where none is near."""
+    def _owners(self, detections: Sequence[GraspDetection]) -> dict[int, _Track]:
+        """Returns the track of each detection: the nearest pairs first, a new track where none is near."""
         pairs = sorted(
             (float(np.linalg.norm(s.T[:3, 3] - t.position)), i, k)
-            for i, s in enumerate(sightings)
+            for i, s in enumerate(detections)
             for k, t in enumerate(self._tracks)
         )
         owners: dict[int, _Track] = {}
@@ -170,7 +170,7 @@ class GraspTracker:
             if distance <= self._config.same_distance and i not in owners and k not in taken:
                 owners[i] = self._tracks[k]
                 taken.add(k)
-        for i in range(len(sightings)):
+        for i in range(len(detections)):
             if i not in owners:
                 owners[i] = _Track(self._next_id, self._config)
                 self._tracks.append(owners[i])
@@ -218,7 +218,7 @@ class PoseFilter:
         Args:
             T: shape (4, 4) [m].
             width: opening [m].
-            now: time of the picture [s].
+            now: time of the image [s].
         """
         if self._state is None or abs(T[self._axis, 2]) > ALIGNED:
             self._accepted.clear()
@@ -287,11 +287,11 @@ class _Track:
         self.in_sight = False
         self._filter = PoseFilter(config)
 
-    def see(self, sighting: Sighting, index: int, now: float) -> None:
-        self._T, self._width = self._filter.step(sighting.T, sighting.width, now)
-        self.position = sighting.T[:3, 3]
-        self.quality, self.last, self._index = sighting.quality, now, index
+    def see(self, detection: GraspDetection, index: int, now: float) -> None:
+        self._T, self._width = self._filter.step(detection.T, detection.width, now)
+        self.position = detection.T[:3, 3]
+        self.quality, self.last, self._index = detection.quality, now, index
         self.in_sight = True
 
-    def tracked(self) -> Tracked:
-        return Tracked(self.id, self._index, self._T, self._width, self._filter.held)
+    def tracked(self) -> TrackedGrasp:
+        return TrackedGrasp(self.id, self._index, self._T, self._width, self._filter.held)

@@ -1,7 +1,7 @@
-"""The picture that the network gets, and where it was taken from: the camera's own, or one from above the table.
+"""The image that the network gets, and where it was taken from: the camera's own, or one from above the table.
 
-The networks learned on pictures taken from above. A camera that looks at the table from the side shows them its far
-edge as the most graspable thing there is. So its depth picture is drawn anew as a camera would see it that looks
+The networks learned on images taken from above. A camera that looks at the table from the side shows them its far
+edge as the most graspable thing there is. So its depth image is drawn anew as a camera would see it that looks
 straight down on the table: each reading goes to where it lies, and what is not above the table becomes table.
 """
 
@@ -17,20 +17,20 @@ from common.camera_model import CameraModel, pinhole
 from common.config import integer, number
 from common.poses import pose, read_only
 from common.rotations import unit
-from grasping.network.depth_image import NETWORK_SIDE, Crop, Picture, centre_crop, prepare
+from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, centre_crop, prepare
 from grasping.network.planes import GATE_SD, PlaneFound, best_plane
 
 STRIDE = 6
-"""Pixels of the camera's picture, in rows and columns, to one in which the table is looked for."""
+"""Pixels of the camera's image, in rows and columns, to one in which the table is looked for."""
 GAP = np.ones((5, 5), np.uint8)
 
 
 @dataclass(frozen=True)
 class CropConfig:
-    """Which part of the camera's picture is looked at."""
+    """Which part of the camera's image is looked at."""
 
     side: int = integer("px", low=12, high=4096, doc="rows and columns of the square window")
-    rows_up: int = integer("px", low=-2048, high=2048, doc="how far it stands above the picture's middle")
+    rows_up: int = integer("px", low=-2048, high=2048, doc="how far it stands above the image's middle")
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ class TableConfig:
     keep_distance: float = number("m", above=0.0, high=0.5, doc="and while it moves by less")
 
 
-class View(NamedTuple):
+class GraspView(NamedTuple):
     """What the network sees, and the camera that sees it.
 
     Attributes:
-        picture: the network's.
+        image: the network's.
         graspable: where in it a grasp may be: the camera had a reading, and, from above the table, on something that
             stands on it; shape (300, 300), bool.
-        depth: the whole picture that it was cut from, shape (h, w) [m], NaN where nothing is known.
+        depth: the whole image that it was cut from, shape (h, w) [m], NaN where nothing is known.
         rays: direction of each of its pixels, shape (h, w, 3).
         camera: that took it, a real or an imagined one.
         T_camera_view: pose of that camera in the real one, shape (4, 4) [m]. Its axes are those of what the second
@@ -63,7 +63,7 @@ class View(NamedTuple):
             as the table lets it.
     """
 
-    picture: Picture
+    image: NetworkImage
     graspable: np.ndarray
     depth: np.ndarray
     rays: np.ndarray
@@ -76,34 +76,34 @@ class NoView(Exception):
 
 
 class CameraView:
-    """Shows the camera's own picture: the window in its middle."""
+    """Shows the camera's own image: the window in its middle."""
 
     def __init__(self, crop: CropConfig) -> None:
         self._crop = crop
         self._rays = Rays()
 
-    def step(self, depth: np.ndarray, camera: CameraModel) -> View:
-        """Returns the view of a depth picture, shape (h, w) [m].
+    def step(self, depth: np.ndarray, camera: CameraModel) -> GraspView:
+        """Returns the view of a depth image, shape (h, w) [m].
 
         Raises:
             NoView: the window does not fit, or holds no reading.
         """
         crop = _window(depth, self._crop)
         try:
-            picture = prepare(depth, crop)
+            image = prepare(depth, crop)
         except ValueError as error:
             raise NoView(str(error)) from None
-        return View(picture, picture.valid, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
+        return GraspView(image, image.valid, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
 
     def reset(self) -> None:
-        """Forgets nothing: each picture stands for itself."""
+        """Forgets nothing: each image stands for itself."""
 
 
 class _Place(NamedTuple):
     """Where the view from above the table is.
 
     Attributes:
-        made_for: camera, size and window of the pictures that it is for.
+        made_for: camera, size and window of the images that it is for.
         table: as it was found.
         T: pose of the view's camera in the real one, shape (4, 4) [m].
         turned: directions of the real camera's pixels in the view's axes, shape (3, h, w), float32.
@@ -133,8 +133,8 @@ class TableView:
         """Forgets the table."""
         self._place: _Place | None = None
 
-    def step(self, depth: np.ndarray, camera: CameraModel) -> View:
-        """Returns the view of a depth picture, shape (h, w) [m].
+    def step(self, depth: np.ndarray, camera: CameraModel) -> GraspView:
+        """Returns the view of a depth image, shape (h, w) [m].
 
         Raises:
             NoView: the window does not fit or holds no reading, no table is seen, or nothing stands on it.
@@ -150,8 +150,8 @@ class TableView:
         inside = Crop(0, 0, NETWORK_SIDE)
         # What is not above the table is known to be table.
         known = np.ones(seen.shape, bool)
-        picture = Picture(inside, np.clip(seen - mean, -1.0, 1.0), seen, known, mean)
-        return View(picture, height > 0.0, seen, self._own_rays, self._camera, seen_from.T)
+        image = NetworkImage(inside, np.clip(seen - mean, -1.0, 1.0), seen, known, mean)
+        return GraspView(image, height > 0.0, seen, self._own_rays, self._camera, seen_from.T)
 
     def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> _Place:
         """Looks for the table, moves the view where the table is another one, and returns where it is.
@@ -165,7 +165,7 @@ class TableView:
         )
         known = np.isfinite(depth[window]) & (depth[window] > 0.0)
         if not known.any():
-            raise NoView("the depth picture holds no reading inside the crop")
+            raise NoView("the depth image holds no reading inside the crop")
         c = self._config
         seen_rays, seen_depth = rays[window][known].astype(float), depth[window][known]
         table = best_plane(seen_rays, seen_depth, c.noise)

@@ -1,4 +1,4 @@
-"""Where the camera stood when it took a picture, from tf."""
+"""Where the camera stood when it took an image, from tf."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from common.frames import BASE
 from common.ros.conversions import pose_from_transform
 
 PATIENCE_S = 0.1
-"""The place of the camera at the moment of a picture may come so much later than the picture."""
+"""The place of the camera at the moment of an image may come so much later than the image."""
 
 
-class CameraPlace:
+class CameraPoseLookup:
     """Looks frames up; what is missing or stale has a reason."""
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class CameraPlace:
         try:
             return self._look_up(BASE, frame, stamp), ""
         except tf2_ros.ExtrapolationException:
-            return None, f"the camera's place is stale: tf does not know {frame} in {BASE} at the picture's moment"
+            return None, f"the camera's place is stale: tf does not know {frame} in {BASE} at the image's moment"
         except tf2_ros.TransformException:
             return None, f"the camera's place is unknown: tf has no way from {frame} to {BASE}; calibrate the camera"
         except ValueError as error:

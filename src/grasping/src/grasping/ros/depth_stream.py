@@ -1,4 +1,4 @@
-"""The newest depth picture of a camera, with what is wrong with it."""
+"""The newest depth image of a camera, with what is wrong with it."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from common.ros.images import camera_model_from_info, depth_from_image
 from grasping.pipeline.settings import InputConfig
 
 BUFFER_BYTES = 2**24
-"""Room for many pictures: rospy drops all but the newest only among those that it has read."""
+"""Room for many images: rospy drops all but the newest only among those that it has read."""
 
 
-class DepthPicture(NamedTuple):
-    """A depth picture, or why it is of no use.
+class DepthImage(NamedTuple):
+    """A depth image, or why it is of no use.
 
     Attributes:
         header: of the message.
         depth: shape (h, w), float32 [m], not finite = none; None with a reason.
         camera: that took it; None with a reason.
-        reason: a clause; empty if the picture is of use.
+        reason: a clause; empty if the image is of use.
     """
 
     header: Header
@@ -35,10 +35,10 @@ class DepthPicture(NamedTuple):
 
 
 class DepthStream:
-    """Takes depth pictures and gives the newest away, once.
+    """Takes depth images and gives the newest away, once.
 
     Args:
-        config: topics and how old a picture may be.
+        config: topics and how old an image may be.
     """
 
     def __init__(self, config: InputConfig) -> None:
@@ -52,21 +52,21 @@ class DepthStream:
         rospy.Subscriber(config.info_topic, CameraInfo, self._take_info, queue_size=1)
         rospy.Subscriber(config.depth_topic, Image, self._take, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True)
 
-    def newest(self, timeout: float) -> DepthPicture | None:
-        """Returns the newest picture that was not given away yet; waits up to `timeout` [s], then returns None."""
+    def newest(self, timeout: float) -> DepthImage | None:
+        """Returns the newest image that was not given away yet; waits up to `timeout` [s], then returns None."""
         with self._new:
             self._new.wait_for(lambda: self._image is not None or rospy.is_shutdown(), timeout)
             image, self._image = self._image, None
         return None if image is None else self._read(image)
 
     def silence(self) -> str:
-        """Returns that the camera is silent, a clause; empty while pictures come."""
+        """Returns that the camera is silent, a clause; empty while images come."""
         past = (rospy.Time.now() - self._since).to_sec()
         if past <= self._config.silence:
             return ""
         if not self._came:
-            return f"no depth picture has come on {self.topic}"
-        return f"the depth camera is silent: no picture for {past:.0f} s"
+            return f"no depth image has come on {self.topic}"
+        return f"the depth camera is silent: no image for {past:.0f} s"
 
     def _take(self, message: Image) -> None:
         with self._new:
@@ -78,22 +78,20 @@ class DepthStream:
     def _take_info(self, message: CameraInfo) -> None:
         self._info = message
 
-    def _read(self, image: Image) -> DepthPicture:
-        def refused(reason: str) -> DepthPicture:
-            return DepthPicture(image.header, None, None, reason)
+    def _read(self, image: Image) -> DepthImage:
+        def refused(reason: str) -> DepthImage:
+            return DepthImage(image.header, None, None, reason)
 
         age = (rospy.Time.now() - image.header.stamp).to_sec()
         if abs(age) > self._config.max_age:
-            return refused(f"the depth picture is {abs(age):.1f} s {'old' if age > 0.0 else 'in the future'}")
+            return refused(f"the depth image is {abs(age):.1f} s {'old' if age > 0.0 else 'in the future'}")
         if self._info is None:
             return refused(f"no camera_info has come on {rospy.resolve_name(self._config.info_topic)}")
         try:
             depth, camera = depth_from_image(image), camera_model_from_info(self._info)
         except ValueError as error:
-            return refused(f"the depth picture is of no use: {error}")
+            return refused(f"the depth image is of no use: {error}")
         if depth.shape != (camera.height, camera.width):
             seen, told = depth.shape[::-1], (camera.width, camera.height)
-            return refused(
-                f"the depth picture is {seen[0]} x {seen[1]}, and its camera_info says {told[0]} x {told[1]}"
-            )
-        return DepthPicture(image.header, depth, camera, "")
+            return refused(f"the depth image is {seen[0]} x {seen[1]}, and its camera_info says {told[0]} x {told[1]}")
+        return DepthImage(image.header, depth, camera, "")

@@ -13,8 +13,8 @@ from common.frames import BASE
 from common.poses import translation
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspOutcome
-from grasping.execution.execution import OVER, Execution, Outcome
-from grasping.execution.execution_request import Way
+from grasping.execution.execution import OVER, Execution, ExecutionOutcome
+from grasping.execution.execution_request import ToolGoal
 
 FINGER_M, PALM_M = (0.012, 0.02, 0.06), (0.08, 0.02)
 """A finger along x, y and z; the palm along y and z."""
@@ -32,7 +32,7 @@ class ExecutionDisplay:
         self._marker = rospy.Publisher("grasping/proposal_marker", MarkerArray, queue_size=10, latch=True)
         self._shown: tuple[int, str, str] | None = None
 
-    def show(self, execution: Execution, grasp: Grasp, way: Way | None) -> None:
+    def show(self, execution: Execution, grasp: Grasp, way: ToolGoal | None) -> None:
         """Publishes the state if it or its reason changed.
 
         Args:
@@ -62,7 +62,7 @@ class ExecutionDisplay:
         shapes = [] if way is None or execution.state == OVER else _ghost(grasp, way, execution.reason)
         self._marker.publish(MarkerArray([Marker(ns="execution", action=Marker.DELETEALL), *shapes]))
 
-    def tell(self, outcome: Outcome, grasp: Grasp) -> None:
+    def tell(self, outcome: ExecutionOutcome, grasp: Grasp) -> None:
         """Publishes an outcome."""
         message = GraspOutcome(episode=outcome.episode, proposal=grasp, held=outcome.held, reason=outcome.reason)
         message.header.frame_id = BASE
@@ -73,7 +73,7 @@ class ExecutionDisplay:
         self._outcome.publish(message)
 
 
-def _ghost(grasp: Grasp, way: Way, text: str) -> list[Marker]:
+def _ghost(grasp: Grasp, way: ToolGoal, text: str) -> list[Marker]:
     """Returns fingers and palm around the grasp, an arrow down to it, and what happens."""
     half, up = 0.5 * (grasp.width + FINGER_M[0]), 0.5 * FINGER_M[2]
     palm = (grasp.width + 2.0 * FINGER_M[0], *PALM_M)

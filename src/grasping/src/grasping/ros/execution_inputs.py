@@ -12,9 +12,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from common.frames import BASE, FLANGE_MEASURED
 from common.ros.conversions import pose_from_transform, pose_in
 from grasp_msgs.msg import Grasp, GraspList
-from grasping.execution.execution import NONE, Observation
-from grasping.execution.execution_request import Controller, Proposal, Proposals
-from grasping.execution.grasp_watch import HandState
+from grasping.execution.execution import NONE, ExecutionObservation
+from grasping.execution.execution_request import ControllerState, ProposalList, ProposedPose
+from grasping.execution.grasp_watch import HandMeasurement
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus
 
@@ -46,15 +46,15 @@ class ExecutionInputs:
         return self._grasps
 
     @property
-    def controller(self) -> Controller | None:
+    def controller(self) -> ControllerState | None:
         """What the arm's controller tells, None if it is silent."""
         status = self._fresh(self._controller)
-        return None if status is None else Controller(status.control_on, status.mode, status.reason)
+        return None if status is None else ControllerState(status.control_on, status.mode, status.reason)
 
-    def observe(self) -> Observation:
+    def observe(self) -> ExecutionObservation:
         """Returns what is known now."""
         hand = self._fresh(self._hand)
-        return Observation(
+        return ExecutionObservation(
             clock=rospy.get_time(),
             controller=self.controller,
             hold=self._hold,
@@ -90,24 +90,24 @@ class ExecutionInputs:
         self.hand_followed = values.get("state") == "running"
 
 
-def proposals_from(message: GraspList, now: rospy.Time) -> Proposals:
+def proposals_from(message: GraspList, now: rospy.Time) -> ProposalList:
     """Returns the proposals of a message."""
     grasps = [_proposal(grasp) for grasp in message.grasps]
-    return Proposals((now - message.header.stamp).to_sec(), grasps, message.reason)
+    return ProposalList((now - message.header.stamp).to_sec(), grasps, message.reason)
 
 
-def _proposal(grasp: Grasp) -> Proposal:
+def _proposal(grasp: Grasp) -> ProposedPose:
     if not grasp.pose_base.header.frame_id:
-        return Proposal(grasp.id, None)
+        return ProposedPose(grasp.id, None)
     try:
-        return Proposal(grasp.id, pose_in(BASE, grasp.pose_base))
+        return ProposedPose(grasp.id, pose_in(BASE, grasp.pose_base))
     except ValueError as error:
-        return Proposal(grasp.id, None, f"its pose is of no use: {error}")
+        return ProposedPose(grasp.id, None, f"its pose is of no use: {error}")
 
 
-def _hand_state(hand: Hand) -> HandState:
+def _hand_state(hand: Hand) -> HandMeasurement:
     motors = hand.motor[: len(hand.finger)]
-    return HandState(
+    return HandMeasurement(
         np.array([motor.joint_angle for motor in motors]),
         np.array([finger.pressure for finger in hand.finger]),
         np.array([motor.load for motor in motors]),

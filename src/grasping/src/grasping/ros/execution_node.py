@@ -1,4 +1,4 @@
-"""The node grasp_execution: lets the arm wait above a proposed grasp for a person's hand, and tells what became of it.
+"""The node grasp_execution: has the arm wait above a proposed grasp for an operator's hand and reports the outcome.
 
 Services: grasping/execute and grasping/cancel (std_srvs/Trigger). Out: grasping/state, grasping/outcome,
 grasping/proposal_marker. In: see execution_inputs.py. It asks kuka/check_tool_pose and leap_kuka/hold_tool, and moves
@@ -27,8 +27,8 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_param
 from common.tool import ToolConfig
-from grasping.execution.execution import HELD, Execution, ExecutionConfig, Outcome
-from grasping.execution.execution_request import Refusal, Way, choose, way_to
+from grasping.execution.execution import HELD, Execution, ExecutionConfig, ExecutionOutcome
+from grasping.execution.execution_request import Refusal, ToolGoal, choose, tool_goal
 from grasping.execution.grasp_watch import GraspWatchConfig
 from grasping.pipeline.tool_pose import ToolPoseConfig
 from grasping.ros.execution_display import NO_GRASP, ExecutionDisplay
@@ -40,7 +40,7 @@ PERIOD_S = 0.05
 
 
 @dataclass(frozen=True)
-class ArmConfig(ToolConfig):
+class ExecutionArmConfig(ToolConfig):
     """What the parameters under kuka/ tell of the arm."""
 
     center_line: np.ndarray = vector(3, doc="middle of the workspace seen from above")
@@ -61,7 +61,9 @@ class ExecutionNode:
         arm: the arm.
     """
 
-    def __init__(self, config: ExecutionConfig, watch: GraspWatchConfig, tool: ToolPoseConfig, arm: ArmConfig) -> None:
+    def __init__(
+        self, config: ExecutionConfig, watch: GraspWatchConfig, tool: ToolPoseConfig, arm: ExecutionArmConfig
+    ) -> None:
         self._config, self._tool = config, tool
         self._home = directions(arm.center_line, arm.mounting)
         self._execution = Execution(config, watch, self._home.up)
@@ -109,7 +111,7 @@ class ExecutionNode:
         chosen = choose(proposals, inputs.controller, inputs.hand_followed, self._config.fresh)
         if isinstance(chosen, Refusal):
             return chosen.sentence
-        way = way_to(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
+        way = tool_goal(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
         if isinstance(way, Refusal):
             return way.sentence
         hindrance = self._not_held(way)
@@ -131,7 +133,7 @@ class ExecutionNode:
             return Pose(), f"It is unknown whether the arm gets there: {error}."
         return answer.desired, None if answer.success else answer.message
 
-    def _not_held(self, way: Way) -> str | None:
+    def _not_held(self, way: ToolGoal) -> str | None:
         """Has the tool held above the grasp; returns why it is not, one sentence, or None."""
         for T_base_tool in (way.T_base_tool, way.T_base_above):
             desired, hindrance = self._check(T_base_tool)
@@ -149,7 +151,7 @@ class ExecutionNode:
 
     def _on_cancel(self, _) -> TriggerResponse:
         with self._asking:
-            if not self._end("The person cancelled it."):
+            if not self._end("The operator cancelled it."):
                 if self._inputs.observe().hold == HELD:
                     self._let_go()
                 return TriggerResponse(True, "No grasp is being executed.")
@@ -165,13 +167,13 @@ class ExecutionNode:
         self._release(outcome)
         return True
 
-    def _tell(self, outcome: Outcome | None) -> None:
+    def _tell(self, outcome: ExecutionOutcome | None) -> None:
         if outcome is not None:
             self._counts["held" if outcome.held else "not_held"] += 1
             self._display.tell(outcome, self._grasp)
         self._display.show(self._execution, self._grasp, self._way)
 
-    def _release(self, outcome: Outcome | None) -> None:
+    def _release(self, outcome: ExecutionOutcome | None) -> None:
         if outcome is not None and outcome.release:
             self._let_go()
 
@@ -192,10 +194,10 @@ def _run() -> None:
     config = private_config(ExecutionConfig, others=SECTIONS)
     sections = {name: private_config(schema, name) for name, schema in SECTIONS.items()}
     rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in sections.values()))
-    for name in required(ArmConfig):
+    for name in required(ExecutionArmConfig):
         wait_for_param(f"kuka/{name}")
     given = rospy.get_param("kuka")
-    arm = parse(ArmConfig, given, "kuka/", others=given)
+    arm = parse(ExecutionArmConfig, given, "kuka/", others=given)
     ExecutionNode(config, sections["watch"], sections["tool_pose"], arm).spin()
 
 

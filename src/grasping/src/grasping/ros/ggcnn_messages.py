@@ -13,8 +13,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common.frames import BASE
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspList
-from grasping.pipeline.live import Proposal
-from grasping.pipeline.reach import Reach
+from grasping.pipeline.live import GraspProposal
+from grasping.pipeline.reach import Reachability
 
 DEVIATIONS = 6
 FINGER_M, LINE_M, BEST_LINE_M, TEXT_M = 0.05, 0.003, 0.006, 0.02
@@ -22,12 +22,12 @@ MARKER_LIFE_S = 1.0
 """Markers of a node that is gone go too."""
 
 
-def grasp_list(header: Header, proposals: list[tuple[Proposal, Reach]], reason: str) -> GraspList:
+def grasp_list(header: Header, proposals: list[tuple[GraspProposal, Reachability]], reason: str) -> GraspList:
     """Returns the message of all grasps; `reason` says why there is none."""
     return GraspList(header, [_grasp(header, proposal, reach) for proposal, reach in proposals], reason)
 
 
-def _grasp(header: Header, proposal: Proposal, reach: Reach) -> Grasp:
+def _grasp(header: Header, proposal: GraspProposal, reach: Reachability) -> Grasp:
     known = proposal.T_base_grasp is not None
     spread = proposal.spread
     return Grasp(
@@ -46,9 +46,9 @@ def _grasp(header: Header, proposal: Proposal, reach: Reach) -> Grasp:
     )
 
 
-def command(proposal: Proposal, between: float) -> Float32MultiArray:
+def command(proposal: GraspProposal, between: float) -> Float32MultiArray:
     """Returns the published node's six numbers: x, y, z before the camera [m], angle [rad], opening [px of the
-    camera's picture], and how far away the nearest thing between the fingers is [mm].
+    camera's image], and how far away the nearest thing between the fingers is [mm].
 
     Args:
         proposal: the best grasp.
@@ -58,7 +58,7 @@ def command(proposal: Proposal, between: float) -> Float32MultiArray:
     return Float32MultiArray(data=[x, y, z, proposal.angle, proposal.width_px, 1e3 * between])
 
 
-def markers(header: Header, proposals: list[tuple[Proposal, Reach]]) -> MarkerArray:
+def markers(header: Header, proposals: list[tuple[GraspProposal, Reachability]]) -> MarkerArray:
     """Returns one gripper a grasp, red for the quality 0 to green for 1, grey where the arm does not get there."""
     array = MarkerArray([Marker(header=header, ns="grasps", action=Marker.DELETEALL)])
     for i, (proposal, reach) in enumerate(proposals):

@@ -1,4 +1,4 @@
-"""The node ggcnn: depth pictures in, grasps out.
+"""The node ggcnn: depth images in, grasps out.
 
 Topics, below ggcnn/: img/grasp, img/grasp_plain, img/depth, img/ang, out/command and out/target_pose as the original
 has them; out/grasps with all grasps or the reason why there is none; img/heat_map and markers for people. In tf
@@ -32,15 +32,15 @@ from common.ros.stage_times import StageTimes
 from grasp_msgs.msg import GraspList
 from grasping.network.depth_image import NETWORK_SIDE, TABLE, Crop, centre_crop, prepare
 from grasping.pipeline import drawing
-from grasping.pipeline.live import OUT_OF_SIGHT, Finder, Findings, Proposal
+from grasping.pipeline.live import OUT_OF_SIGHT, GraspPipeline, GraspProposal, PipelineResult
 from grasping.pipeline.predictor import Predictor, PredictorSettings
 from grasping.pipeline.projection import depth_between_fingers
-from grasping.pipeline.reach import ASKED, Reach
+from grasping.pipeline.reach import ASKED, Reachability
 from grasping.pipeline.rig_configuration import live_origin
 from grasping.pipeline.settings import GgcnnSettings, overlaid, sentences, settings_from
 from grasping.ros import ggcnn_messages as messages
-from grasping.ros.camera_pose import CameraPlace
-from grasping.ros.depth_stream import DepthPicture, DepthStream
+from grasping.ros.camera_pose import CameraPoseLookup
+from grasping.ros.depth_stream import DepthImage, DepthStream
 from grasping.ros.reach_client import ReachClient
 from grasping.ros.reasons import ReasonLog
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
@@ -53,18 +53,18 @@ RATE_WEIGHT = 0.1
 
 
 class GgcnnNode:
-    """Looks for grasps in the newest depth picture, again and again.
+    """Looks for grasps in the newest depth image, again and again.
 
     Args:
         settings: the whole configuration.
-        finder: the chain from picture to grasps.
+        finder: the chain from image to grasps.
         about: the network, for diagnostics.
     """
 
-    def __init__(self, settings: GgcnnSettings, finder: Finder, about: dict[str, str]) -> None:
+    def __init__(self, settings: GgcnnSettings, finder: GraspPipeline, about: dict[str, str]) -> None:
         self._settings, self._finder, self._about = settings, finder, about
         self._milliseconds: dict[str, float] = {}
-        self._grasps = self._pictures = self._normals_missing = 0
+        self._grasps = self._images = self._normals_missing = 0
         self._reasons = ReasonLog()
         self._images = {
             name: rospy.Publisher(f"ggcnn/img/{name}", Image, queue_size=1)
@@ -76,7 +76,7 @@ class GgcnnNode:
         self._markers = rospy.Publisher("ggcnn/markers", MarkerArray, queue_size=1)
         self._broadcaster = tf2_ros.TransformBroadcaster()
         self._times = StageTimes("ggcnn")
-        self._place = CameraPlace()
+        self._place = CameraPoseLookup()
         self._reach = ReachClient(settings.reach, settings.tool)
         self._stream = DepthStream(settings.input)
         Diagnostics("ggcnn", self._diagnose)
@@ -85,9 +85,9 @@ class GgcnnNode:
         """Works until ROS shuts down."""
         told_silence = 0.0
         while not rospy.is_shutdown():
-            picture = self._stream.newest(WAIT_S)
-            if picture is not None:
-                self._take(picture)
+            image = self._stream.newest(WAIT_S)
+            if image is not None:
+                self._take(image)
                 continue
             silence = self._stream.silence()
             if silence and time.monotonic() - told_silence >= SILENT_PERIOD_S:
@@ -95,41 +95,41 @@ class GgcnnNode:
                 self._finder.reset()
                 self._tell(Header(stamp=rospy.Time.now()), [], silence)
 
-    def _take(self, picture: DepthPicture) -> None:
-        if picture.reason:
-            self._tell(picture.header, [], picture.reason)
+    def _take(self, image: DepthImage) -> None:
+        if image.reason:
+            self._tell(image.header, [], image.reason)
             return
-        started, header = time.perf_counter(), picture.header
+        started, header = time.perf_counter(), image.header
         T_base_camera, unknown = self._place.in_base(header.frame_id, header.stamp)
-        found = self._finder.step(picture.depth, picture.camera, T_base_camera, header.stamp.to_sec())
+        found = self._finder.step(image.depth, image.camera, T_base_camera, header.stamp.to_sec())
         proposals = self._reach.look_up(found.proposals)
         if unknown:
-            proposals = [(p, Reach(False, unknown)) for p, _ in proposals]
+            proposals = [(p, Reachability(False, unknown)) for p, _ in proposals]
         self._tell(header, proposals, found.reason)
         best = proposals[0][0] if proposals and not proposals[0][1].refused else None
         if best is not None:
-            self._tell_best(picture, best)
+            self._tell_best(image, best)
         self._times.done(header.stamp)
         published = time.perf_counter()
         self._draw(header, found, proposals, best)
-        self._pictures += 1
+        self._images += 1
         self._normals_missing += found.normals_missing
         latency = (rospy.Time.now() - header.stamp).to_sec()
         stages = {**found.seconds, "draw": time.perf_counter() - published, "all": published - started}
         self._time({**stages, "latency": latency})
 
-    def _tell(self, header: Header, proposals: list[tuple[Proposal, Reach]], reason: str) -> None:
+    def _tell(self, header: Header, proposals: list[tuple[GraspProposal, Reachability]], reason: str) -> None:
         self._grasps = len(proposals)
         self._list.publish(messages.grasp_list(header, proposals, reason))
         self._markers.publish(messages.markers(header, proposals))
         why = reason or proposals[0][1].reason
-        if why not in (ASKED, OUT_OF_SIGHT):  # they last for a picture or two only
+        if why not in (ASKED, OUT_OF_SIGHT):  # they last for an image or two only
             self._reasons.tell(why)
 
-    def _tell_best(self, picture: DepthPicture, best: Proposal) -> None:
-        header, crop = picture.header, self._settings.crop
-        window = centre_crop(picture.depth.shape, crop.side, crop.rows_up)
-        self._command.publish(messages.command(best, depth_between_fingers(picture.depth, window)))
+    def _tell_best(self, image: DepthImage, best: GraspProposal) -> None:
+        header, crop = image.header, self._settings.crop
+        window = centre_crop(image.depth.shape, crop.side, crop.rows_up)
+        self._command.publish(messages.command(best, depth_between_fingers(image.depth, window)))
         known = best.T_base_grasp is not None
         T, frame = (best.T_base_grasp, BASE) if known else (best.T_camera_grasp, header.frame_id)
         self._target.publish(stamped_pose(T, frame, header.stamp))
@@ -138,7 +138,7 @@ class GgcnnNode:
             T = T_depth_optical @ best.T_camera_grasp
             self._broadcaster.sendTransform(stamped_transform(T, DEPTH, GRASP_TARGET, header.stamp))
 
-    def _draw(self, header: Header, found: Findings, proposals: list, best: Proposal | None) -> None:
+    def _draw(self, header: Header, found: PipelineResult, proposals: list, best: GraspProposal | None) -> None:
         if found.view is None or found.maps is None:
             return
         frame = header.frame_id
@@ -149,14 +149,14 @@ class GgcnnNode:
         plain = drawing.plain(found.maps) if self._wanted("grasp") or self._wanted("grasp_plain") else None
         refused = {p.id for p, reach in proposals if reach.refused}
         reason = found.reason or proposals[0][1].reason
-        pictures = {
+        images = {
             "grasp": ("bgr8", lambda: drawing.with_disc(plain, best)),
             "grasp_plain": ("bgr8", lambda: plain),
-            "depth": ("32FC1", lambda: np.asarray(found.view.picture.input, np.float32)),
+            "depth": ("32FC1", lambda: np.asarray(found.view.image.input, np.float32)),
             "ang": ("32FC1", lambda: np.asarray(found.maps.angle, np.float32)),
             "heat_map": ("bgr8", lambda: drawing.heat_map(found, refused, reason)),
         }
-        for name, (encoding, draw) in pictures.items():
+        for name, (encoding, draw) in images.items():
             if self._wanted(name):
                 self._images[name].publish(image_message(draw(), encoding, frame, header.stamp))
 
@@ -170,7 +170,7 @@ class GgcnnNode:
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         values = {
-            "pictures": self._pictures,
+            "pictures": self._images,
             "received": self._stream.received,
             "skipped": self._stream.skipped,
             "grasps": self._grasps,
@@ -184,12 +184,12 @@ class GgcnnNode:
 
 
 def _measured(predictor: Predictor) -> float:
-    """Returns how long the network takes for one picture [s], after the first ones, which take longer."""
-    picture = prepare(np.ones((NETWORK_SIDE, NETWORK_SIDE), np.float32), Crop(0, 0, NETWORK_SIDE))
+    """Returns how long the network takes for one image [s], after the first ones, which take longer."""
+    image = prepare(np.ones((NETWORK_SIDE, NETWORK_SIDE), np.float32), Crop(0, 0, NETWORK_SIDE))
     seconds = []
     for _ in range(WARM_UP):
         begin = time.perf_counter()
-        predictor.output(picture)
+        predictor.output(image)
         seconds.append(time.perf_counter() - begin)
     return min(seconds)
 
@@ -210,9 +210,9 @@ def _run() -> None:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:
         raise RigError(f"The parameter kuka/mounting is no roll, pitch and yaw: {error}.") from None
-    finder = Finder(settings.views(), predictor, settings.live(up), time.perf_counter)
+    finder = GraspPipeline(settings.views(), predictor, settings.live(up), time.perf_counter)
     rospy.loginfo(
-        "%s (%s, SHA-256 %s...) takes %.0f ms a picture on %d threads.",
+        "%s (%s, SHA-256 %s...) takes %.0f ms an image on %d threads.",
         settings.network.weights,
         loaded.name,
         loaded.sha256[:12],

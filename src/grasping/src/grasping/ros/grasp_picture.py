@@ -1,6 +1,6 @@
-"""Writes what the running node ggcnn sees and finds into a picture file, and says how fast it is.
+"""Writes what the running node ggcnn sees and finds into an image file, and says how fast it is.
 
-Left the camera's depth picture with the grippers as the camera sees them, right the network's picture with its heat
+Left the camera's depth image with the grippers as the camera sees them, right the network's image with its heat
 map.
 """
 
@@ -31,8 +31,8 @@ PATIENCE_S = 60.0
 POLL_S = 0.05
 
 
-class Collected:
-    """What the node said of the newest pictures."""
+class NodeOutput:
+    """What the node said of the newest images."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -47,12 +47,12 @@ class Collected:
         rospy.Subscriber("/diagnostics", DiagnosticArray, self._take_diagnostics, queue_size=10)
 
     def newest(self) -> tuple[GraspList, np.ndarray, np.ndarray] | None:
-        """Returns the newest grasps with the depth picture and the heat map of the same moment."""
+        """Returns the newest grasps with the depth image and the heat map of the same moment."""
         with self._lock:
             for found in reversed(self.lists):
                 stamp = found.header.stamp
                 if found.grasps and stamp in self._depth and stamp in self._heat:
-                    with contextlib.suppress(ValueError):  # a torn picture; others follow
+                    with contextlib.suppress(ValueError):  # a torn image; others follow
                         return found, depth_from_image(self._depth[stamp]), picture_from_image(self._heat[stamp])
         return None
 
@@ -74,25 +74,25 @@ class Collected:
 
 
 def composed(found: GraspList, depth: np.ndarray, heat: np.ndarray, camera: CameraModel) -> np.ndarray:
-    """Returns both pictures side by side, uint8, shape (480, 1120, 3) for a depth picture of 640 x 480."""
-    picture = cv2.cvtColor(drawing.grey(depth), cv2.COLOR_GRAY2BGR)
+    """Returns both images side by side, uint8, shape (480, 1120, 3) for a depth image of 640 x 480."""
+    image = cv2.cvtColor(drawing.grey(depth), cv2.COLOR_GRAY2BGR)
     for i, grasp in reversed(list(enumerate(found.grasps))):
         fingers = [(sign * 0.5 * grasp.width, 0.0, 0.0, 1.0) for sign in (-1.0, 1.0)]
         ends = camera.project(np.array(fingers) @ pose_from_message(grasp.pose_camera).T[:, :3])
         colour, thickness = (drawing.OTHER, 1) if i else (drawing.DISC, 2)
-        drawing.gripper(picture, ends, f"{grasp.id}: {grasp.quality:.2f}", colour, thickness)
-    side = len(picture)
-    return np.hstack([picture, cv2.resize(heat, (side, side), interpolation=cv2.INTER_AREA)])
+        drawing.gripper(image, ends, f"{grasp.id}: {grasp.quality:.2f}", colour, thickness)
+    side = len(image)
+    return np.hstack([image, cv2.resize(heat, (side, side), interpolation=cv2.INTER_AREA)])
 
 
-def report(collected: Collected) -> list[str]:
+def report(collected: NodeOutput) -> list[str]:
     """Returns what was measured, a line each."""
     stamps = np.array([found.header.stamp.to_sec() for found in collected.lists])
     latency = 1e3 * np.array(collected.latencies)
     best = collected.lists[-1].grasps
     return [
-        f"{len(stamps)} pictures, {1.0 / np.diff(stamps).mean():.1f} a second",
-        f"from the picture's stamp to the grasps: median {np.median(latency):.0f} ms, "
+        f"{len(stamps)} images, {1.0 / np.diff(stamps).mean():.1f} a second",
+        f"from the image's stamp to the grasps: median {np.median(latency):.0f} ms, "
         f"90 % within {np.percentile(latency, 90):.0f} ms",
         "in the node: " + ", ".join(f"{key[3:]} {value} ms" for key, value in collected.milliseconds.items()),
         "grasps: " + "; ".join(f"{g.id}: quality {g.quality:.2f}, opening {1e3 * g.width:.0f} mm" for g in best),
@@ -101,10 +101,10 @@ def report(collected: Collected) -> list[str]:
 
 def _run() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("file", type=Path, help="picture file that is written, such as grasp.png")
-    parser.add_argument("--pictures", type=int, default=30, help="so many pictures are waited for, default 30")
+    parser.add_argument("file", type=Path, help="image file that is written, such as grasp.png")
+    parser.add_argument("--pictures", type=int, default=30, help="so many images are waited for, default 30")
     arguments = parser.parse_args(rospy.myargv()[1:])
-    collected, deadline = Collected(), time.monotonic() + PATIENCE_S
+    collected, deadline = NodeOutput(), time.monotonic() + PATIENCE_S
     info = None
     while True:
         info = info or _camera_info()
@@ -113,12 +113,10 @@ def _run() -> None:
             break
         if rospy.is_shutdown() or time.monotonic() > deadline:
             reasons = {found.reason for found in collected.lists[-5:]}
-            raise RigError(
-                f"No picture with a grasp came within {PATIENCE_S:g} s: {'; '.join(reasons) or 'no answer'}."
-            )
+            raise RigError(f"No image with a grasp came within {PATIENCE_S:g} s: {'; '.join(reasons) or 'no answer'}.")
         time.sleep(POLL_S)
     if not cv2.imwrite(str(arguments.file), composed(*newest, camera_model_from_info(info))):
-        raise RigError(f"The picture cannot be written to {arguments.file}.")
+        raise RigError(f"The image cannot be written to {arguments.file}.")
     sys.stdout.write("\n".join([*report(collected), f"{arguments.file} is written", ""]))
 
 

@@ -1,4 +1,4 @@
-"""Asks the arm's controller whether it reaches grasps, beside the way of the pictures, which never waits for it."""
+"""Asks the arm's controller whether it reaches grasps, beside the way of the images, which never waits for it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import rospy
 from common.frames import BASE
 from common.mounting import directions
 from common.ros.conversions import stamped_pose
-from grasping.pipeline.live import Proposal
-from grasping.pipeline.reach import ASKED, SILENT, Reach, ReachBook, ReachConfig
+from grasping.pipeline.live import GraspProposal
+from grasping.pipeline.reach import ASKED, SILENT, Reachability, ReachabilityCache, ReachConfig
 from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
 from rig_msgs.srv import CheckToolPose
 
@@ -33,7 +33,7 @@ class ReachClient:
 
     def __init__(self, config: ReachConfig, tool: ToolPoseConfig) -> None:
         self._config, self._tool = config, tool
-        self._book = ReachBook(config)
+        self._book = ReachabilityCache(config)
         self._lock = threading.Lock()
         self._questions: queue.Queue[tuple[int, np.ndarray]] = queue.Queue(maxsize=config.best)
         self._failed, self._busy_since = False, 0.0
@@ -41,7 +41,7 @@ class ReachClient:
         if config.ask:
             threading.Thread(target=self._loop, name="reach", daemon=True).start()
 
-    def look_up(self, proposals: tuple[Proposal, ...]) -> list[tuple[Proposal, Reach]]:
+    def look_up(self, proposals: tuple[GraspProposal, ...]) -> list[tuple[GraspProposal, Reachability]]:
         """Returns the grasps with what is known of each: first those that the controller has not refused.
 
         Only the best of them are asked for; of the others it is unknown.
@@ -52,21 +52,21 @@ class ReachClient:
             known = [(p, self._known(p, i, now)) for i, p in enumerate(proposals)]
         return sorted(known, key=lambda pair: pair[1].refused)
 
-    def _known(self, proposal: Proposal, place: int, now: float) -> Reach:
+    def _known(self, proposal: GraspProposal, place: int, now: float) -> Reachability:
         if proposal.T_base_grasp is None:
-            return Reach(False, "the camera's place in kuka/base_frame is unknown")
+            return Reachability(False, "the camera's place in kuka/base_frame is unknown")
         if not self._config.ask:
-            return Reach(True, "")
+            return Reachability(True, "")
         if place >= self._config.best:
-            return Reach(False, f"only the {self._config.best} best grasps are asked for")
+            return Reachability(False, f"only the {self._config.best} best grasps are asked for")
         if self._book.wanted(proposal.id, proposal.T_base_grasp, now):
             try:
                 self._questions.put_nowait((proposal.id, proposal.T_base_grasp))
                 self._book.asked(proposal.id, proposal.T_base_grasp, now)
             except queue.Full:
-                pass  # the next picture asks again
+                pass  # the next image asks again
         silent = self._failed or (self._busy_since and now - self._busy_since > self._config.timeout)
-        return self._book.known(proposal.id) or Reach(False, SILENT if silent else ASKED)
+        return self._book.known(proposal.id) or Reachability(False, SILENT if silent else ASKED)
 
     def _loop(self) -> None:
         while not rospy.is_shutdown():
@@ -80,18 +80,18 @@ class ReachClient:
             with self._lock:
                 self._book.answered(number, answer)
 
-    def _answer(self, T_base_grasp: np.ndarray) -> Reach | None:
+    def _answer(self, T_base_grasp: np.ndarray) -> Reachability | None:
         """Returns what the controller says, None if it does not answer."""
         try:
             line, mounting = rospy.get_param("kuka/center_line", AHEAD), rospy.get_param("kuka/mounting", UPRIGHT)
             home = directions(line, mounting)
             T = tool_pose(T_base_grasp, self._tool, home.R_base_tool, home.up)
         except (TypeError, ValueError) as error:
-            return Reach(False, str(error), True)
+            return Reachability(False, str(error), True)
         try:
             rospy.wait_for_service(SERVICE, self._config.timeout)
             found = rospy.ServiceProxy(SERVICE, CheckToolPose)(stamped_pose(T, BASE, rospy.Time.now()))
         except (rospy.ROSException, rospy.ServiceException):  # no such service, or it failed
             return None
         self.answers += 1
-        return Reach(found.success, "" if found.success else found.message.rstrip("."), not found.success)
+        return Reachability(found.success, "" if found.success else found.message.rstrip("."), not found.success)

@@ -17,7 +17,7 @@ class ReasonLog:
     """
 
     def __init__(self) -> None:
-        self.present = "no depth picture has been looked at"
+        self.present = "no depth image has been looked at"
         self._kind = self.present
 
     def tell(self, reason: str) -> None:

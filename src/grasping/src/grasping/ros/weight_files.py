@@ -10,7 +10,7 @@ import yaml
 
 from common.errors import RigError
 from grasping.network import refinement_file, weights
-from grasping.network.refinement import Refinement
+from grasping.network.refinement import MapRefiner
 from grasping.network.refinement_file import Origin
 from grasping.network.weights import Loaded, WeightsError, listed_sha256
 from grasping.pipeline.settings import ANY, LISTED, NetworkConfig
@@ -44,8 +44,8 @@ def load_network(config: NetworkConfig) -> Loaded:
     return loaded
 
 
-def load_refinement(name: str, rig: Origin) -> Refinement:
-    """Returns the second network of a weight file; one of this package must have the hash in its list.
+def load_refinement(name: str, rig: Origin) -> MapRefiner:
+    """Returns the refinement network of a weight file; one of this package must have the hash in its list.
 
     Args:
         name: of the file.
@@ -57,13 +57,13 @@ def load_refinement(name: str, rig: Origin) -> Refinement:
     path = _path(name)
     if not name.startswith("/") and not path.exists():
         raise RigError(
-            f"There is no second network {path}, and none comes with the package: train one on a person's grasps with "
-            "train_refinement.py, and name its weights.pt in refinement_weights."
+            f"No refinement network {path}; none comes with the package. Train one on an operator's grasps with "
+            "train_refinement.py and set refinement_weights to its weights.pt."
         )
     found, origin = refinement_file.load(_content(path), None if name.startswith("/") else _listed(path))
     objection = origin.objection(rig)
     if objection:
-        raise WeightsError(f"The second network in {path} {objection}.")
+        raise WeightsError(f"The refinement network in {path} {objection}.")
     return found
 
 

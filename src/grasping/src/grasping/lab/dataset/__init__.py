@@ -1,1 +1,1 @@
-"""The dataset of grasps by a person: what an episode is, its file, its labels, and how it is collected."""
+"""The dataset of grasps by an operator: what an episode is, its file, its labels, and how it is collected."""

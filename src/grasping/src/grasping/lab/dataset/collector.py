@@ -1,6 +1,6 @@
-"""When an episode begins and ends: frames, the hand, the person's stream and proposals go in, finished grasps come out.
+"""Decides when an episode begins and ends: takes frames, hand, stream and proposals; returns finished grasps.
 
-An episode of free teleoperation begins with the person's stream, one of a confirmed proposal with the approach to it:
+An episode of free teleoperation begins with the operator's stream, one of a confirmed proposal with the approach to it:
 what was seen before may lie elsewhere by now. It ends when it is known whether the closed fingers held something; then
 no frame is kept until the hand opens and leaves the object where the next grasp will find it.
 """
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandState, SeenGrasp
+from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
 from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
 from grasping.lab.dataset.frame_buffer import FrameBuffer, FrameBufferConfig, KeptFrame, KeptFrames, Optics
 
@@ -31,7 +31,7 @@ class Finished(NamedTuple):
         frames: before it; None: it is no episode.
     """
 
-    grasp: SeenGrasp
+    grasp: ObservedGrasp
     source: str
     frames: KeptFrames | None
 
@@ -45,7 +45,7 @@ class Collector:
         up: the vertical in the base frame, shape (3,).
 
     Attributes:
-        teleop: whether a person's hand is followed.
+        teleop: whether an operator's hand is followed.
         kept: frames since the beginning.
     """
 
@@ -72,7 +72,7 @@ class Collector:
         return back
 
     def due(self, stamp: float) -> bool:
-        """Returns whether a picture of that time [s] may be looked at, after those before it."""
+        """Returns whether an image of that time [s] may be looked at, after those before it."""
         return self._buffer.due(stamp)
 
     def wants(self, stamp: float, T_base_tool: np.ndarray) -> bool:
@@ -87,7 +87,7 @@ class Collector:
         return self._buffer.add(frame, optics)
 
     def stream(self, active: bool) -> None:
-        """The stream of the person's hand runs or not."""
+        """The stream of the operator's hand runs or not."""
         if active and not self.teleop and not self._executing:
             self._begin()
         self.teleop = active
@@ -98,12 +98,12 @@ class Collector:
             self._begin()
         self._executing = active
 
-    def hand(self, state: HandState, T_base_tool: np.ndarray, now: float) -> Finished | None:
+    def hand(self, state: HandMeasurement, T_base_tool: np.ndarray, now: float) -> Finished | None:
         """Takes a state of the hand in; while a proposal is executed its outcome counts instead."""
         grasp = self._watch.step(state, T_base_tool, now)
         return None if grasp is None or self._executing else self._finish(grasp, TELEOPERATION)
 
-    def outcome(self, grasp: SeenGrasp) -> Finished | None:
+    def outcome(self, grasp: ObservedGrasp) -> Finished | None:
         """Takes the outcome of a proposal in; None if that grasp is finished already."""
         return self._finish(grasp, EXECUTION)
 
@@ -112,7 +112,7 @@ class Collector:
         self._buffer.clear()
         self._after = self._now
 
-    def _finish(self, grasp: SeenGrasp, source: str) -> Finished | None:
+    def _finish(self, grasp: ObservedGrasp, source: str) -> Finished | None:
         if grasp.time < self._last_grasp + SAME_GRASP_S:
             return None
         self._last_grasp = self._after = grasp.time

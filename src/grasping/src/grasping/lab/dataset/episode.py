@@ -1,4 +1,4 @@
-"""An episode of the dataset: what the camera and the network saw before a person grasped something, and that grasp.
+"""An episode of the dataset: what the camera and the network saw before an operator grasped something, and that grasp.
 
 Each episode is one closing of the fingers. Its frames end there, and all of them bear the same label, known only in
 hindsight: where the tool was when the fingers closed, and whether the hand then lifted something. Fixed in
@@ -23,16 +23,16 @@ from grasping.network.depth_image import CAMERA, Crop
 from grasping.network.maps import Peak
 
 NONE_MM = 0
-"""What a depth picture holds where the camera had no reading."""
+"""What a depth image holds where the camera had no reading."""
 FINGERS = ("index", "middle", "thumb", "spread")
 """Columns of `Episode.finger_angles`."""
 EXECUTION, TELEOPERATION = "execution", "teleoperation"
-"""Where an episode comes from: a proposal that the person confirmed, or free teleoperation."""
+"""Where an episode comes from: a proposal that the operator confirmed, or free teleoperation."""
 
 
 @dataclass(frozen=True)
 class Metadata:
-    """What was known beside the pictures.
+    """What was known beside the images.
 
     Attributes:
         version: of the package that wrote the file.
@@ -62,17 +62,17 @@ class Metadata:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-class Frame(NamedTuple):
+class EpisodeFrame(NamedTuple):
     """One frame of an episode.
 
     Attributes:
-        camera: that sees the picture, real or imagined.
-        crop: the window of its picture that is kept.
+        camera: that sees the image, real or imagined.
+        crop: the window of its image that is kept.
         depth: that window, shape (side, side), uint16 [mm], 0 = no reading.
         maps: of the network before smoothing, shape (4, m, m), float16: quality, cos, sin, width.
-        peak: GGCNN's own grasp, the best peak of the smoothed quality, in the network's 300 x 300 picture.
+        peak: GGCNN's own grasp, the best peak of the smoothed quality, in the network's 300 x 300 image.
         T_base_camera: optical frame in `kuka/base_frame`, shape (4, 4) [m].
-        T_base_grasp: the person's grasp there, shape (4, 4) [m], as `projection.Grasp` has its axes.
+        T_base_grasp: the operator's grasp there, shape (4, 4) [m], as `projection.CameraGrasp` has its axes.
         opening: of the hand before it closed [m]; NaN where it is not known.
     """
 
@@ -92,7 +92,7 @@ class Frame(NamedTuple):
 
     @property
     def T_camera_grasp(self) -> np.ndarray:
-        """The person's grasp before the camera, shape (4, 4) [m]."""
+        """The operator's grasp before the camera, shape (4, 4) [m]."""
         return inverse(self.T_base_camera) @ self.T_base_grasp
 
 
@@ -101,27 +101,27 @@ class Episode:
     """One closing of the fingers and the n frames before it, oldest first; arrays are read-only.
 
     Attributes:
-        metadata: what was known beside the pictures.
+        metadata: what was known beside the images.
         camera: that sees what the network sees: the real one, or an imagined one above the table (`view.TableView`);
             the label has its axes.
-        crop: the window of its picture that is kept.
+        crop: the window of its image that is kept.
         T_flange_tool: tool in the flange, shape (4, 4) [m].
         T_tool_grasp: grasp in the tool, shape (4, 4) [m]: z the approach, x through the fingers.
         T_base_tool_closed: measured tool when the fingers had closed, shape (4, 4) [m].
         t_grasp: when they had closed [s].
         held: whether the hand then held something while it was lifted. If not, the grasp teaches where not to grasp.
-        stamp: of the depth pictures, shape (n,) [s], rising, none after t_grasp.
+        stamp: of the depth images, shape (n,) [s], rising, none after t_grasp.
         depth: shape (n, side, side), uint16 [mm], 0 = no reading.
         maps: of the network before smoothing, shape (n, 4, m, m), float16: quality, cos, sin, width as the network
             has them; the mean of each block of 300 / m pixels.
-        mean: what was taken off the network's picture, shape (n,) [m].
+        mean: what was taken off the network's image, shape (n,) [m].
         peak: GGCNN's own grasp, shape (n, 5): row, column, quality, angle, width as `maps.Peak` has them, in the
-            network's 300 x 300 picture.
+            network's 300 x 300 image.
         T_base_camera: optical frame of `camera`, shape (n, 4, 4) [m].
         T_base_tool_measured: tool by the measured joints, shape (n, 4, 4) [m].
-        T_base_tool_desired: where the person's hand wanted it, shape (n, 4, 4) [m]; NaN where no hand was followed.
+        T_base_tool_desired: where the operator's hand wanted it, shape (n, 4, 4) [m]; NaN where no hand was followed.
         finger_angles: the grip's opening, shape (n, 4) [rad]: index, middle, thumb (0 = open), spread.
-        teleop_active: whether a person's hand was followed, shape (n,).
+        teleop_active: whether an operator's hand was followed, shape (n,).
     """
 
     metadata: Metadata
@@ -149,12 +149,12 @@ class Episode:
 
     @property
     def view(self) -> str:
-        """Which view its pictures are of, a name in `view.VIEWS`; labels are in the axes of that view's camera."""
+        """Which view its images are of, a name in `view.VIEWS`; labels are in the axes of that view's camera."""
         return str(self.metadata.configuration.get("view", CAMERA))
 
     @property
     def T_base_grasp(self) -> np.ndarray:
-        """The person's grasp in `kuka/base_frame`, shape (4, 4) [m]: the label of every frame."""
+        """The operator's grasp in `kuka/base_frame`, shape (4, 4) [m]: the label of every frame."""
         return self.T_base_tool_closed @ self.T_tool_grasp
 
     @property
@@ -168,10 +168,10 @@ class Episode:
         object from the camera, and GGCNN may take the hand for one."""
         return np.linalg.norm(self.T_base_tool_measured[:, :3, 3] - self.T_base_tool_closed[:3, 3], axis=1)
 
-    def frame(self, i: int) -> Frame:
+    def frame(self, i: int) -> EpisodeFrame:
         """Returns frame i."""
         row, column, *rest = self.peak[i].tolist()
-        return Frame(
+        return EpisodeFrame(
             self.camera,
             self.crop,
             self.depth[i],
@@ -182,6 +182,6 @@ class Episode:
             self.opening,
         )
 
-    def frames(self) -> list[Frame]:
+    def frames(self) -> list[EpisodeFrame]:
         """Returns all frames, oldest first."""
         return [self.frame(i) for i in range(len(self))]

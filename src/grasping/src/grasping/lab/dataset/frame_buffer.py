@@ -14,7 +14,7 @@ import numpy as np
 
 from common.camera_model import CameraModel
 from common.config import integer, number
-from grasping.execution.grasp_watch import SeenGrasp
+from grasping.execution.grasp_watch import ObservedGrasp
 from grasping.lab.dataset.episode import Episode, Metadata
 from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak
@@ -54,8 +54,8 @@ class Optics(NamedTuple):
 
     Attributes:
         camera: that sees what the network sees: a real or an imagined one.
-        crop: of its picture.
-        real: the camera that took the depth pictures.
+        crop: of its image.
+        real: the camera that took the depth images.
     """
 
     camera: CameraModel
@@ -70,7 +70,7 @@ class KeptFrames(NamedTuple):
     rows: list[KeptFrame]
 
     def episode(
-        self, grasp: SeenGrasp, metadata: Metadata, T_flange_tool: np.ndarray, T_tool_grasp: np.ndarray
+        self, grasp: ObservedGrasp, metadata: Metadata, T_flange_tool: np.ndarray, T_tool_grasp: np.ndarray
     ) -> Episode:
         """Returns the frames with the grasp as their label."""
         return Episode(
@@ -89,14 +89,15 @@ class KeptFrames(NamedTuple):
 def on_hand(p_base: np.ndarray, T_base_tool: np.ndarray, config: FrameBufferConfig) -> bool:
     """Returns whether a point, shape (3,) [m], may lie on the hand or the arm behind it, both in the base frame.
 
-    Where GGCNN's own grasp does, it took the robot for an object, and its map teaches nothing of where a person grasps.
+    Where GGCNN's own grasp does, it took the robot for an object, and its map teaches nothing of where an operator
+    grasps.
     """
     x, y, z = T_base_tool[:3, :3].T @ (p_base - T_base_tool[:3, 3])
     return bool(z < config.hand_reach and np.hypot(x, y) < config.hand_radius)
 
 
 class FrameBuffer:
-    """The frames since the person began."""
+    """The frames since the operator began."""
 
     def __init__(self, config: FrameBufferConfig) -> None:
         self._config = config
@@ -109,7 +110,7 @@ class FrameBuffer:
         return len(self._frames)
 
     def due(self, stamp: float) -> bool:
-        """Returns whether a picture of that time [s] may be looked at, after those before it."""
+        """Returns whether an image of that time [s] may be looked at, after those before it."""
         if self._tried is not None and stamp - self._tried < 1.0 / self._config.rate:
             return False
         self._tried = stamp
@@ -133,7 +134,7 @@ class FrameBuffer:
         return changed
 
     def clear(self) -> None:
-        """Drops all frames, and the memory of when a picture was last looked at."""
+        """Drops all frames, and the memory of when an image was last looked at."""
         self._frames.clear()
         self._tried = None
 

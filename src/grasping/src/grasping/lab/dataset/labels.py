@@ -1,12 +1,12 @@
-"""The person's grasp against GGCNN's own, seen by the camera: what the second network learns to predict.
+"""The operator's grasp against GGCNN's own, seen by the camera: what the refinement network learns to predict.
 
-A grasp before the camera is a pixel, a depth along the optical axis, an angle in the picture, and the tilt of its
+A grasp before the camera is a pixel, a depth along the optical axis, an angle in the image, and the tilt of its
 approach against that axis. GGCNN says the first three, and approaches along the axis. Its rotation is split as
 
     R_camera_grasp = exp(tilt) Rz(-angle),    tilt = (x, y, 0)
 
 in this order, so that tilt is free of the hand's symmetry: a hand turned by 180 degrees about its approach has the same
-tilt, and the same angle modulo pi. If the picture turns about the optical axis, angle and tilt turn with it.
+tilt, and the same angle modulo pi. If the image turns about the optical axis, angle and tilt turn with it.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import pinocchio as pin
 from common.camera_model import CameraModel
 from common.poses import pose, read_only
 from common.rotations import rotation_about
-from grasping.lab.dataset.episode import Frame
+from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.network.depth_image import NETWORK_SIDE, Crop
-from grasping.pipeline.projection import Grasp, camera_pixel, grasp
+from grasping.pipeline.projection import CameraGrasp, camera_pixel, grasp
 
 NO_TILT_RAD = 1e-9
 AGAINST_RAD = 1e-6
@@ -30,16 +30,16 @@ AGAINST_RAD = 1e-6
 
 
 class RelativeLabel(NamedTuple):
-    """A person's grasp against GGCNN's.
+    """An operator's grasp against GGCNN's.
 
     Attributes:
-        row: of the person's grasp in the map; may lie outside [px of the map].
+        row: of the operator's grasp in the map; may lie outside [px of the map].
         column: likewise.
         row_shift: that row less GGCNN's [px of the map].
         column_shift: likewise.
-        depth: of the person's grasp along the optical axis, less GGCNN's [m].
-        angle: in the picture, anticlockwise, less GGCNN's, in [-pi/2, pi/2) [rad].
-        tilt: of the person's approach about the camera's x and y axes, shape (2,) [rad]; GGCNN's is 0.
+        depth: of the operator's grasp along the optical axis, less GGCNN's [m].
+        angle: in the image, anticlockwise, less GGCNN's, in [-pi/2, pi/2) [rad].
+        tilt: of the operator's approach about the camera's x and y axes, shape (2,) [rad]; GGCNN's is 0.
     """
 
     row: float
@@ -51,10 +51,10 @@ class RelativeLabel(NamedTuple):
     tilt: np.ndarray
 
 
-def relative_label(frame: Frame) -> RelativeLabel | None:
-    """Returns the person's grasp against GGCNN's own, in the pixels of the frame's maps.
+def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
+    """Returns the operator's grasp against GGCNN's own, in the pixels of the frame's maps.
 
-    None where GGCNN's has no place, for want of a reading near its pixel, or the person's none in the picture: behind
+    None where GGCNN's has no place, for want of a reading near its pixel, or the operator's none in the image: behind
     the camera, or approaching straight towards it.
     """
     own = own_grasp(frame)
@@ -67,7 +67,7 @@ def relative_label(frame: Frame) -> RelativeLabel | None:
         return None
     side = frame.maps.shape[-1]
     row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, side)
-    # GGCNN's pixel is a whole one of the network's picture, and generally none of a smaller map.
+    # GGCNN's pixel is a whole one of the network's image, and generally none of a smaller map.
     own_row, own_column = ((i + 0.5) * side / NETWORK_SIDE - 0.5 for i in (frame.peak.row, frame.peak.column))
     return RelativeLabel(
         row,
@@ -80,7 +80,7 @@ def relative_label(frame: Frame) -> RelativeLabel | None:
     )
 
 
-def pose_from_label(frame: Frame, label: RelativeLabel) -> np.ndarray:
+def pose_from_label(frame: EpisodeFrame, label: RelativeLabel) -> np.ndarray:
     """Returns the pose before the camera, shape (4, 4) [m], that a label means; undoes `relative_label` but for half a
     turn about the approach.
 
@@ -95,14 +95,14 @@ def pose_from_label(frame: Frame, label: RelativeLabel) -> np.ndarray:
     return pose(R, (own.T_camera_grasp[2, 3] + label.depth) * ray)
 
 
-def own_grasp(frame: Frame) -> Grasp | None:
+def own_grasp(frame: EpisodeFrame) -> CameraGrasp | None:
     """Returns GGCNN's own grasp before the camera, None where the camera has no reading near its pixel."""
     window = Crop(0, 0, frame.crop.side)
     return grasp(frame.peak, window, NETWORK_SIDE, frame.depth_m, windowed(frame.camera, frame.crop))
 
 
 def windowed(camera: CameraModel, crop: Crop) -> CameraModel:
-    """Returns the camera whose whole picture is the window."""
+    """Returns the camera whose whole image is the window."""
     K, P = camera.K.copy(), camera.P.copy()
     K[:2, 2] -= (crop.column, crop.row)
     P[:2, 2] -= (crop.column, crop.row)
@@ -110,7 +110,7 @@ def windowed(camera: CameraModel, crop: Crop) -> CameraModel:
 
 
 def map_pixel(pixel: np.ndarray, crop: Crop, side: int) -> tuple[float, float]:
-    """Returns row and column in a map with `side` rows and columns of a pixel u, v of the camera's picture; undoes
+    """Returns row and column in a map with `side` rows and columns of a pixel u, v of the camera's image; undoes
     `projection.camera_pixel`."""
     u, v = (float(p) for p in pixel)
     scale = side / crop.side

@@ -10,10 +10,10 @@ import torch
 
 from grasping.lab.dataset.episode import NONE_MM
 from grasping.network.maps import Peak, highest, peaks
-from grasping.pipeline.live import LiveSettings, maps_of
+from grasping.pipeline.live import PipelineSettings, maps_of
 from grasping.pipeline.predictor import run
 from grasping.pipeline.projection import grasp
-from grasping.pipeline.view import View
+from grasping.pipeline.view import GraspView
 
 MAP_SIDE = 150
 """Rows and columns of the kept maps: half of the network's, which its smoothing by 5 px outweighs."""
@@ -26,7 +26,7 @@ class NetworkView(NamedTuple):
     Attributes:
         depth: shape (side, side), uint16 [mm], 0 = no reading.
         maps: shape (4, MAP_SIDE, MAP_SIDE), float16: quality, cos, sin, width.
-        mean: what was taken off the network's picture [m].
+        mean: what was taken off the network's image [m].
         peak: the best that the node ggcnn would find, or the highest pixel where it would find none.
     """
 
@@ -36,7 +36,9 @@ class NetworkView(NamedTuple):
     peak: Peak
 
 
-def look(network: torch.jit.ScriptModule, view: View, settings: LiveSettings) -> tuple[NetworkView, np.ndarray | None]:
+def look(
+    network: torch.jit.ScriptModule, view: GraspView, settings: PipelineSettings
+) -> tuple[NetworkView, np.ndarray | None]:
     """Returns what is kept of a view, and GGCNN's own grasp before its camera, shape (4, 4) [m], None where it has no
     place for want of a reading.
 
@@ -48,8 +50,8 @@ def look(network: torch.jit.ScriptModule, view: View, settings: LiveSettings) ->
     Raises:
         ValueError: the network says something that is not finite.
     """
-    crop, picture = view.picture.crop, view.picture
-    output = run(network, picture.input)
+    crop, image = view.image.crop, view.image
+    output = run(network, image.input)
     if not np.isfinite(output).all():
         raise ValueError("the network's maps are not finite")
     small = cv2.resize(output.transpose(1, 2, 0), (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA)
@@ -57,13 +59,13 @@ def look(network: torch.jit.ScriptModule, view: View, settings: LiveSettings) ->
     best = peaks(maps, 1, settings.distance, settings.threshold)
     window = view.depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side]
     peak = best[0] if best else highest(maps)
-    kept = NetworkView(millimetres(window), small.transpose(2, 0, 1).astype(np.float16), picture.mean, peak)
-    own = grasp(peak, crop, len(picture.input), view.depth, view.camera)
+    kept = NetworkView(millimetres(window), small.transpose(2, 0, 1).astype(np.float16), image.mean, peak)
+    own = grasp(peak, crop, len(image.input), view.depth, view.camera)
     return kept, None if own is None else own.T_camera_grasp
 
 
 def millimetres(depth: np.ndarray) -> np.ndarray:
-    """Returns a depth picture [m] in whole millimetres, uint16, 0 where there is no reading or it is too far away."""
+    """Returns a depth image [m] in whole millimetres, uint16, 0 where there is no reading or it is too far away."""
     with np.errstate(invalid="ignore"):
         whole = np.rint(1000.0 * depth)
         known = np.isfinite(whole) & (whole > 0.0) & (whole <= LARGEST_MM)

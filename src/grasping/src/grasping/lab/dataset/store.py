@@ -229,7 +229,7 @@ def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int]) -> None
     if np.any(np.diff(stamp) <= 0.0) or stamp[-1] > t_grasp:
         raise DatasetError("The stamps do not rise up to the moment of the grasp.")
     if sizes["side"] != arrays["crop"][2] or NETWORK_SIDE % sizes["m"]:
-        raise DatasetError(f"Pictures of {sizes['side']} px and maps of {sizes['m']} px do not belong together.")
+        raise DatasetError(f"Images of {sizes['side']} px and maps of {sizes['m']} px do not belong together.")
     for name in POSES:
         for T in arrays[name].reshape(-1, 4, 4):
             if name in MAY_BE_NAN and np.isnan(T).all():

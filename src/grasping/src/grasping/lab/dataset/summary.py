@@ -15,8 +15,8 @@ SHORT = 12
 """Digits of a fingerprint in a table."""
 
 
-class Offset(NamedTuple):
-    """The person's grasp as GGCNN's sees it.
+class OffsetStatistics(NamedTuple):
+    """The operator's grasp as GGCNN's sees it.
 
     Attributes:
         position: in the frame of GGCNN's grasp, shape (3,) [m]: x through its fingers, z its approach.
@@ -49,7 +49,7 @@ class Entry(NamedTuple):
     span: float
     fingerprint: str
     configuration: Mapping[str, Any]
-    offsets: list[Offset]
+    offsets: list[OffsetStatistics]
 
 
 def entry(name: str, size: int, episode: Episode) -> Entry:
@@ -71,14 +71,14 @@ def entry(name: str, size: int, episode: Episode) -> Entry:
     )
 
 
-def offsets(episode: Episode) -> list[Offset]:
-    """Returns how the person's grasp lies to GGCNN's, for each frame where both have a place."""
+def offsets(episode: Episode) -> list[OffsetStatistics]:
+    """Returns how the operator's grasp lies to GGCNN's, for each frame where both have a place."""
     found = []
     for frame in episode.frames():
         label, own = relative_label(frame), own_grasp(frame)
         if label is not None and own is not None:
             position = (inverse(own.T_camera_grasp) @ frame.T_camera_grasp)[:3, 3]
-            found.append(Offset(position, label.angle, float(np.linalg.norm(label.tilt))))
+            found.append(OffsetStatistics(position, label.angle, float(np.linalg.norm(label.tilt))))
     return found
 
 
@@ -147,8 +147,8 @@ def complaints(entries: list[Entry]) -> list[str]:
     return found
 
 
-def _beside(found: list[Offset]) -> tuple[str, str, str]:
-    """Returns median distance [mm], angle and tilt [deg] between the person's grasp and GGCNN's."""
+def _beside(found: list[OffsetStatistics]) -> tuple[str, str, str]:
+    """Returns median distance [mm], angle and tilt [deg] between the operator's grasp and GGCNN's."""
     if not found:
         return "-", "-", "-"
     distance = np.median([np.linalg.norm(o.position) for o in found])

@@ -1,8 +1,8 @@
-"""How well the hand's attitude and opening are foretold where the person grasped.
+"""How well the hand's attitude and opening are foretold where the operator grasped.
 
-Which of several grasps a person takes is another question (`likelihood`), and would hide this one: so here it is taken
-as known. Asked is how far the expected attitude is from the person's, and how probable the person's was. What says no
-spread of its own gets the constant one that suits it best on episodes that are not tested.
+Which of several grasps an operator takes is another question (`likelihood`), and would hide this one: so here it is
+taken as known. Asked is how far the expected attitude is from the operator's, and how probable the operator's was. What
+says no spread of its own gets the constant one that suits it best on episodes that are not tested.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import torch
 
 from common.rotations import rotation_about
 from grasping.lab.evaluation.operator_errors import rotation_miss
-from grasping.lab.training.refinement_batches import Targets
-from grasping.lab.training.refinement_examples import Offset
-from grasping.network.refinement import COS, LEAN_X, LEAN_Y, OPENING, SIN, Change, RefinementNetwork
+from grasping.lab.training.refinement_batches import RefinementTargets
+from grasping.lab.training.refinement_examples import OperatorOffset
+from grasping.network.refinement import COS, LEAN_X, LEAN_Y, OPENING, SIN, RefinementNetwork, RefinementOutput
 
 CONCENTRATIONS = np.geomspace(0.1, 100.0, 61)
 
@@ -26,7 +26,7 @@ class Expected(NamedTuple):
     """What is expected at the persons' n places, each shape (n,).
 
     Attributes:
-        angle: of the line through the fingers in the picture [rad].
+        angle: of the line through the fingers in the image [rad].
         tilt_x, tilt_y: of the approach [rad].
         opening: of the hand [GGCNN's unit x m].
         concentration: of twice the angle.
@@ -41,19 +41,21 @@ class Expected(NamedTuple):
     tilt_spread: np.ndarray
 
 
-def expected(seen: torch.Tensor, target: Targets, network: RefinementNetwork, offset: Offset) -> Expected:
+def expected(
+    seen: torch.Tensor, target: RefinementTargets, network: RefinementNetwork, offset: OperatorOffset
+) -> Expected:
     """Returns what a network says, untrained if it is only to add the offset.
 
     Args:
         seen: its input, shape (n, LEAN_Y + 1, h, w).
-        target: of n pictures, without `offset`.
+        target: of n images, without `offset`.
         network: the second one.
         offset: constant one, which the answer has.
     """
     at = target.place.flatten(1).argmax(1)
     n = torch.arange(len(at))
     with torch.no_grad():
-        said = Change.of(network(seen))
+        said = RefinementOutput.of(network(seen))
     of = {name: value.flatten(1)[n, at].double().numpy() for name, value in said._asdict().items()}
     cos, sin, lean_x, lean_y, opening = (
         seen[:, i].flatten(1)[n, at].double().numpy() for i in (COS, SIN, LEAN_X, LEAN_Y, OPENING)
@@ -69,11 +71,11 @@ def expected(seen: torch.Tensor, target: Targets, network: RefinementNetwork, of
     )
 
 
-def persons(target: Targets, offset: Offset) -> Expected:
+def persons(target: RefinementTargets, offset: OperatorOffset) -> Expected:
     """Returns what the persons did, without any spread.
 
     Args:
-        target: of n pictures, without `offset`.
+        target: of n images, without `offset`.
         offset: constant one, which the answer has.
     """
     cos, sin, x, y, opening = (
@@ -104,7 +106,7 @@ def with_constant_spread(found: Expected, known: Expected, did: Expected) -> Exp
     Args:
         found: what is expected.
         known: the same of other episodes.
-        did: what the person did in these.
+        did: what the operator did in these.
     """
     b = 0.5 * float(np.hypot(did.tilt_x - known.tilt_x, did.tilt_y - known.tilt_y).mean())
 

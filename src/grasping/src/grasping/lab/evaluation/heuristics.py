@@ -1,6 +1,6 @@
-"""Grasps without a network, for comparison: all see the same picture and return a grasp in it, or None.
+"""Grasps without a network, for comparison: all see the same image and return a grasp in it, or None.
 
-A plane is fitted to the picture; what stands out of it is an object. Openings in pixels of the picture.
+A plane is fitted to the image; what stands out of it is an object. Openings in pixels of the image.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from grasping.network.depth_image import Picture
+from grasping.network.depth_image import NetworkImage
 from grasping.network.maps import Peak
 
 OUTSTANDING_M = 0.012
@@ -17,24 +17,24 @@ PLANE_BAND_M = 0.01
 CLEARANCE_PX = 5.0
 SMALLEST_OBJECT_PX = 60
 EDGE_STEP_M = 0.006
-"""Change of depth across a pixel that is an edge."""
+"""RefinementOutput of depth across a pixel that is an edge."""
 EDGE_PAIRS = 4000
 FRICTION_ANGLE_RAD = 0.46
 """atan 0.5."""
 
 
-def random_pixel(picture: Picture, widest: float, rng: np.random.Generator) -> Peak | None:
+def random_pixel(image: NetworkImage, widest: float, rng: np.random.Generator) -> Peak | None:
     """Returns any pixel of an object with any angle, fully open."""
-    rows, columns = np.nonzero(object_mask(picture))
+    rows, columns = np.nonzero(object_mask(image))
     if not len(rows):
         return None
     i = rng.integers(len(rows))
     return Peak(int(rows[i]), int(columns[i]), 0.5, float(rng.uniform(-0.5, 0.5) * np.pi), widest)
 
 
-def principal_axis(picture: Picture, widest: float, _rng: np.random.Generator) -> Peak | None:
+def principal_axis(image: NetworkImage, widest: float, _rng: np.random.Generator) -> Peak | None:
     """Returns the middle of the largest object, across its shorter principal axis."""
-    count, parts, sizes, centres = cv2.connectedComponentsWithStats(object_mask(picture).astype(np.uint8))
+    count, parts, sizes, centres = cv2.connectedComponentsWithStats(object_mask(image).astype(np.uint8))
     if count < 2:
         return None
     part = 1 + int(np.argmax(sizes[1:, cv2.CC_STAT_AREA]))
@@ -46,12 +46,12 @@ def principal_axis(picture: Picture, widest: float, _rng: np.random.Generator) -
     return Peak(row, column, 0.5, (angle + 0.5 * np.pi) % np.pi - 0.5 * np.pi, min(widest, extent + 2.0 * CLEARANCE_PX))
 
 
-def edge_pair(picture: Picture, widest: float, rng: np.random.Generator) -> Peak | None:
+def edge_pair(image: NetworkImage, widest: float, rng: np.random.Generator) -> Peak | None:
     """Returns the pair of opposite depth edges that face each other best."""
-    smooth = cv2.GaussianBlur(picture.depth, (0, 0), 1.0)
+    smooth = cv2.GaussianBlur(image.depth, (0, 0), 1.0)
     gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) / 8.0, cv2.Sobel(smooth, cv2.CV_32F, 0, 1) / 8.0
     size = np.hypot(gx, gy)
-    rows, columns = np.nonzero((size > EDGE_STEP_M) & object_mask(picture, margin=2))
+    rows, columns = np.nonzero((size > EDGE_STEP_M) & object_mask(image, margin=2))
     if len(rows) < 2:
         return None
     # The depth grows outwards across the edge of an object.
@@ -75,9 +75,9 @@ def edge_pair(picture: Picture, widest: float, rng: np.random.Generator) -> Peak
 HEURISTICS = {"random pixel": random_pixel, "principal axis": principal_axis, "edge pair": edge_pair}
 
 
-def object_mask(picture: Picture, margin: int = 0) -> np.ndarray:
-    """Returns where something stands out of the table, shape of the picture, bool; widened by `margin` pixels."""
-    depth = picture.depth
+def object_mask(image: NetworkImage, margin: int = 0) -> np.ndarray:
+    """Returns where something stands out of the table, shape of the image, bool; widened by `margin` pixels."""
+    depth = image.depth
     h, w = depth.shape
     row, column = np.mgrid[:h, :w]
     design = np.stack([column / w, row / h, np.ones_like(depth)], axis=-1).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""How near a second network comes to a person, by the number of episodes that it learned from, as a picture."""
+"""How near a refinement network comes to an operator, by the number of episodes that it learned from, as an image."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def draw(
     """Draws the median error, and the share of errors below a distance, each with its 95 % interval.
 
     Args:
-        path: of the picture.
-        learned: errors of the second network [mm] by the number of episodes.
+        path: of the image.
+        learned: errors of the refinement network [mm] by the number of episodes.
         others: errors of other methods [mm] by their names; lines.
         near_mm: the distance [mm].
     """
@@ -55,7 +55,7 @@ def _curve(
 ) -> None:
     counts = sorted(learned)
     value, low, high = np.transpose([summary(learned[n]) for n in counts])
-    axes.errorbar(counts, value, [value - low, high - value], marker="o", capsize=3, label="with second network")
+    axes.errorbar(counts, value, [value - low, high - value], marker="o", capsize=3, label="with refinement network")
     for (name, errors), colour in zip(others.items(), COLOURS):
         value, low, high = summary(errors)
         axes.axhline(value, color=colour, linestyle="--", label=name)

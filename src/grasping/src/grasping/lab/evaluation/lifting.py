@@ -13,7 +13,7 @@ import numpy as np
 
 from common.rotations import quaternion_from_rotation
 from grasping.lab.synthetic.labels import Gripper
-from grasping.lab.synthetic.scene import Scene, world_xml
+from grasping.lab.synthetic.scene import HeapScene, world_xml
 
 START_M = 0.12
 """The hand starts so far before the grasp."""
@@ -45,7 +45,7 @@ REST = """<equality><joint joint1="finger0" joint2="finger1" polycoef="0 1 0 0 0
 <motor joint="finger0"/><motor joint="finger1"/></actuator>"""
 
 
-class Lift(NamedTuple):
+class LiftResult(NamedTuple):
     """What came of a trial.
 
     Attributes:
@@ -59,7 +59,7 @@ class Lift(NamedTuple):
     reached: bool
 
 
-def lift(scene: Scene, T_world_grasp: np.ndarray, opening: float, gripper: Gripper, friction: float) -> Lift:
+def lift(scene: HeapScene, T_world_grasp: np.ndarray, opening: float, gripper: Gripper, friction: float) -> LiftResult:
     """Returns what happens when the gripper grasps there.
 
     Args:
@@ -97,10 +97,10 @@ def lift(scene: Scene, T_world_grasp: np.ndarray, opening: float, gripper: Gripp
             reached = abs(data.qpos[approach_at] - START_M) < 0.005
     rise = data.qpos[heights] - before
     most = float(rise.max()) if np.all(np.isfinite(rise)) else 0.0
-    return Lift(most > RISE_M and not data.warning.number.any(), most, reached)
+    return LiftResult(most > RISE_M and not data.warning.number.any(), most, reached)
 
 
-def _xml(scene: Scene, R: np.ndarray, start: np.ndarray, opening: float, gripper: Gripper, friction: float) -> str:
+def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gripper: Gripper, friction: float) -> str:
     """Returns the scene's world with the hand in it; the hand's origin is between the tips."""
     half = 0.5 * gripper.thickness
     fingers = "".join(

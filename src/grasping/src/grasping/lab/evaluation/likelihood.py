@@ -1,8 +1,8 @@
-"""How probable a quality map makes the place where a person grasped.
+"""How probable a quality map makes the place where an operator grasped.
 
-Which of several equally good grasps a person takes cannot be foretold: a distance punishes a map for the wrong one of
-them, and cannot tell a map that saw the others coming from one that did not. So a map is taken as a distribution over
-its pixels, a softmax of the quality, as sharp and as smooth as suits it best on episodes that are not tested.
+Which of several equally good grasps an operator takes cannot be foretold: a distance punishes a map for the wrong one
+of them, and cannot tell a map that saw the others coming from one that did not. So a map is taken as a distribution
+over its pixels, a softmax of the quality, as sharp and as smooth as suits it best on episodes that are not tested.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def log_likelihoods(qualities: np.ndarray, places: np.ndarray, calibration: Cali
 
     Args:
         qualities: maps, shape (n, h, w), float32.
-        places: bells of sum 1 about the person's pixels, shape (n, h, w).
+        places: bells of sum 1 about the operator's pixels, shape (n, h, w).
         calibration: of the maps.
     """
     smooth = np.stack([gaussian(quality, calibration.blur) for quality in qualities])

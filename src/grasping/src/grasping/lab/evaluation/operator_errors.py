@@ -1,4 +1,4 @@
-"""How far a predicted grasp is from a person's, and simple predictors that the second network has to beat."""
+"""How far a predicted grasp is from an operator's, and simple predictors that the refinement network has to beat."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 
 from common.poses import inverse
 from common.rotations import rotation_about, rotation_angle
-from grasping.lab.dataset.episode import Frame
+from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import pose_from_label, relative_label
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
 
 NEAR_M, NEAR_RAD = 0.020, np.radians(15.0)
 PATCH_SIDE = 120
-"""Of the picture's part about GGCNN's pixel by which frames are compared, in the network's picture [px]."""
+"""Of the image's part about GGCNN's pixel by which frames are compared, in the network's image [px]."""
 PATCH_CELLS = 24
 HALF_TURN = rotation_about(2, np.pi)
 
 
 class Miss(NamedTuple):
-    """A predicted grasp against the person's.
+    """A predicted grasp against the operator's.
 
     Attributes:
         position: distance [m].
@@ -50,15 +50,15 @@ def rotation_miss(R_wanted: np.ndarray, R_found: np.ndarray) -> float:
 
 
 class Neighbours:
-    """Predicts what the person did in the most similar frame: the nearest neighbour."""
+    """Predicts what the operator did in the most similar frame: the nearest neighbour."""
 
-    def __init__(self, frames: list[Frame]) -> None:
-        """Keeps frames, of which at least one has GGCNN's grasp and the person's in sight, of grasps that held."""
+    def __init__(self, frames: list[EpisodeFrame]) -> None:
+        """Keeps frames, of which at least one has GGCNN's grasp and the operator's in sight, of grasps that held."""
         labelled = [(patch(frame), relative_label(frame)) for frame in frames]
         self._patches = np.stack([seen for seen, label in labelled if label is not None])
         self._labels = [label for _, label in labelled if label is not None]
 
-    def grasp(self, frame: Frame) -> np.ndarray:
+    def grasp(self, frame: EpisodeFrame) -> np.ndarray:
         """Returns the pose before the camera, shape (4, 4) [m]."""
         nearest = int(np.argmin(np.square(self._patches - patch(frame)).sum(axis=1)))
         label = self._labels[nearest]
@@ -67,7 +67,7 @@ class Neighbours:
         return pose_from_label(frame, label._replace(row=row + label.row_shift, column=column + label.column_shift))
 
 
-def patch(frame: Frame) -> np.ndarray:
+def patch(frame: EpisodeFrame) -> np.ndarray:
     """Returns what lies about GGCNN's pixel: depths less the pixel's, coarse, shape (PATCH_CELLS^2,) [m]."""
     depth = prepare(frame.depth_m, Crop(0, 0, frame.crop.side)).depth
     half = PATCH_SIDE // 2

@@ -1,4 +1,4 @@
-"""One trial: a scene of held-out objects, a method's grasp in its picture, and what the physics and the labels say."""
+"""One trial: a scene of held-out objects, a method's grasp in its image, and what the physics and the labels say."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from common.rotations import rotation_about
 from grasping.lab.evaluation.lifting import lift
 from grasping.lab.evaluation.rectangles import is_right
 from grasping.lab.synthetic import labels
-from grasping.lab.synthetic.samples import CELL_M, GRIPPER, View, view
+from grasping.lab.synthetic.samples import CELL_M, GRIPPER, SceneView, view
 from grasping.lab.synthetic.sensor import FOCAL_PX
-from grasping.network.depth_image import CROP_SIDE, NETWORK_SIDE, Crop, Picture, prepare
+from grasping.network.depth_image import CROP_SIDE, NETWORK_SIDE, Crop, NetworkImage, prepare
 from grasping.network.maps import Maps, Peak, peaks
 from grasping.pipeline.projection import grasp
 
@@ -27,30 +27,30 @@ ANGLE_ERROR_RAD = 0.035
 """Standard deviations of what the arm adds to the grasp."""
 LABEL_QUALITY = 0.3
 
-Method = Callable[[Picture, float, np.random.Generator], "Peak | None"]
+Method = Callable[[NetworkImage, float, np.random.Generator], "Peak | None"]
 
 
-class Situation(NamedTuple):
+class TrialScene(NamedTuple):
     """A scene and all that is needed to judge grasps in it.
 
     Attributes:
         number: of the scene in its split.
         view: what the camera sees.
-        picture: what the network sees.
+        image: what the network sees.
         widest: opening of the gripper at the table [px].
-        best: labels in the picture.
+        best: labels in the image.
         rectangles: labelled grasps in all directions.
     """
 
     number: int
-    view: View
-    picture: Picture
+    view: SceneView
+    image: NetworkImage
     widest: float
     best: labels.Labels
     rectangles: list[Peak]
 
 
-class Outcome(NamedTuple):
+class TrialOutcome(NamedTuple):
     """What came of one grasp.
 
     Attributes:
@@ -82,10 +82,10 @@ class Executed(NamedTuple):
     friction: float
 
 
-def situation(split: str, number: int, count: int) -> Situation:
+def situation(split: str, number: int, count: int) -> TrialScene:
     """Returns the scene `number` of a split with `count` objects."""
     seen = view(split, number, count)
-    picture = prepare(seen.observed, CROP)
+    image = prepare(seen.observed, CROP)
     focal = FOCAL_PX * NETWORK_SIDE / CROP_SIDE
     exact = cv2.resize(seen.exact, (NETWORK_SIDE, NETWORK_SIDE), interpolation=cv2.INTER_NEAREST)
     found = labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER)
@@ -93,15 +93,15 @@ def situation(split: str, number: int, count: int) -> Situation:
     for k, angle in enumerate(found.angles):
         score = found.scores[k]
         one = labels.Labels(score, np.full_like(score, angle), found.openings[k], np.ones_like(score, bool))
-        flat = labels.in_picture(one, seen.surface, CELL_M, exact, focal)
+        flat = labels.in_image(one, seen.surface, CELL_M, exact, focal)
         maps = Maps(flat.quality.astype(np.float32), flat.angle, flat.opening)
         rectangles += peaks(maps, 20, distance=5, threshold=LABEL_QUALITY)
-    best = labels.in_picture(labels.best(found), seen.surface, CELL_M, exact, focal)
-    return Situation(number, seen, picture, GRIPPER.opening * focal / float(exact.max()), best, rectangles)
+    best = labels.in_image(labels.best(found), seen.surface, CELL_M, exact, focal)
+    return TrialScene(number, seen, image, GRIPPER.opening * focal / float(exact.max()), best, rectangles)
 
 
-def oracle(of: Situation) -> Peak | None:
-    """Returns the best labelled grasp, which no method that sees the picture alone can know."""
+def oracle(of: TrialScene) -> Peak | None:
+    """Returns the best labelled grasp, which no method that sees the image alone can know."""
     row, column = (int(i) for i in np.unravel_index(np.argmax(of.best.quality), of.best.quality.shape))
     quality = float(of.best.quality[row, column])
     if quality == 0.0:
@@ -109,7 +109,7 @@ def oracle(of: Situation) -> Peak | None:
     return Peak(row, column, quality, float(of.best.angle[row, column]), float(of.best.opening[row, column]))
 
 
-def executed(of: Situation, chosen: Peak | None) -> Executed | None:
+def executed(of: TrialScene, chosen: Peak | None) -> Executed | None:
     """Returns a grasp as the arm takes it, None where there is none; friction and error depend on the scene alone."""
     rng = np.random.default_rng([99, of.number])
     friction = float(rng.uniform(*FRICTION))
@@ -122,17 +122,17 @@ def executed(of: Situation, chosen: Peak | None) -> Executed | None:
     return Executed(T_world_camera @ where.T_camera_grasp @ miss, where.width, friction)
 
 
-def judge(of: Situation, chosen: Peak | None) -> Outcome:
+def judge(of: TrialScene, chosen: Peak | None) -> TrialOutcome:
     """Returns what comes of a grasp."""
     tried = executed(of, chosen)
     if chosen is None or tried is None:
-        return Outcome(False, False, False, False, 0.0)
+        return TrialOutcome(False, False, False, False, 0.0)
     trial = lift(of.view.scene, tried.T_world_grasp, tried.width, GRIPPER, tried.friction)
-    return Outcome(True, trial.lifted, trial.reached, is_right(chosen, of.rectangles), chosen.quality)
+    return TrialOutcome(True, trial.lifted, trial.reached, is_right(chosen, of.rectangles), chosen.quality)
 
 
 def camera() -> CameraModel:
-    """Returns the camera of the scenes; the window is its whole picture."""
+    """Returns the camera of the scenes; the window is its whole image."""
     centre = 0.5 * (CROP_SIDE - 1)
     K = np.array([[FOCAL_PX, 0.0, centre], [0.0, FOCAL_PX, centre], [0.0, 0.0, 1.0]])
     return pinhole("simulated", CROP_SIDE, CROP_SIDE, K)

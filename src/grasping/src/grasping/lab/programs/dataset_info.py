@@ -1,8 +1,8 @@
-"""Tells what is in a dataset of grasps by a person; files that are damaged or foreign are named and left out.
+"""Tells what is in a dataset of grasps by an operator; files that are damaged or foreign are named and left out.
 
-For each object: episodes, frames, share that was held, how far the person's grasp is from GGCNN's (median of distance,
-angle in the picture, and tilt of the approach), first and last grasp, size. For each configuration of the rig, by its
-fingerprint: episodes, and in what it differs from the first.
+For each object: episodes, frames, share that was held, how far the operator's grasp is from GGCNN's (median of
+distance, angle in the image, and tilt of the approach), first and last grasp, size. For each configuration of the rig,
+by its fingerprint: episodes, and in what it differs from the first.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def read(folder: Path) -> Iterator[summary.Entry | str]:
 
 
 def plot(entries: list[summary.Entry], path: Path) -> None:
-    """Draws where the person grasped, seen from GGCNN's grasps."""
+    """Draws where the operator grasped, seen from GGCNN's grasps."""
     import matplotlib.figure
 
     figure = matplotlib.figure.Figure(figsize=(12, 4.2), layout="constrained")
@@ -51,7 +51,7 @@ def plot(entries: list[summary.Entry], path: Path) -> None:
     place.axhline(0.0, color="grey", linewidth=0.6)
     place.axvline(0.0, color="grey", linewidth=0.6)
     place.set(xlabel="through GGCNN's fingers [mm]", ylabel="across them [mm]", aspect="equal")
-    place.set_title("person's grasp from GGCNN's\n(dots: frames, circles: last frame of an episode)", fontsize=9)
+    place.set_title("operator's grasp from GGCNN's\n(dots: frames, circles: last frame of an episode)", fontsize=9)
     depth.set(xlabel="farther along GGCNN's approach [mm]", ylabel="frames")
     turn.set(xlabel="angle less GGCNN's [deg]", ylabel="tilt of the approach [deg]")
     for axes in (place, depth, turn):
@@ -60,11 +60,11 @@ def plot(entries: list[summary.Entry], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _across(found: list[summary.Offset]) -> np.ndarray:
+def _across(found: list[summary.OffsetStatistics]) -> np.ndarray:
     return 1e3 * np.array([o.position[:2] for o in found]).T
 
 
-def _turned(found: list[summary.Offset]) -> np.ndarray:
+def _turned(found: list[summary.OffsetStatistics]) -> np.ndarray:
     return np.degrees([(o.angle, o.tilt) for o in found]).T
 
 
@@ -72,7 +72,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="of the episodes, also in folders below it")
     parser.add_argument("--episodes", action="store_true", help="list every episode")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the person's grasps from GGCNN's: .png, .pdf")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the operator's grasps from GGCNN's: .png, .pdf")
     parser.add_argument(
         "--check", action="store_true", help="end with 1 if something should not be trained with as it is"
     )
@@ -96,5 +96,5 @@ def main() -> None:
         try:
             plot(entries, arguments.plot)
         except (OSError, ValueError) as error:
-            parser.error(f"the picture {arguments.plot} cannot be written: {error}")
+            parser.error(f"the image {arguments.plot} cannot be written: {error}")
     sys.exit(1 if faults and (arguments.check or not entries) else 0)

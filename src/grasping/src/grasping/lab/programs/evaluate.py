@@ -30,13 +30,13 @@ from grasping.lab.evaluation import heuristics, trials
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.scene import world_xml
 from grasping.network import maps, weights
-from grasping.network.depth_image import Picture
+from grasping.network.depth_image import NetworkImage
 from grasping.pipeline.predictor import PredictorSettings, frozen, run
 from grasping.pipeline.preference import preferred
 from grasping.pipeline.projection import pixel_size
 from grasping.pipeline.tool_pose import ToolPoseConfig
 
-COLUMNS = ("scene", "objects", "method", *trials.Outcome._fields)
+COLUMNS = ("scene", "objects", "method", *trials.TrialOutcome._fields)
 EXPORT_SCHEMA = 1
 QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
@@ -76,11 +76,11 @@ def network(file: Path) -> torch.jit.ScriptModule:
     return frozen(weights.load(file.read_bytes()).network)
 
 
-def network_grasp(picture: Picture, trained: Trained) -> maps.Peak:
+def network_grasp(image: NetworkImage, trained: Trained) -> maps.Peak:
     """Returns the best grasp of a network."""
-    found = maps.smoothed(run(network(trained.file), picture.input), picture.valid, NETWORK_SMOOTHING)
+    found = maps.smoothed(run(network(trained.file), image.input), image.valid, NETWORK_SMOOTHING)
     if trained.tool is not None:
-        size = pixel_size(picture, trials.camera())
+        size = pixel_size(image, trials.camera())
         found = preferred(found, size, trained.tool, PredictorSettings.threshold)
     return maps.highest(found)
 
@@ -117,7 +117,7 @@ def export_scene(task: Task) -> dict:
 
 def chosen_grasps(
     split: str, number: int, names: Iterable[str], trained: Mapping[str, Trained]
-) -> tuple[trials.Situation, dict[str, maps.Peak | None]]:
+) -> tuple[trials.TrialScene, dict[str, maps.Peak | None]]:
     """Returns a scene and what each method chooses in it."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
@@ -128,9 +128,9 @@ def chosen_grasps(
         if name == "oracle":
             chosen[name] = trials.oracle(of)
         elif name in trained:
-            chosen[name] = network_grasp(of.picture, trained[name])
+            chosen[name] = network_grasp(of.image, trained[name])
         else:
-            chosen[name] = heuristics.HEURISTICS[name](of.picture, of.widest, np.random.default_rng([7, number]))
+            chosen[name] = heuristics.HEURISTICS[name](of.image, of.widest, np.random.default_rng([7, number]))
     return of, chosen
 
 

@@ -1,14 +1,14 @@
-"""Compares what predicts a person's grasps, on episodes that no training saw; resumable.
+"""Compares what predicts an operator's grasps, on episodes that no training saw; resumable.
 
-GGCNN alone, with the person's constant offset, the nearest neighbour among the training episodes, and GGCNN with the
-second network: how far from the person's grasp, in the last frame of each episode whose grasp held. GGCNN's maps are
-those that the episodes recorded, and all are smoothed alike. Where the episodes are simulated, each grasp is tried by
-lifting in MuJoCo too, hand wide open, and the bound is what the simulated person intended: the grasp without the
+GGCNN alone, with the operator's constant offset, the nearest neighbour among the training episodes, and GGCNN with the
+refinement network: how far from the operator's grasp, in the last frame of each episode whose grasp held. GGCNN's maps
+are those that the episodes recorded, and all are smoothed alike. Where the episodes are simulated, each grasp is tried
+by lifting in MuJoCo too, hand wide open, and the bound is what the simulated operator intended: the grasp without the
 tremor, which nobody can foresee. Results go to results.csv, one line a grasp, and table.md, with the differences over
-the same episodes, and with the likelihood of the person's places: which of several equal grasps it is to be, nobody can
-foresee either; and, taking the place as known, how far attitude and opening of the hand are from the person's, and how
-likely the attitude was. Where second networks learned from different numbers of episodes, as settings.json beside their
-files says, curve.png shows what more of them bring.
+the same episodes, and with the likelihood of the operator's places: which of several equal grasps it is to be, nobody
+can foresee either; and, taking the place as known, how far attitude and opening of the hand are from the operator's,
+and how likely the attitude was. Where refinement networks learned from different numbers of episodes, as settings.json
+beside their files says, curve.png shows what more of them bring.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tqdm import tqdm
 from common.errors import RigError
 from common.poses import inverse
 from common.statistics import median, paired_difference, share
-from grasping.lab.dataset.episode import Frame
+from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import own_grasp, pose_from_label
 from grasping.lab.evaluation import attitude, learning_curve
 from grasping.lab.evaluation.likelihood import calibrated, log_likelihoods
@@ -37,22 +37,22 @@ from grasping.lab.programs import episode_reading
 from grasping.lab.programs.evaluate import NETWORK_SMOOTHING, kept_rows
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic import episodes
-from grasping.lab.training.refinement_batches import Targets, batch
-from grasping.lab.training.refinement_examples import Offset, constant_offset, example, offset_label
+from grasping.lab.training.refinement_batches import RefinementTargets, batch
+from grasping.lab.training.refinement_examples import OperatorOffset, constant_offset, example, offset_label
 from grasping.network import refinement_file
-from grasping.network.depth_image import NETWORK_SIDE, Crop, Picture, prepare
+from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, prepare
 from grasping.network.maps import Peak, peaks, smoothed
 from grasping.network.networks import WIDTH_SCALE_PX
-from grasping.network.refinement import Refinement, RefinementNetwork
-from grasping.pipeline.projection import Grasp
+from grasping.network.refinement import MapRefiner, RefinementNetwork
+from grasping.pipeline.projection import CameraGrasp
 from grasping.pipeline.refined_grasp import refined_grasp
 
 FIRST = 3
-"""So many of a method's grasps are what a person is offered."""
+"""So many of a method's grasps are what an operator is offered."""
 COLUMNS = ("episode", "object", "method", "position_mm", "rotation_deg", "near", "nearest_of_3_mm", "lifted")
 Row = Dict[str, Union[str, float]]
 """A line of results.csv, as it was made or as it was read."""
-Method = Callable[[Frame], List[np.ndarray]]
+Method = Callable[[EpisodeFrame], List[np.ndarray]]
 ALONE, OFFSET, NEIGHBOUR, BOUND = "GGCNN alone", "GGCNN + constant offset", "nearest neighbour", "bound: without tremor"
 MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = {
     "position error mm, median": (np.median, lambda r: float(r["position_mm"] or "inf")),
@@ -65,8 +65,8 @@ MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = 
 """Columns of the tables: what is made of the episodes' values, and the value of a line of results.csv."""
 
 
-def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Named]) -> dict[str, Refinement]:
-    """Returns the second networks of weight files by their names.
+def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Named]) -> dict[str, MapRefiner]:
+    """Returns the refinement networks of weight files by their names.
 
     Args:
         files: names and weight files.
@@ -80,21 +80,23 @@ def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Nam
     for name, file in files:
         found[name], origin = refinement_file.load(Path(file).read_bytes())
         if objection := origin.objection(rig):
-            raise RigError(f"The second network in {file} {objection} in the episodes.")
+            raise RigError(f"The refinement network in {file} {objection} in the episodes.")
     return found
 
 
-def methods(training: list[episode_reading.Named], offset: Offset, second: dict[str, Refinement]) -> dict[str, Method]:
+def methods(
+    training: list[episode_reading.Named], offset: OperatorOffset, second: dict[str, MapRefiner]
+) -> dict[str, Method]:
     """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first.
 
     Args:
         training: episodes that teach the neighbours.
-        offset: the person's.
-        second: second networks by their names.
+        offset: the operator's.
+        second: refinement networks by their names.
     """
     neighbours = Neighbours([f for named in training if named.episode.held for f in named.episode.frames()])
 
-    def own(frame: Frame) -> list[tuple[Frame, Grasp]]:
+    def own(frame: EpisodeFrame) -> list[tuple[EpisodeFrame, CameraGrasp]]:
         frames = (frame._replace(peak=peak) for peak in _best(*_seen(frame)))
         return [(f, grasp) for f in frames if (grasp := own_grasp(f)) is not None]
 
@@ -108,28 +110,28 @@ def methods(training: list[episode_reading.Named], offset: Offset, second: dict[
     return found
 
 
-def _seen(frame: Frame) -> tuple[np.ndarray, Picture]:
+def _seen(frame: EpisodeFrame) -> tuple[np.ndarray, NetworkImage]:
     """Returns GGCNN's maps as they were recorded, at their full size, shape (4, 300, 300), and what it saw."""
     output = [cv2.resize(m.astype(np.float32), (NETWORK_SIDE, NETWORK_SIDE)) for m in frame.maps]
     return np.stack(output), prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
 
 
-def _best(output: np.ndarray, picture: Picture) -> list[Peak]:
-    return peaks(smoothed(output, picture.valid, NETWORK_SMOOTHING), FIRST, threshold=-np.inf)
+def _best(output: np.ndarray, image: NetworkImage) -> list[Peak]:
+    return peaks(smoothed(output, image.valid, NETWORK_SMOOTHING), FIRST, threshold=-np.inf)
 
 
-def _refined(second: Refinement) -> Method:
-    def grasps(frame: Frame) -> list[np.ndarray]:
-        output, picture = _seen(frame)
-        refined = second.apply(output, picture)
-        found = [(peak, own_grasp(frame._replace(peak=peak))) for peak in _best(refined.output, picture)]
+def _refined(second: MapRefiner) -> Method:
+    def grasps(frame: EpisodeFrame) -> list[np.ndarray]:
+        output, image = _seen(frame)
+        refined = second.apply(output, image)
+        found = [(peak, own_grasp(frame._replace(peak=peak))) for peak in _best(refined.output, image)]
         return [refined_grasp(grasp, refined, peak).T_camera_grasp for peak, grasp in found if grasp is not None]
 
     return grasps
 
 
 def row(
-    named: episode_reading.Named, scene: episodes.Situation | None, name: str, method: Method | None, lift: bool
+    named: episode_reading.Named, scene: episodes.EpisodeScene | None, name: str, method: Method | None, lift: bool
 ) -> dict[str, str | float]:
     """Returns the line of one method's grasp in an episode.
 
@@ -160,17 +162,17 @@ def row(
     return line
 
 
-class Seen(NamedTuple):
-    """Pictures as second networks see them.
+class EvaluationData(NamedTuple):
+    """Images as refinement networks see them.
 
     Attributes:
-        seen: input of a second network.
-        target: what the person did.
-        pixel_size: of a pixel of the network's picture, by the distance, shape (n,).
+        seen: input of a refinement network.
+        target: what the operator did.
+        pixel_size: of a pixel of the network's image, by the distance, shape (n,).
     """
 
     seen: torch.Tensor
-    target: Targets
+    target: RefinementTargets
     pixel_size: np.ndarray
 
 
@@ -179,13 +181,13 @@ def _within(millimetres: str | float) -> bool:
 
 
 def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
-    """Returns the results as Markdown, and the differences of the second networks to GGCNN alone and with the offset;
-    in brackets the 95 % intervals.
+    """Returns the results as Markdown, and the differences of the refinement networks to GGCNN alone and with the
+    offset; in brackets the 95 % intervals.
 
     Args:
         rows: lines of results.csv.
         names: of all methods.
-        second: of second networks.
+        second: of refinement networks.
     """
     of = {name: {r["episode"]: r for r in rows if r["method"] == name} for name in (*names, *second)}
     measures = {k: v for k, v in MEASURES.items() if k != "lifted %" or any(r["lifted"] != "" for r in rows)}
@@ -208,13 +210,13 @@ def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def likelihoods(known: Seen, test: Seen, second: dict[str, Refinement]) -> str:
-    """Returns, as Markdown, how probable the maps make the person's places, all with the same constant offset.
+def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, MapRefiner]) -> str:
+    """Returns, as Markdown, how probable the maps make the operator's places, all with the same constant offset.
 
     Args:
-        known: pictures that say how each map is best taken as a distribution.
+        known: images that say how each map is best taken as a distribution.
         test: others.
-        second: second networks by their names.
+        second: refinement networks by their names.
     """
     places = [of.target.place.numpy() for of in (known, test)]
 
@@ -225,7 +227,7 @@ def likelihoods(known: Seen, test: Seen, second: dict[str, Refinement]) -> str:
 
     plain = found(RefinementNetwork())
     lines = [
-        _line("map", "log-likelihood of the person's place [nats], mean", "more than GGCNN's"),
+        _line("map", "log-likelihood of the operator's place [nats], mean", "more than GGCNN's"),
         _line(*["---"] * 3),
         _line(OFFSET, f"{plain.mean():.2f}", ""),
     ]
@@ -235,20 +237,22 @@ def likelihoods(known: Seen, test: Seen, second: dict[str, Refinement]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def attitudes(known: Seen, test: Seen, offset: Offset, second: dict[str, Refinement]) -> str:
-    """Returns, as Markdown, how well attitude and opening of the hand are foretold at the person's places.
+def attitudes(
+    known: EvaluationData, test: EvaluationData, offset: OperatorOffset, second: dict[str, MapRefiner]
+) -> str:
+    """Returns, as Markdown, how well attitude and opening of the hand are foretold at the operator's places.
 
     Args:
-        known: pictures that say how spread the attitudes are where a method does not say it.
+        known: images that say how spread the attitudes are where a method does not say it.
         test: others.
-        offset: the person's.
-        second: second networks by their names.
+        offset: the operator's.
+        second: refinement networks by their names.
     """
     untrained = RefinementNetwork()
     did = attitude.persons(test.target, offset)
     metres = WIDTH_SCALE_PX * test.pixel_size
 
-    def measured(network: RefinementNetwork, added: Offset, own_spread: bool) -> list[np.ndarray]:
+    def measured(network: RefinementNetwork, added: OperatorOffset, own_spread: bool) -> list[np.ndarray]:
         found = attitude.expected(test.seen, test.target, network, added)
         if not own_spread:
             before = attitude.expected(known.seen, known.target, network, added)
@@ -256,10 +260,10 @@ def attitudes(known: Seen, test: Seen, offset: Offset, second: dict[str, Refinem
         turned = np.degrees(attitude.errors(found, did))
         return [turned, attitude.log_likelihoods(found, did), 1000.0 * metres * np.abs(found.opening - did.opening)]
 
-    of = {ALONE: measured(untrained, Offset(), False), OFFSET: measured(untrained, offset, False)}
+    of = {ALONE: measured(untrained, OperatorOffset(), False), OFFSET: measured(untrained, offset, False)}
     of.update({name: measured(one.network, offset, True) for name, one in second.items()})
     opens = np.isfinite(did.opening)
-    names = ["rotation error at the person's place deg, median", "log-likelihood of the rotation [nats], mean"]
+    names = ["rotation error at the operator's place deg, median", "log-likelihood of the rotation [nats], mean"]
     names += ["opening error mm, median"] * bool(opens.any())
     lines = [_line("method", *names), _line(*["---"] * (1 + len(names)))]
     for name, (turned, likely, opened) in of.items():
@@ -276,12 +280,12 @@ def attitudes(known: Seen, test: Seen, offset: Offset, second: dict[str, Refinem
     return "\n".join(lines) + "\n"
 
 
-def seen_of(part: list[episode_reading.Named], offset: Offset) -> Seen:
-    """Returns the last pictures of episodes whose grasps held, and what the person did, without the constant offset."""
+def seen_of(part: list[episode_reading.Named], offset: OperatorOffset) -> EvaluationData:
+    """Returns the last images of episodes whose grasps held, and what the operator did, without the constant offset."""
     frames = [n.episode.frame(len(n.episode) - 1) for n in part if n.episode.held]
     pairs = [(f, one) for f in frames if (one := example(f, held=True)) is not None]
     sizes = [f.crop.side / NETWORK_SIDE / f.camera.K[0, 0] for f, _ in pairs]
-    return Seen(*batch([one for _, one in pairs], offset), np.array(sizes))
+    return EvaluationData(*batch([one for _, one in pairs], offset), np.array(sizes))
 
 
 def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
@@ -289,8 +293,8 @@ def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
 
     Args:
         rows: lines of results.csv.
-        second: names and weight files of second networks.
-        path: of the picture.
+        second: names and weight files of refinement networks.
+        path: of the image.
     """
     counts = {}
     for name, file in second:
@@ -315,7 +319,7 @@ def main() -> None:
     parser.add_argument("test", type=Path, help="folder of episodes that it did not see")
     parser.add_argument("folder", type=Path, help="where the results go")
     parser.add_argument(
-        "--refinement", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a second network"
+        "--refinement", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a refinement network"
     )
     parser.add_argument("--held-out", action="store_true", help="test on the episodes that training holds out alone")
     parser.add_argument("--no-lifting", action="store_true", help="lift nothing")

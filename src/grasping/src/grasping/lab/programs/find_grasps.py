@@ -1,7 +1,7 @@
-"""Finds grasps in one depth picture: a .npy file in metres or a 16-bit picture in millimetres, 0 or NaN = no reading.
+"""Finds grasps in one depth image: a .npy file in metres or a 16-bit image in millimetres, 0 or NaN = no reading.
 
-Writes one JSON object a grasp, best first: position before the camera [m], angle in the picture [rad], width [m],
-quality, pixel. The picture's centre is taken for the optical axis unless --centre says otherwise.
+Writes one JSON object a grasp, best first: position before the camera [m], angle in the image [rad], width [m],
+quality, pixel. The image's centre is taken for the optical axis unless --centre says otherwise.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from common.errors import RigError
 from grasping.lab.synthetic.sensor import FOCAL_PX
 from grasping.network import weights
 from grasping.pipeline.predictor import Prediction, Predictor, PredictorSettings
-from grasping.pipeline.projection import Grasp
+from grasping.pipeline.projection import CameraGrasp
 
 
 def read_depth(path: Path) -> np.ndarray:
-    """Returns the picture, shape (h, w) [m].
+    """Returns the image, shape (h, w) [m].
 
     Raises:
-        RigError: it is no depth picture.
+        RigError: it is no depth image.
     """
     if path.suffix == ".npy":
         depth = np.load(path, allow_pickle=False)
     else:
         depth = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
         if depth is None or depth.dtype != np.uint16:
-            raise RigError(f"{path} is not a 16-bit picture of millimetres.")
+            raise RigError(f"{path} is not a 16-bit image of millimetres.")
         depth = depth * np.float32(0.001)
     if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
         raise RigError(f"{path} holds {depth.dtype} of shape {depth.shape}, not metres of shape (h, w).")
@@ -41,28 +41,28 @@ def read_depth(path: Path) -> np.ndarray:
 
 
 def drawn(found: Prediction) -> np.ndarray:
-    """Returns the network's picture with the grasps: a line from finger to finger, shape (900, 900, 3), uint8."""
-    depth = found.picture.depth
+    """Returns the network's image with the grasps: a line from finger to finger, shape (900, 900, 3), uint8."""
+    depth = found.image.depth
     grey = (255.0 * (depth.max() - depth) / max(1e-6, float(np.ptp(depth)))).astype(np.uint8)
-    picture = cv2.resize(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), (900, 900), interpolation=cv2.INTER_NEAREST)
+    image = cv2.resize(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), (900, 900), interpolation=cv2.INTER_NEAREST)
     for peak in found.peaks:
         half = 0.5 * peak.width * np.array([np.cos(peak.angle), -np.sin(peak.angle)])
         start, end = (
             (3.0 * (np.array([peak.column, peak.row]) + sign * half + 0.5)).astype(int).tolist() for sign in (-1.0, 1.0)
         )
-        cv2.line(picture, start, end, (0, 200, 0), 3)
-    return picture
+        cv2.line(image, start, end, (0, 200, 0), 3)
+    return image
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("depth", type=Path, help="depth picture")
+    parser.add_argument("depth", type=Path, help="depth image")
     parser.add_argument("weights", type=Path, help="weight file of a network")
     parser.add_argument("--focal", type=float, default=FOCAL_PX, help=f"focal length [px], default {FOCAL_PX}")
     parser.add_argument("--centre", type=float, nargs=2, metavar=("CX", "CY"), help="optical axis [px]")
     parser.add_argument("--crop", type=int, default=400, help="side of the window in the middle [px], default 400")
     parser.add_argument("--count", type=int, default=1, help="most grasps")
-    parser.add_argument("--picture", type=Path, help="write the network's picture with the grasps to this file")
+    parser.add_argument("--picture", type=Path, help="write the network's image with the grasps to this file")
     arguments = parser.parse_args()
     try:
         depth = read_depth(arguments.depth)
@@ -81,5 +81,5 @@ def main() -> None:
         cv2.imwrite(str(arguments.picture), drawn(found))
 
 
-def _plain(grasp: Grasp) -> dict:
+def _plain(grasp: CameraGrasp) -> dict:
     return {name: getattr(grasp, name) for name in ("angle", "width", "quality", "pixel")}

@@ -1,4 +1,4 @@
-"""Makes the synthetic data set: shards of labelled depth pictures, `SHARD` scenes each, resumable."""
+"""Makes the synthetic data set: shards of labelled depth images, `SHARD` scenes each, resumable."""
 
 from __future__ import annotations
 

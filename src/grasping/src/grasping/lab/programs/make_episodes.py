@@ -1,4 +1,4 @@
-"""Makes episodes of a simulated person's grasps, files as `collect.launch` records them; goes on where it ended."""
+"""Makes episodes of a simulated operator's grasps, files as `collect.launch` records them; goes on where it ended."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from grasping.lab.dataset import store
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.programs.making import make_all
 from grasping.lab.synthetic import episodes
-from grasping.lab.synthetic.simulated_operator import Person
+from grasping.lab.synthetic.simulated_operator import SimulatedOperator
 from grasping.network import weights
 from grasping.pipeline.predictor import frozen
 
@@ -37,7 +37,7 @@ def make(task: tuple[Path, Path, str, int, int]) -> None:
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
     ggcnn, sha256 = network(file)
-    made = episodes.episode(split, number, ggcnn, sha256, Person(), frames)
+    made = episodes.episode(split, number, ggcnn, sha256, SimulatedOperator(), frames)
     if made is not None:
         part = path.with_suffix(".part")
         part.write_bytes(store.encode(made))
@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("weights", type=Path, help="weight file of GGCNN")
     parser.add_argument("--split", choices=("person", "person_test"), default="person", help="known or held-out things")
     parser.add_argument("--episodes", type=int, default=400, help="how many scenes; where nothing holds, none is made")
-    parser.add_argument("--frames", type=int, default=2, help="pictures an episode")
+    parser.add_argument("--frames", type=int, default=2, help="images an episode")
     parser.add_argument("--processes", type=int, default=1, help="how many at a time")
     arguments = parser.parse_args()
     if arguments.frames < 1:

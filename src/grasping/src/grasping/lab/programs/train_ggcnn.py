@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from common.errors import RigError
 from grasping.lab.programs import runs
-from grasping.lab.training.trainer import Settings, Trainer
+from grasping.lab.training.trainer import NetworkTrainer, NetworkTraining
 
 COLUMNS = ("step", "rate", "training", "validation", "quality", "angle", "width", "hits")
 
@@ -60,7 +60,7 @@ def plot(rows: list[dict], path: Path) -> None:
 
 
 def main() -> None:
-    default = Settings()
+    default = NetworkTraining()
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the shards")
     parser.add_argument("run", type=Path, help="folder of the run; the same training in it is gone on with")
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
-    settings = Settings(**{name: getattr(arguments, name) for name in asdict(default)})
+    settings = NetworkTraining(**{name: getattr(arguments, name) for name in asdict(default)})
     try:
         device = runs.device(arguments.device)
         parts = [load(arguments.data, split, arguments.shards) for split in ("train", "validation")]
@@ -82,7 +82,7 @@ def main() -> None:
     except (RigError, OSError) as error:
         parser.error(str(error))
     train, validation = (samples for samples, _ in parts)
-    trainer, rows, best = Trainer(settings, device), [], float("inf")
+    trainer, rows, best = NetworkTrainer(settings, device), [], float("inf")
     if saved is not None:
         trainer.resume(saved["trainer"])
         rows, best = saved["rows"], saved["best"]

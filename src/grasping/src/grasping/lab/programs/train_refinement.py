@@ -1,7 +1,7 @@
-"""Trains the second network on episodes of a person's grasps; ends and goes on at any time.
+"""Trains the refinement network on episodes of an operator's grasps; ends and goes on at any time.
 
 The folder of the run holds checkpoint.pt (to go on, with the same episodes and settings), weights.pt (the best so far),
-taste.pt (the same without the constant offset and the lean about the view's axes, which are of this person's hand and
+taste.pt (the same without the constant offset and the lean about the view's axes, which are of this operator's hand and
 place alone), settings.json, curves.csv and curves.png. One in five episodes, by its file's name, is kept to say when
 training is over.
 """
@@ -21,7 +21,7 @@ from tqdm import tqdm
 from common.errors import RigError
 from grasping.lab.programs import episode_reading, runs
 from grasping.lab.training import refinement_examples
-from grasping.lab.training.refinement_trainer import Settings, Trainer
+from grasping.lab.training.refinement_trainer import RefinementTrainer, RefinementTraining
 from grasping.network import refinement_file
 
 COLUMNS = ("step", "training", "validation", "place", "depth", "turn", "opening", "tilt", "miss")
@@ -50,7 +50,7 @@ def prepared(named: list[episode_reading.Named]) -> list[refinement_examples.Exa
 
 
 def parse() -> argparse.Namespace:
-    default = Settings()
+    default = RefinementTraining()
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the episodes")
     parser.add_argument("run", type=Path, help="folder of the run; the same training in it is gone on with")
@@ -76,7 +76,7 @@ def parse() -> argparse.Namespace:
         for part in (arguments.training, arguments.validation):
             if not any(n.episode.held for n in part):
                 raise RigError(f"Of {len(named)} episodes, too few show a grasp that held to train on some of them.")
-        arguments.settings = Settings(**{name: getattr(arguments, name) for name in asdict(default)})
+        arguments.settings = RefinementTraining(**{name: getattr(arguments, name) for name in asdict(default)})
         arguments.identity = runs.identity(
             {**asdict(arguments.settings), **asdict(arguments.origin)},
             *([n.sha256 for n in part] for part in (arguments.training, arguments.validation)),
@@ -94,7 +94,7 @@ def main() -> None:
         [f for n in arguments.training if n.episode.held for f in n.episode.frames()]
     )
     examples, validation = prepared(arguments.training), prepared(arguments.validation)
-    trainer, rows, recent = Trainer(settings, offset, arguments.device), [], []
+    trainer, rows, recent = RefinementTrainer(settings, offset, arguments.device), [], []
     if saved is not None:
         trainer.resume(saved["trainer"])
         rows = saved["rows"]

@@ -1,12 +1,12 @@
-"""The node grasp_collection: records what the camera saw and where a person then grasped, one file an episode.
+"""The node grasp_collection: records what the camera saw and where an operator then grasped, one file an episode.
 
-In: the depth pictures of the node ggcnn with their camera_info, tf, reflex_takktile/hand_state, leap_kuka/stream, and
+In: the depth images of the node ggcnn with their camera_info, tf, reflex_takktile/hand_state, leap_kuka/stream, and
 from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
 grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
 
-The network runs here, on the frames that are kept: its maps before smoothing, which the second network needs, are no
-topic, and a few frames a second cost less than four maps of 300 x 300 numbers on topics for every picture. It sees what
-the network of the node ggcnn sees, as it has the same parameters.
+The network runs here, on the frames that are kept: its maps before smoothing, which the refinement network needs, are
+no topic, and a few frames a second cost less than four maps of 300 x 300 numbers on topics for every image. It sees
+what the network of the node ggcnn sees, as it has the same parameters.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from common.ros.images import camera_model_from_info, depth_from_image
 from common.ros.node import run, while_running
 from common.ros.params import private_values
 from grasp_msgs.msg import GraspOutcome
-from grasping.execution.grasp_watch import HandState, SeenGrasp
+from grasping.execution.grasp_watch import HandMeasurement, ObservedGrasp
 from grasping.lab.dataset.collector import Collector, Finished
 from grasping.lab.dataset.episode import Episode, Metadata
 from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, on_hand
@@ -41,7 +41,7 @@ from grasping.pipeline.view import NoView
 from reflex_msgs.msg import Hand
 
 BUFFER_BYTES = 2**22
-"""Room for several pictures: rospy drops all but the newest only among those that it has read."""
+"""Room for several images: rospy drops all but the newest only among those that it has read."""
 EXECUTING = ("approaching", "waiting_for_hand", "person")
 """States of grasping/state in which the outcome of a proposal is awaited."""
 STALE_S = 0.5
@@ -66,7 +66,7 @@ class GraspCollection:
         self._info: CameraInfo | None = None
         self._T_base_camera = NOWHERE
         self._fingers = np.full(4, np.nan)
-        self._heard = {"depth pictures": 0.0, "the state of the hand": 0.0}
+        self._heard = {"depth images": 0.0, "the state of the hand": 0.0}
         self._waits_for = ""
         self._episodes = self._held = self._on_robot = 0
         topics = setup.ggcnn.input
@@ -85,7 +85,7 @@ class GraspCollection:
         rospy.loginfo("Episodes go to %s.", setup.folder)
 
     def wait_for_publishers(self, seconds: float) -> bool:
-        """Waits until somebody publishes all pictures and the hand's state; returns whether somebody does."""
+        """Waits until somebody publishes all images and the hand's state; returns whether somebody does."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and not rospy.is_shutdown():
             if all(subscriber.get_num_connections() for subscriber in self._subscribers):
@@ -104,19 +104,19 @@ class GraspCollection:
         self._info = message
 
     def _on_depth(self, message: Image) -> None:
-        self._heard["depth pictures"] = time.monotonic()
+        self._heard["depth images"] = time.monotonic()
         with while_running():
             try:
-                self._take_picture(message)
+                self._take_image(message)
             except (ValueError, NoView, tf2_ros.TransformException) as error:
                 self._waits_for = _clause(error)
-                rospy.logwarn_throttle(THROTTLE_S, f"A picture was left out: {self._waits_for}.")
+                rospy.logwarn_throttle(THROTTLE_S, f"An image was left out: {self._waits_for}.")
 
-    def _take_picture(self, message: Image) -> None:
+    def _take_image(self, message: Image) -> None:
         """Raises ValueError, NoView or TransformException with what is missing for a frame."""
         stamp, wait = message.header.stamp, self._setup.config.tf_wait
         if stamp.is_zero():
-            raise ValueError("the picture has no stamp")
+            raise ValueError("the image has no stamp")
         with self._lock:
             self._take_time(rospy.Time.now())
             if not self._collector.due(stamp.to_sec()):
@@ -133,7 +133,7 @@ class GraspCollection:
                 return
         depth = depth_from_image(message)
         if depth.shape != (camera.height, camera.width):
-            raise ValueError(f"a picture of {depth.shape[1]} x {depth.shape[0]} is not of the described camera")
+            raise ValueError(f"an image of {depth.shape[1]} x {depth.shape[0]} is not of the described camera")
         view = self._views.step(depth, camera)
         kept, T_view_own = look(self._setup.network, view, self._live)
         T_base_view = T_base_camera @ view.T_camera_view
@@ -151,7 +151,7 @@ class GraspCollection:
         )
         with self._lock:
             self._T_base_camera = T_base_camera
-            if self._collector.add(frame, Optics(view.camera, view.picture.crop, camera)):
+            if self._collector.add(frame, Optics(view.camera, view.image.crop, camera)):
                 rospy.logwarn("The camera changed: the frames before are dropped.")
 
     def _place(self, frame: str, stamp: rospy.Time, wait: float) -> np.ndarray:
@@ -169,7 +169,7 @@ class GraspCollection:
         now = rospy.Time.now()
         angles = np.array([motor.joint_angle for motor in message.motor])
         pressures = np.array([finger.pressure for finger in message.finger])
-        hand = HandState(angles[:3], pressures, np.array([motor.load for motor in message.motor[:3]]))
+        hand = HandMeasurement(angles[:3], pressures, np.array([motor.load for motor in message.motor[:3]]))
         with while_running():
             try:
                 found = self._tf.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
@@ -205,7 +205,7 @@ class GraspCollection:
             return
         with self._lock:
             finished = self._collector.outcome(
-                SeenGrasp(message.header.stamp.to_sec(), T_base_tool, message.held, message.reason)
+                ObservedGrasp(message.header.stamp.to_sec(), T_base_tool, message.held, message.reason)
             )
         self._store(finished)
 
@@ -221,7 +221,7 @@ class GraspCollection:
         grasp, frames, setup = finished.grasp, finished.frames, self._setup
         if frames is None:
             rospy.logwarn(
-                "A grasp is no episode: no frame was kept since the person began; in %d so far GGCNN took the robot "
+                "A grasp is no episode: no frame was kept since the operator began; in %d so far GGCNN took the robot "
                 "for an object.",
                 self._on_robot,
             )
@@ -311,7 +311,7 @@ def _run() -> None:
     rospy.on_shutdown(node.close)
     if setup.config.from_bag:
         if not node.wait_for_publishers(PLAYER_S):
-            raise RigError("The recording holds no depth pictures, camera_info or hand_state under their names.")
+            raise RigError("The recording holds no depth images, camera_info or hand_state under their names.")
         _play()
     rospy.spin()
 

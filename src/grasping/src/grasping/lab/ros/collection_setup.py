@@ -1,4 +1,4 @@
-"""The parameters of the node grasp_collection, and what is made of them before the first picture."""
+"""The parameters of the node grasp_collection, and what is made of them before the first image."""
 
 from __future__ import annotations
 

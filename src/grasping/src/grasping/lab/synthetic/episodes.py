@@ -1,7 +1,7 @@
-"""Episodes of a simulated person, in the very form of the recorded ones: scene, pictures, GGCNN's maps, the grasp.
+"""Episodes of a simulated operator, in the very form of the recorded ones: scene, images, GGCNN's maps, the grasp.
 
-Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the person's grasp
-as wide open as the person opens the hand, and lifts. The opening stands in the fingers' angles, as a recorded hand's.
+Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the operator's grasp
+as wide open as the operator opens the hand, and lifts. The opening stands in the fingers' angles, as a recorded hand's.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ NAME = re.compile(r"simulated_(\w+)_(\d+)")
 SETTINGS_VERSION = 2
 
 
-class Grasp(NamedTuple):
-    """The person's grasp.
+class OperatorGrasp(NamedTuple):
+    """The operator's grasp.
 
     Attributes:
         T_base_grasp: shape (4, 4) [m].
@@ -43,18 +43,18 @@ class Grasp(NamedTuple):
     opening: float
 
 
-class Situation(NamedTuple):
-    """A scene and what a person and a network know of it.
+class EpisodeScene(NamedTuple):
+    """A scene and what an operator and a network know of it.
 
     Attributes:
         view: the scene, as the camera sees it.
-        labels: of the pixels of the network's picture.
-        depth: exact, in that picture [m].
+        labels: of the pixels of the network's image.
+        depth: exact, in that image [m].
         friction: of the scene.
         T_base_world: shape (4, 4) [m].
     """
 
-    view: samples.View
+    view: samples.SceneView
     labels: labels.Labels
     depth: np.ndarray
     friction: float
@@ -72,43 +72,48 @@ def scene_of(name: str) -> tuple[str, int] | None:
     return None if found is None else (found[1], int(found[2]))
 
 
-def situation(split: str, number: int) -> Situation:
+def situation(split: str, number: int) -> EpisodeScene:
     """Returns scene `number` of a split: one object where the number is even, else two or three."""
     seen = samples.view(split, number, 1 if number % 2 == 0 else 2 + number // 2 % 2)
     side = depth_image.NETWORK_SIDE
     exact = cv2.resize(seen.exact, (side, side), interpolation=cv2.INTER_NEAREST)
     found = labels.best(labels.grasps(seen.surface, seen.table, samples.CELL_M, samples.GRIPPER))
     focal = seen.camera.focal * side / depth_image.CROP_SIDE
-    of_pixels = labels.in_picture(found, seen.surface, samples.CELL_M, exact, focal)
+    of_pixels = labels.in_image(found, seen.surface, samples.CELL_M, exact, focal)
     friction = float(np.random.default_rng([98, number]).uniform(*trials.FRICTION))
-    return Situation(seen, of_pixels, exact, friction, inverse(simulated_operator.base_in_world(seen.camera)))
+    return EpisodeScene(seen, of_pixels, exact, friction, inverse(simulated_operator.base_in_world(seen.camera)))
 
 
-def intended(of: Situation, made: Episode) -> np.ndarray:
-    """Returns the grasp of an episode as the simulated person meant it, without its tremor, T_base_grasp, shape (4, 4)
-    [m]: no prediction can be expected to be nearer.
+def intended(of: EpisodeScene, made: Episode) -> np.ndarray:
+    """Returns the grasp of an episode as the simulated operator meant it, without its tremor, T_base_grasp, shape (4,
+    4) [m]: no prediction can be expected to be nearer.
 
     Args:
         of: the scene of the episode.
         made: the episode.
     """
-    who = simulated_operator.Person(**made.metadata.configuration["person"])
+    who = simulated_operator.SimulatedOperator(**made.metadata.configuration["person"])
     steady = who._replace(tremor_m=0.0, tremor_rad=0.0)
     found = _grasp(of, steady, np.random.default_rng(0))
     assert found is not None, "an episode is of a grasp"
     return found.T_base_grasp
 
 
-def held(of: Situation, T_base_grasp: np.ndarray, width: float = samples.GRIPPER.opening) -> bool:
+def held(of: EpisodeScene, T_base_grasp: np.ndarray, width: float = samples.GRIPPER.opening) -> bool:
     """Returns whether the gripper, open by `width` [m], lifts something there."""
     T_world_grasp = inverse(of.T_base_world) @ T_base_grasp
     return lift(of.view.scene, T_world_grasp, width, samples.GRIPPER, of.friction).lifted
 
 
 def episode(
-    split: str, number: int, network: Network, network_sha256: str, who: simulated_operator.Person, frames: int
+    split: str,
+    number: int,
+    network: Network,
+    network_sha256: str,
+    who: simulated_operator.SimulatedOperator,
+    frames: int,
 ) -> Episode | None:
-    """Returns the episode of a scene, None where the person finds nothing to grasp.
+    """Returns the episode of a scene, None where the operator finds nothing to grasp.
 
     Args:
         split: one of `samples.SPLITS`.
@@ -116,7 +121,7 @@ def episode(
         network: GGCNN, as `predictor.run` takes it.
         network_sha256: of its weights.
         who: grasps.
-        frames: pictures, each with the camera's faults drawn anew.
+        frames: images, each with the camera's faults drawn anew.
     """
     of = situation(split, number)
     rng = np.random.default_rng([97, number])
@@ -128,11 +133,11 @@ def episode(
     stored: dict[str, list] = {"depth": [], "maps": [], "mean": [], "peak": []}
     for _ in range(frames):
         depth = np.nan_to_num(np.round(1000.0 * sensor.observe(of.view.exact, rng))).astype(np.uint16)
-        picture = depth_image.prepare(depth * np.float32(0.001), trials.CROP)
-        output = run(network, picture.input)
-        peak = maps.highest(maps.smoothed(output, picture.valid, SMOOTHING))
+        image = depth_image.prepare(depth * np.float32(0.001), trials.CROP)
+        output = run(network, image.input)
+        peak = maps.highest(maps.smoothed(output, image.valid, SMOOTHING))
         small = np.stack([cv2.resize(m, (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA) for m in output])
-        for name, value in zip(stored, (depth, small.astype(np.float16), picture.mean, peak)):
+        for name, value in zip(stored, (depth, small.astype(np.float16), image.mean, peak)):
             stored[name].append(value)
     lifted = held(of, *chosen)
     stamp = FRAME_S * np.arange(frames)
@@ -158,7 +163,9 @@ def episode(
     )
 
 
-def _grasp(of: Situation, who: simulated_operator.Person, rng: np.random.Generator) -> Grasp | None:
+def _grasp(
+    of: EpisodeScene, who: simulated_operator.SimulatedOperator, rng: np.random.Generator
+) -> OperatorGrasp | None:
     camera = of.view.camera
     places = simulated_operator.points(of.depth, camera)
     height = places[..., 2]
@@ -172,10 +179,12 @@ def _grasp(of: Situation, who: simulated_operator.Person, rng: np.random.Generat
     R, p = of.T_base_world[:3, :3], of.T_base_world[:3, 3]
     T_base_grasp = simulated_operator.grasp_pose(who, R @ places[pixel] + p, R @ line, leant, rng)
     needed = float(of.labels.opening[pixel] * pixel_m[pixel])
-    return Grasp(T_base_grasp, simulated_operator.opening(who, needed, float(height[pixel]), rng))
+    return OperatorGrasp(T_base_grasp, simulated_operator.opening(who, needed, float(height[pixel]), rng))
 
 
-def _metadata(of: Situation, who: simulated_operator.Person, lifted: bool, network_sha256: str) -> Metadata:
+def _metadata(
+    of: EpisodeScene, who: simulated_operator.SimulatedOperator, lifted: bool, network_sha256: str
+) -> Metadata:
     return Metadata(
         version="0.1.0",
         revision="",

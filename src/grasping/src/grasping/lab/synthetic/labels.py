@@ -5,7 +5,7 @@ go some way below the surface; the map cut at that height shows what they meet: 
 room, and the surface's normals there, which must lie in the friction cone, both in the cut and upwards: a ball held
 above its equator slips out. The camera's axis is the approach.
 
-Angles follow the picture: from its horizontal, anticlockwise, modulo pi.
+Angles follow the image: from its horizontal, anticlockwise, modulo pi.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Labels(NamedTuple):
     Attributes:
         quality: 0 to 1.
         angle: modulo pi [rad].
-        opening: [m] on a height map, [px] in a picture.
+        opening: [m] on a height map, [px] in an image.
         known: where the label holds.
     """
 
@@ -131,8 +131,8 @@ def best(found: Grasps) -> Labels:
     return Labels(quality, angle, np.where(quality > 0.0, at(found.openings, choice), 0.0), np.ones_like(choice, bool))
 
 
-def in_picture(labels: Labels, surface: np.ndarray, cell: float, depth: np.ndarray, focal: float) -> Labels:
-    """Returns the labels of the pixels of a picture whose optical axis is the middle of the height map.
+def in_image(labels: Labels, surface: np.ndarray, cell: float, depth: np.ndarray, focal: float) -> Labels:
+    """Returns the labels of the pixels of an image whose optical axis is the middle of the height map.
 
     A pixel on a side wall sees what the parallel view does not, and a label is not known there. Outside the height map
     lies the bare table.
@@ -230,7 +230,7 @@ def _around(mask: np.ndarray, margin: tuple[int, int]) -> tuple[slice, slice] | 
 
 
 def _turns(size: tuple[int, ...], degrees: float) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
-    """Returns the affine maps that turn a picture so that `degrees` becomes horizontal, and back, and the new size."""
+    """Returns the affine maps that turn an image so that `degrees` becomes horizontal, and back, and the new size."""
     h, w = size
     c, s = abs(np.cos(np.radians(degrees))), abs(np.sin(np.radians(degrees)))
     turned = (int(np.ceil(w * c + h * s)) + 1, int(np.ceil(w * s + h * c)) + 1)

@@ -1,4 +1,4 @@
-"""One training example: a heap, the camera's picture of it and the label of each pixel, all from one number."""
+"""One training example: a heap, the camera's image of it and the label of each pixel, all from one number."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_TILT_RAD = 0.15
 SINGLE_SHARE = 0.4
 """Share of the scenes with one object; the others hold two to five."""
 CLEAN_SHARE = 0.1
-"""Share of the pictures without the camera's faults."""
+"""Share of the images without the camera's faults."""
 GRIPPER = labels.Gripper()
 SPLITS = {
     "train": (0, shapes.TRAINING),
@@ -27,10 +27,10 @@ SPLITS = {
     "person": (3, shapes.TRAINING),
     "person_test": (4, shapes.HELD_OUT),
 }
-"""Number and families of each split; no scene belongs to two of them. The last two are a simulated person's."""
+"""Number and families of each split; no scene belongs to two of them. The last two are a simulated operator's."""
 
 
-class View(NamedTuple):
+class SceneView(NamedTuple):
     """A scene as a camera sees it.
 
     Attributes:
@@ -42,8 +42,8 @@ class View(NamedTuple):
         table: the same of the bare table.
     """
 
-    scene: scene.Scene
-    camera: scene.Camera
+    scene: scene.HeapScene
+    camera: scene.SceneCamera
     exact: np.ndarray
     observed: np.ndarray
     surface: np.ndarray
@@ -54,7 +54,7 @@ class Sample(NamedTuple):
     """A training example, each shape (300, 300).
 
     Attributes:
-        depth: the network's picture with its mean, float16 about that mean [m].
+        depth: the network's image with its mean, float16 about that mean [m].
         quality: uint8, 255 is 1.
         angle: uint8, 256 is pi.
         width: uint8, 255 is `WIDTH_SCALE_PX`.
@@ -68,7 +68,7 @@ class Sample(NamedTuple):
     known: np.ndarray
 
 
-def view(split: str, seed: int, count: int | None = None) -> View:
+def view(split: str, seed: int, count: int | None = None) -> SceneView:
     """Returns the scene number `seed` of a split; the same for the same number.
 
     Args:
@@ -90,19 +90,19 @@ def view(split: str, seed: int, count: int | None = None) -> View:
     exact = scene.depth_image(model, data, camera)
     surface = scene.height_map(model, data, camera, CELL_M, CELLS)
     observed = exact.astype(np.float32) if rng.random() < CLEAN_SHARE else sensor.observe(exact, rng)
-    return View(settled, camera, exact, observed, surface, scene.table_depth(camera, CELL_M, CELLS))
+    return SceneView(settled, camera, exact, observed, surface, scene.table_depth(camera, CELL_M, CELLS))
 
 
-def sample(seen: View) -> Sample:
-    """Returns the network's picture of a scene and its labels."""
+def sample(seen: SceneView) -> Sample:
+    """Returns the network's image of a scene and its labels."""
     side = depth_image.NETWORK_SIDE
-    picture = depth_image.prepare(seen.observed, depth_image.Crop(0, 0, depth_image.CROP_SIDE))
+    image = depth_image.prepare(seen.observed, depth_image.Crop(0, 0, depth_image.CROP_SIDE))
     exact = cv2.resize(seen.exact, (side, side), interpolation=cv2.INTER_NEAREST)
     found = labels.best(labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER))
     focal = seen.camera.focal * side / depth_image.CROP_SIDE
-    label = labels.in_picture(found, seen.surface, CELL_M, exact, focal)
+    label = labels.in_image(found, seen.surface, CELL_M, exact, focal)
     return Sample(
-        (picture.depth - picture.mean).astype(np.float16),
+        (image.depth - image.mean).astype(np.float16),
         np.round(255.0 * label.quality).astype(np.uint8),
         (np.round(256.0 * label.angle / np.pi) % 256).astype(np.uint8),
         np.round(255.0 * np.clip(label.opening / WIDTH_SCALE_PX, 0.0, 1.0)).astype(np.uint8),

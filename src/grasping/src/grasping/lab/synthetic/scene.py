@@ -1,6 +1,6 @@
 """Heaps of random objects on a table, settled by MuJoCo, and what a depth camera above sees of them.
 
-The world's z points up and the table's top is z = 0. The camera's axes are those of a picture: x right, y down,
+The world's z points up and the table's top is z = 0. The camera's axes are those of an image: x right, y down,
 z forward. Depths are distances along the optical axis [m].
 """
 
@@ -34,14 +34,14 @@ WORLD = """<mujoco><compiler angle="radian"/>
 <worldbody><geom name="table" type="plane" size="2 2 0.1"/>{bodies}</worldbody>{rest}</mujoco>"""
 
 
-class Camera(NamedTuple):
+class SceneCamera(NamedTuple):
     """A depth camera above the table.
 
     Attributes:
         position: of the optical centre in the world, shape (3,) [m].
         R: attitude of the camera's axes in the world, shape (3, 3).
         focal: focal length [px].
-        side: rows and columns of its square picture [px].
+        side: rows and columns of its square image [px].
     """
 
     position: np.ndarray
@@ -50,7 +50,7 @@ class Camera(NamedTuple):
     side: int
 
 
-class Scene(NamedTuple):
+class HeapScene(NamedTuple):
     """A settled scene.
 
     Attributes:
@@ -89,7 +89,7 @@ def world_xml(
 
 def settled_scene(
     rng: np.random.Generator, families: Sequence[Callable[[np.random.Generator], shapes.Shape]], count: int
-) -> Scene | None:
+) -> HeapScene | None:
     """Returns `count` objects that were dropped on the table, or None when they ran away or do not lie still."""
     chosen = [families[i] for i in rng.integers(0, len(families), count)]
     objects = tuple(family(rng) for family in chosen)
@@ -106,10 +106,10 @@ def settled_scene(
     still = speeds[0] < MAX_SPEED and speeds[1] < MAX_TURNING and not data.warning.number.any()
     if not still or np.linalg.norm(places[:, :2], axis=1).max() > MAX_RADIUS_M or places[:, 2].min() < 0.0:
         return None
-    return Scene(xml, data.qpos.copy(), objects, tuple(f.__name__ for f in chosen))
+    return HeapScene(xml, data.qpos.copy(), objects, tuple(f.__name__ for f in chosen))
 
 
-def random_camera(rng: np.random.Generator, focal: float, side: int, max_tilt: float) -> Camera:
+def random_camera(rng: np.random.Generator, focal: float, side: int, max_tilt: float) -> SceneCamera:
     """Returns a camera 0.55 to 0.85 m above the table that looks almost straight down near its middle."""
     turn, away, tilt = *rng.uniform(-np.pi, np.pi, 2), rng.uniform(0.0, max_tilt)
     down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
@@ -120,22 +120,22 @@ def random_camera(rng: np.random.Generator, focal: float, side: int, max_tilt: f
     c, s = np.cos(turn), np.sin(turn)
     R = tilted.reshape(3, 3) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ down
     target = np.array([*rng.uniform(-0.03, 0.03, 2), 0.0])
-    return Camera(target - rng.uniform(0.55, 0.85) * R[:, 2], R, focal, side)
+    return SceneCamera(target - rng.uniform(0.55, 0.85) * R[:, 2], R, focal, side)
 
 
-def rays(camera: Camera) -> np.ndarray:
+def rays(camera: SceneCamera) -> np.ndarray:
     """Returns the viewing direction of each pixel in the camera's axes with z = 1, shape (side * side, 3)."""
     c = (np.arange(camera.side) - 0.5 * (camera.side - 1)) / camera.focal
     x, y = np.meshgrid(c, c)
     return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
 
 
-def depth_image(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera) -> np.ndarray:
+def depth_image(model: mujoco.MjModel, data: mujoco.MjData, camera: SceneCamera) -> np.ndarray:
     """Returns the exact depth of each pixel, shape (side, side) [m]."""
     return _cast(model, data, camera.position, rays(camera) @ camera.R.T, camera.side)
 
 
-def height_map(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera, cell: float, side: int) -> np.ndarray:
+def height_map(model: mujoco.MjModel, data: mujoco.MjData, camera: SceneCamera, cell: float, side: int) -> np.ndarray:
     """Returns the depth below the camera in a parallel view along its axis, shape (side, side) [m].
 
     Args:
@@ -145,11 +145,11 @@ def height_map(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera, cell:
         cell: width of a cell [m].
         side: cells a row.
     """
-    eye = Camera(camera.position - FAR_M * camera.R[:, 2], camera.R, FAR_M / cell, side)
+    eye = SceneCamera(camera.position - FAR_M * camera.R[:, 2], camera.R, FAR_M / cell, side)
     return _cast(model, data, eye.position, rays(eye) @ camera.R.T, side) - FAR_M
 
 
-def table_depth(camera: Camera, cell: float, side: int) -> np.ndarray:
+def table_depth(camera: SceneCamera, cell: float, side: int) -> np.ndarray:
     """Returns the depth of the bare table in the same parallel view, shape (side, side) [m]."""
     c = cell * (np.arange(side) - 0.5 * (side - 1))
     x, y = np.meshgrid(c, c)

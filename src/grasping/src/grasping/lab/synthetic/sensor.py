@@ -1,4 +1,4 @@
-"""What a structured-light camera (Asus Xtion, Kinect 1) makes of an exact depth picture.
+"""What a structured-light camera (Asus Xtion, Kinect 1) makes of an exact depth image.
 
 Noise after Nguyen, Izadi and Lovell (2012) and Khoshelham and Elberink (2012); errors are alike in neighbouring
 pixels, because the camera compares windows. Missing pixels are NaN.
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 FOCAL_PX = 570.3
-"""Focal length of the 640 x 480 picture."""
+"""Focal length of the 640 x 480 image."""
 BASELINE_M = 0.075
 """Between projector and camera, along the rows."""
 NEAREST_M = 0.45
@@ -22,18 +22,18 @@ CORRELATION_PX = 2.0
 SCALE_ERROR = 0.005
 """Of the distances of one camera, standard deviation."""
 WARP = 0.0015
-"""Smooth error over the picture that grows with the distance squared, standard deviation at 1 m [m]."""
+"""Smooth error over the image that grows with the distance squared, standard deviation at 1 m [m]."""
 STEEPEST_RAD = 1.3
 """Surfaces further from the line of sight return no pattern."""
 EDGE_STEP_M = 0.01
 EDGE_LOSS = 0.3
 """Share of the pixels at an edge that is lost."""
 DARK_SHARE = 0.3
-"""Share of the pictures with spots that return no pattern."""
+"""Share of the images with spots that return no pattern."""
 
 
 def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Returns the camera's picture, shape as `depth`, float32 [m], NaN where it sees nothing.
+    """Returns the camera's image, shape as `depth`, float32 [m], NaN where it sees nothing.
 
     Args:
         depth: exact distances along the optical axis, shape (h, w) [m], at the scale of `FOCAL_PX`.
@@ -64,7 +64,7 @@ def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def shadow(depth: np.ndarray) -> np.ndarray:
     """Returns where the projector, `BASELINE_M` to the left, does not shine, shape as `depth`, bool.
 
-    A point is dark when one to its left in the same row lies further right in the projector's picture.
+    A point is dark when one to its left in the same row lies further right in the projector's image.
     """
     in_projector = np.arange(depth.shape[1]) + FOCAL_PX * BASELINE_M / depth
     return np.maximum.accumulate(in_projector, axis=1) > in_projector + 1e-6

@@ -1,10 +1,11 @@
-"""A simulated person who grasps: knows what holds, has a taste and a bias, and trembles.
+"""A simulated operator who grasps: knows what holds, has a taste and a bias, and trembles.
 
-Stands in for a teleoperating person where none is at hand; whatever was found with it is to be called simulated. The
-person sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a constant
-bias and a tremor. Attitude and opening of the hand are a matter of the place, too: the higher it is, the more the wrist
-turns and the wider the hand opens, and the less it leans away from the person, who sits below the picture; and it leans
-with the surface. All that is visible, and is there to be learned; how people do it, nobody has measured here.
+Stands in for a teleoperating operator where none is at hand; whatever was found with it is to be called simulated. The
+operator sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a
+constant bias and a tremor. Attitude and opening of the hand are a matter of the place, too: the higher it is, the more
+the wrist turns and the wider the hand opens, and the less it leans away from the operator, who sits below the image;
+and it leans with the surface. All that is visible, and is there to be learned; how people do it, nobody has measured
+here.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ EYE_M = 0.02
 """Standard deviation of the blur through which the lean of a surface is seen."""
 
 
-class Person(NamedTuple):
-    """A person's taste and hand.
+class SimulatedOperator(NamedTuple):
+    """An operator's taste and hand.
 
     Attributes:
-        holds: lowest quality of a grasp that the person considers.
+        holds: lowest quality of a grasp that the operator considers.
         higher: what height is worth, in quality a metre.
         slender: what a narrow opening is worth, in quality a metre less.
         blur: standard deviation of the eye's blur of all that [px].
-        turn: of the line through the fingers, anticlockwise in the picture, by the height [rad/m].
-        lean: away from the person, on the table [rad]; less with the height, none from
+        turn: of the line through the fingers, anticlockwise in the image, by the height [rad/m].
+        lean: away from the operator, on the table [rad]; less with the height, none from
         upright: this height on [m].
         follow: share of the surface's lean that the hand leans, too.
         margin: that the hand opens wider than it must, on the table [m].
@@ -59,8 +60,8 @@ class Person(NamedTuple):
     tremor_rad: float = np.radians(5.0)
 
 
-def base_in_world(camera: scene.Camera) -> np.ndarray:
-    """Returns a base frame whose x axis points to the picture's right, T_world_base, shape (4, 4).
+def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
+    """Returns a base frame whose x axis points to the image's right, T_world_base, shape (4, 4).
 
     On a rig the camera stands still before the base; here the scenes stand still before cameras turned anyhow.
     """
@@ -68,42 +69,44 @@ def base_in_world(camera: scene.Camera) -> np.ndarray:
     return pose(pin.exp3(np.array([0.0, 0.0, heading])))
 
 
-def chosen_pixel(person: Person, labels: Labels, height: np.ndarray, opening: np.ndarray) -> tuple[int, int] | None:
-    """Returns row and column of the grasp the person likes best, None where nothing holds.
+def chosen_pixel(
+    operator: SimulatedOperator, labels: Labels, height: np.ndarray, opening: np.ndarray
+) -> tuple[int, int] | None:
+    """Returns row and column of the grasp the operator likes best, None where nothing holds.
 
     Args:
-        person: who chooses.
+        operator: who chooses.
         labels: of the pixels.
         height: above the table, shape (h, w) [m].
         opening: that the grasp needs, shape (h, w) [m].
     """
-    worth = labels.quality + person.higher * height - person.slender * opening
-    holds = (labels.quality > person.holds) & labels.known
+    worth = labels.quality + operator.higher * height - operator.slender * opening
+    holds = (labels.quality > operator.holds) & labels.known
     if not holds.any():
         return None
     # A place is liked for its neighbourhood; what does not hold is worth little there.
-    blurred = gaussian(np.where(holds, worth, worth[holds].min() - 1.0).astype(np.float32), person.blur)
+    blurred = gaussian(np.where(holds, worth, worth[holds].min() - 1.0).astype(np.float32), operator.blur)
     row, column = np.unravel_index(np.argmax(np.where(holds, blurred, -np.inf)), blurred.shape)
     return int(row), int(column)
 
 
-def points(depth: np.ndarray, camera: scene.Camera) -> np.ndarray:
-    """Returns where the pixels of a square depth picture lie in the world, shape (h, w, 3) [m].
+def points(depth: np.ndarray, camera: scene.SceneCamera) -> np.ndarray:
+    """Returns where the pixels of a square depth image lie in the world, shape (h, w, 3) [m].
 
     Args:
         depth: shape (h, w) [m].
-        camera: that took it; the picture may be scaled.
+        camera: that took it; the image may be scaled.
     """
     scaled = camera._replace(focal=camera.focal * len(depth) / camera.side, side=len(depth))
     rays = scene.rays(scaled).reshape(*depth.shape, 3)
     return camera.position + (depth[..., None] * rays) @ camera.R.T
 
 
-def lean(person: Person, height: np.ndarray, pixel_m: float, at: tuple[int, int]) -> np.ndarray:
+def lean(operator: SimulatedOperator, height: np.ndarray, pixel_m: float, at: tuple[int, int]) -> np.ndarray:
     """Returns how much the hand leans about the base frame's x and y axes, shape (2,) [rad].
 
     Args:
-        person: who grasps.
+        operator: who grasps.
         height: above the table, shape (h, w) [m].
         pixel_m: what a pixel shows of the scene [m].
         at: row and column of the chosen place.
@@ -112,18 +115,18 @@ def lean(person: Person, height: np.ndarray, pixel_m: float, at: tuple[int, int]
     seen = gaussian(np.clip(height, 0.0, None).astype(np.float32), EYE_M / pixel_m)
     down, right = (float(np.gradient(seen, pixel_m, axis=axis)[row, column]) for axis in (0, 1))
     steep = 1.0 + np.hypot(down, right)  # an edge is no slope to lean with
-    away = person.lean * max(0.0, 1.0 - max(0.0, height[at]) / person.upright)
+    away = operator.lean * max(0.0, 1.0 - max(0.0, height[at]) / operator.upright)
     # Rows run against the base frame's y axis.
-    return np.array([away - person.follow * down / steep, -person.follow * right / steep])
+    return np.array([away - operator.follow * down / steep, -operator.follow * right / steep])
 
 
 def grasp_pose(
-    person: Person, place: np.ndarray, line: np.ndarray, leant: np.ndarray, rng: np.random.Generator
+    operator: SimulatedOperator, place: np.ndarray, line: np.ndarray, leant: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Returns the person's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach.
+    """Returns the operator's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach.
 
     Args:
-        person: who grasps.
+        operator: who grasps.
         place: the chosen place, shape (3,) [m].
         line: direction of the line through the fingers, shape (3,); both in the base frame.
         leant: about the base frame's x and y axes, shape (2,) [rad].
@@ -132,18 +135,18 @@ def grasp_pose(
     x = line - (line @ DOWN) * DOWN
     x /= np.linalg.norm(x)
     upright = np.column_stack([x, np.cross(DOWN, x), DOWN])
-    R = pin.exp3(np.append(leant, 0.0)) @ upright @ pin.exp3(rng.normal(0.0, person.tremor_rad, 3))
-    return pose(R, place + person.bias + rng.normal(0.0, person.tremor_m, 3))
+    R = pin.exp3(np.append(leant, 0.0)) @ upright @ pin.exp3(rng.normal(0.0, operator.tremor_rad, 3))
+    return pose(R, place + operator.bias + rng.normal(0.0, operator.tremor_m, 3))
 
 
-def opening(person: Person, needed: float, height: float, rng: np.random.Generator) -> float:
-    """Returns how wide the person opens the hand [m], as wide as it goes at most.
+def opening(operator: SimulatedOperator, needed: float, height: float, rng: np.random.Generator) -> float:
+    """Returns how wide the operator opens the hand [m], as wide as it goes at most.
 
     Args:
-        person: who grasps.
+        operator: who grasps.
         needed: opening that the thing needs [m].
         height: of the place above the table [m].
         rng: of the tremor.
     """
-    wanted = needed + person.margin + person.generous * max(0.0, height) + rng.normal(0.0, person.tremor_m)
+    wanted = needed + operator.margin + operator.generous * max(0.0, height) + rng.normal(0.0, operator.tremor_m)
     return float(np.clip(wanted, needed, GRIPPER.opening))

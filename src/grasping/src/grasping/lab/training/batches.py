@@ -1,4 +1,4 @@
-"""Training batches: windows of labelled pictures, mirrored at random.
+"""Training batches: windows of labelled images, mirrored at random.
 
 Mirroring is all that may be done to the labels: between directions equally good they prefer the horizontal one
 (synthetic.labels), which a mirror keeps and a turn would not.
@@ -20,7 +20,7 @@ MEAN_JITTER_M = 0.02
 Samples = Mapping[str, np.ndarray]
 
 
-class Targets(NamedTuple):
+class MapTargets(NamedTuple):
     """What the network should say; each shape (n, h, w).
 
     Attributes:
@@ -40,7 +40,7 @@ class Targets(NamedTuple):
     graspable: torch.Tensor
 
 
-def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, Targets]:
+def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, MapTargets]:
     """Returns `count` random windows of `side` pixels as input, shape (n, 1, side, side), and targets.
 
     Args:
@@ -56,7 +56,7 @@ def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: i
     return depth + jitter, target
 
 
-def batch(samples: Samples) -> tuple[torch.Tensor, Targets]:
+def batch(samples: Samples) -> tuple[torch.Tensor, MapTargets]:
     """Returns whole samples as input and targets."""
     depth = torch.from_numpy(samples["depth"].astype(np.float32)).clamp(-1.0, 1.0)[:, None]
     angle = samples["angle"].astype(np.float32) * (2.0 * np.pi / 256.0)
@@ -64,7 +64,7 @@ def batch(samples: Samples) -> tuple[torch.Tensor, Targets]:
     cos, sin = torch.from_numpy(np.cos(angle)), torch.from_numpy(np.sin(angle))
     width = torch.from_numpy(samples["width"].astype(np.float32) / 255.0)
     known = torch.from_numpy(samples["known"])
-    return depth, Targets(quality, cos, sin, width, known, known & (quality > GRASPABLE))
+    return depth, MapTargets(quality, cos, sin, width, known, known & (quality > GRASPABLE))
 
 
 def _window(samples: Samples, rng: np.random.Generator, side: int) -> dict[str, np.ndarray]:

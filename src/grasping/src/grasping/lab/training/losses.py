@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import torch
 
-from grasping.lab.training.batches import Targets
+from grasping.lab.training.batches import MapTargets
 
 QUALITY_WEIGHT = 10.0
 GRASP_WEIGHT = 4.0
@@ -19,7 +19,7 @@ ANGLE_WEIGHT = 0.5
 WIDTH_WEIGHT = 2.0
 
 
-class Losses(NamedTuple):
+class MapLosses(NamedTuple):
     """Mean squared errors; `total` is their weighted sum."""
 
     total: torch.Tensor
@@ -28,7 +28,7 @@ class Losses(NamedTuple):
     width: torch.Tensor
 
 
-def losses(maps: torch.Tensor, target: Targets) -> Losses:
+def losses(maps: torch.Tensor, target: MapTargets) -> MapLosses:
     """Returns the losses of the network's output, shape (n, 4, h, w)."""
     quality, cos, sin, width = maps.float().unbind(1)
     weight = target.known * (1.0 + GRASP_WEIGHT * target.quality)
@@ -38,4 +38,4 @@ def losses(maps: torch.Tensor, target: Targets) -> Losses:
     of_angle = (graspable * ((cos - target.cos) ** 2 + (sin - target.sin) ** 2)).sum() / count
     of_width = (graspable * (width - target.width) ** 2).sum() / count
     total = QUALITY_WEIGHT * of_quality + ANGLE_WEIGHT * of_angle + WIDTH_WEIGHT * of_width
-    return Losses(total, of_quality, of_angle, of_width)
+    return MapLosses(total, of_quality, of_angle, of_width)

@@ -1,6 +1,6 @@
-"""Batches for the second network, and what it should say of them.
+"""Batches for the refinement network, and what it should say of them.
 
-Examples are taken as they are: what the network looks at does not change when the picture is turned or shifted.
+Examples are taken as they are: what the network looks at does not change when the image is turned or shifted.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from grasping.lab.training.refinement_examples import Example, Offset
+from grasping.lab.training.refinement_examples import Example, OperatorOffset
 from grasping.network.refinement import SHRINK, SIDE
 
 SIGMA_PX = 1.25
-"""Of the target about the person's pixel, 5 px of the network's picture."""
+"""Of the target about the operator's pixel, 5 px of the network's image."""
 
 
-class Targets(NamedTuple):
-    """What the second network should say of n pictures; the constant offset is taken off all.
+class RefinementTargets(NamedTuple):
+    """What the refinement network should say of n images; the constant offset is taken off all.
 
     Attributes:
-        place: about the person's pixel, sum 1, shape (n, SIDE, SIDE).
-        held: 1 where the person's grasp held, 0 where it failed, shape (n,).
+        place: about the operator's pixel, sum 1, shape (n, SIDE, SIDE).
+        held: 1 where the operator's grasp held, 0 where it failed, shape (n,).
         height: of the grasp above the table, along the optical axis, shape (n,) [m].
         cos: of twice the angle of the line through the fingers, shape (n,).
         sin: likewise.
@@ -40,12 +40,12 @@ class Targets(NamedTuple):
     tilt_y: torch.Tensor
     opening: torch.Tensor
 
-    def to(self, device: torch.device) -> Targets:
+    def to(self, device: torch.device) -> RefinementTargets:
         """Returns the targets on a device."""
-        return Targets(*(value.to(device) for value in self))
+        return RefinementTargets(*(value.to(device) for value in self))
 
 
-def batch(examples: list[Example], offset: Offset) -> tuple[torch.Tensor, Targets]:
+def batch(examples: list[Example], offset: OperatorOffset) -> tuple[torch.Tensor, RefinementTargets]:
     """Returns examples as the network's input, shape (n, features, SIDE, SIDE), and what it should say.
 
     Args:
@@ -66,11 +66,11 @@ def batch(examples: list[Example], offset: Offset) -> tuple[torch.Tensor, Target
         )
         for e in examples
     ]
-    return seen, Targets(places, *torch.tensor(rest, dtype=torch.float32).unbind(1))
+    return seen, RefinementTargets(places, *torch.tensor(rest, dtype=torch.float32).unbind(1))
 
 
-def place(example: Example, offset: Offset) -> tuple[float, float]:
-    """Returns row and column of the person's grasp without the constant offset."""
+def place(example: Example, offset: OperatorOffset) -> tuple[float, float]:
+    """Returns row and column of the operator's grasp without the constant offset."""
     scale = SHRINK * example.mean
     return example.row - offset.y / scale, example.column - offset.x / scale
 

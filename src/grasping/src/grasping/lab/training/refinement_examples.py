@@ -1,6 +1,6 @@
-"""What the second network learns from: frames of a person's episodes.
+"""What the refinement network learns from: frames of an operator's episodes.
 
-All maps are at the second network's scale, a `SHRINK`th of the first one's. Positions are in its pixels.
+All maps are at the refinement network's scale, a `SHRINK`th of the first one's. Positions are in its pixels.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasping.lab.dataset.episode import Frame
+from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import RelativeLabel, map_pixel, relative_label, tilt_and_angle
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
 from grasping.network.networks import WIDTH_SCALE_PX
@@ -17,23 +17,23 @@ from grasping.network.refinement import SHRINK, SIDE, features
 from grasping.network.table_depth import table_depth
 
 SAME_PLACE_M = 0.04
-"""A person's grasp further from GGCNN's was not meant to be the same."""
+"""An operator's grasp further from GGCNN's was not meant to be the same."""
 
 
 class Example(NamedTuple):
-    """A frame of a person's episode.
+    """A frame of an operator's episode.
 
     Attributes:
         features: as `refinement.features` has them, float16.
-        row: of the person's grasp; may lie outside.
+        row: of the operator's grasp; may lie outside.
         column: likewise.
         height: of the grasp above the table, along the optical axis [m].
-        angle: of the line through the fingers in the picture, anticlockwise [rad].
+        angle: of the line through the fingers in the image, anticlockwise [rad].
         tilt_x: of the approach about the camera's x axis [rad].
         tilt_y: likewise about its y axis.
         opening: of the hand [GGCNN's unit x m]; NaN where it is not known.
         held: whether the grasp held.
-        mean: of the picture's depth [m].
+        mean: of the image's depth [m].
     """
 
     features: np.ndarray
@@ -48,14 +48,14 @@ class Example(NamedTuple):
     mean: float
 
 
-class Offset(NamedTuple):
-    """What a person adds to GGCNN's grasp wherever it is.
+class OperatorOffset(NamedTuple):
+    """What an operator adds to GGCNN's grasp wherever it is.
 
     Attributes:
         x: to the right, and
-        y: down [px of the network's picture x m: divided by the distance it is a shift].
+        y: down [px of the network's image x m: divided by the distance it is a shift].
         depth: along the optical axis [m].
-        angle: in the picture, anticlockwise [rad].
+        angle: in the image, anticlockwise [rad].
         tilt_x: of the approach [rad].
         tilt_y: likewise.
         opening: of the hand [GGCNN's unit x m: divided by the distance it is GGCNN's unit].
@@ -70,26 +70,26 @@ class Offset(NamedTuple):
     opening: float = 0.0
 
 
-def example(frame: Frame, held: bool) -> Example | None:
+def example(frame: EpisodeFrame, held: bool) -> Example | None:
     """Returns the example of a frame; None where the grasp cannot be seen by its camera, or the frame holds nothing."""
     T = frame.T_camera_grasp
     if T[2, 3] <= 0.0:
         return None
     try:
-        picture = prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
+        image = prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
         (tilt_x, tilt_y), angle = tilt_and_angle(T[:3, :3])
     except ValueError:
         return None
     row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, SIDE)
     near = tuple(int(np.clip(SHRINK * i, 0, NETWORK_SIDE - 1)) for i in (row, column))
-    height = float(table_depth(picture)[near] - T[2, 3])
-    seen = features(frame.maps, picture).astype(np.float16)
-    opening = opening_units(frame) * picture.mean / T[2, 3]
-    return Example(seen, row, column, height, angle, float(tilt_x), float(tilt_y), opening, held, picture.mean)
+    height = float(table_depth(image)[near] - T[2, 3])
+    seen = features(frame.maps, image).astype(np.float16)
+    opening = opening_units(frame) * image.mean / T[2, 3]
+    return Example(seen, row, column, height, angle, float(tilt_x), float(tilt_y), opening, held, image.mean)
 
 
-def constant_offset(frames: list[Frame]) -> Offset:
-    """Returns the median of what the person added to GGCNN's grasps, where both meant about the same place.
+def constant_offset(frames: list[EpisodeFrame]) -> OperatorOffset:
+    """Returns the median of what the operator added to GGCNN's grasps, where both meant about the same place.
 
     Args:
         frames: of grasps that held.
@@ -108,25 +108,25 @@ def constant_offset(frames: list[Frame]) -> Offset:
             shifts.append((x, y, label.depth, label.angle))
             openings.append(opening_units(frame) - distance * frame.peak.width / WIDTH_SCALE_PX)
     if not shifts:
-        return Offset()
+        return OperatorOffset()
     known = [o for o in openings if np.isfinite(o)]
     wider = float(np.median(known)) if known else 0.0
     x, y, depth, angle = np.median(shifts, axis=0).tolist()
     tilt_x, tilt_y = np.median(turns, axis=0).tolist()
-    return Offset(x, y, depth, angle, tilt_x, tilt_y, wider)
+    return OperatorOffset(x, y, depth, angle, tilt_x, tilt_y, wider)
 
 
-def opening_units(frame: Frame) -> float:
-    """Returns the opening of the person's hand [GGCNN's unit x m]; NaN where it is not known."""
+def opening_units(frame: EpisodeFrame) -> float:
+    """Returns the opening of the operator's hand [GGCNN's unit x m]; NaN where it is not known."""
     return frame.opening * frame.camera.K[0, 0] * NETWORK_SIDE / frame.crop.side / WIDTH_SCALE_PX
 
 
-def metres_per_pixel(frame: Frame) -> float:
-    """Returns how much a pixel of the frame's maps is at the person's grasp [m]."""
+def metres_per_pixel(frame: EpisodeFrame) -> float:
+    """Returns how much a pixel of the frame's maps is at the operator's grasp [m]."""
     return float(frame.T_camera_grasp[2, 3] * frame.crop.side / frame.maps.shape[-1] / frame.camera.K[0, 0])
 
 
-def offset_label(frame: Frame, offset: Offset) -> RelativeLabel:
+def offset_label(frame: EpisodeFrame, offset: OperatorOffset) -> RelativeLabel:
     """Returns GGCNN's grasp with the constant offset, as a label that `dataset.labels.pose_from_label` reads."""
     side = frame.maps.shape[-1]
     scale, distance = side / NETWORK_SIDE, float(np.median(frame.depth_m[frame.depth > 0]))

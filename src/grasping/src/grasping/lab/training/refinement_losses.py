@@ -1,8 +1,8 @@
-"""What training of the second network makes small: how improbable the person's grasps are.
+"""What training of the refinement network makes small: how improbable the operator's grasps are.
 
-Of a grasp that held: the cross-entropy between a softmax over all pixels and a bell about the person's pixel, and under
-that bell the negative log-likelihoods of depth, turn, opening and lean, but for a constant. Of one that failed: the
-mass of the softmax there. Everywhere: a little of the quality's change itself.
+Of a grasp that held: the cross-entropy between a softmax over all pixels and a bell about the operator's pixel, and
+under that bell the negative log-likelihoods of depth, turn, opening and lean, but for a constant. Of one that failed:
+the mass of the softmax there. Everywhere: a little of the quality's change itself.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 import torch.nn.functional as F
 
-from grasping.lab.training.refinement_batches import Targets
+from grasping.lab.training.refinement_batches import RefinementTargets
 from grasping.network.refinement import (
     COS,
     DEPTH_M,
@@ -24,7 +24,7 @@ from grasping.network.refinement import (
     SHARPNESS,
     SIN,
     TILT_RAD,
-    Change,
+    RefinementOutput,
 )
 
 POSE_WEIGHT, CHANGE_WEIGHT = 0.3, 0.02
@@ -32,8 +32,8 @@ POSE_WEIGHT, CHANGE_WEIGHT = 0.3, 0.02
 LEAST = 1e-6
 
 
-class Losses(NamedTuple):
-    """Means over the pictures that teach them; `total` is the weighted sum."""
+class RefinementLosses(NamedTuple):
+    """Means over the images that teach them; `total` is the weighted sum."""
 
     total: torch.Tensor
     place: torch.Tensor
@@ -43,7 +43,7 @@ class Losses(NamedTuple):
     tilt: torch.Tensor
 
 
-def losses(seen: torch.Tensor, said: torch.Tensor, target: Targets) -> Losses:
+def losses(seen: torch.Tensor, said: torch.Tensor, target: RefinementTargets) -> RefinementLosses:
     """Returns the losses of what the network says.
 
     Args:
@@ -51,7 +51,7 @@ def losses(seen: torch.Tensor, said: torch.Tensor, target: Targets) -> Losses:
         said: its output, shape (n, len(CHANGES), h, w).
         target: what it should be.
     """
-    change = Change.of(said)
+    change = RefinementOutput.of(said)
     quality = seen[:, 0] + change.quality
     logs = F.log_softmax(SHARPNESS * quality.flatten(1), dim=1).view_as(quality)
     held, bell = target.held, target.place
@@ -70,17 +70,17 @@ def losses(seen: torch.Tensor, said: torch.Tensor, target: Targets) -> Losses:
     ]
     place = _mean(of_place, held)
     total = place + POSE_WEIGHT * sum(rest) + of_failure.mean() + CHANGE_WEIGHT * change.quality.square().mean()
-    return Losses(total, place, *rest)
+    return RefinementLosses(total, place, *rest)
 
 
-def of_depth(seen: torch.Tensor, change: Change, target: Targets) -> torch.Tensor:
-    """Returns how improbable the person's depth is at each pixel, shape (n, h, w)."""
+def of_depth(seen: torch.Tensor, change: RefinementOutput, target: RefinementTargets) -> torch.Tensor:
+    """Returns how improbable the operator's depth is at each pixel, shape (n, h, w)."""
     off = seen[:, HEIGHT] - change.depth - _of_all(target.height)
     return off.abs() / change.depth_spread + torch.log(change.depth_spread / DEPTH_M)
 
 
-def of_turn(seen: torch.Tensor, change: Change, target: Targets) -> torch.Tensor:
-    """Returns how improbable the person's angle is at each pixel, shape (n, h, w): von Mises of twice the angle."""
+def of_turn(seen: torch.Tensor, change: RefinementOutput, target: RefinementTargets) -> torch.Tensor:
+    """Returns how improbable the operator's angle is at each pixel, shape (n, h, w): von Mises of twice the angle."""
     cos, sin, c, s = _of_all(target.cos), _of_all(target.sin), seen[:, COS], seen[:, SIN]
     along, across = c * cos + s * sin, c * sin - s * cos
     concentration = torch.sqrt(change.turn_cos.square() + change.turn_sin.square() + LEAST)
@@ -88,14 +88,14 @@ def of_turn(seen: torch.Tensor, change: Change, target: Targets) -> torch.Tensor
     return scale - change.turn_cos * along - change.turn_sin * across
 
 
-def of_opening(seen: torch.Tensor, change: Change, target: Targets) -> torch.Tensor:
-    """Returns how improbable the person's opening is at each pixel, shape (n, h, w); no matter where unknown."""
+def of_opening(seen: torch.Tensor, change: RefinementOutput, target: RefinementTargets) -> torch.Tensor:
+    """Returns how improbable the operator's opening is at each pixel, shape (n, h, w); no matter where unknown."""
     off = seen[:, OPENING] + change.opening - _of_all(torch.nan_to_num(target.opening))
     return off.abs() / change.opening_spread + torch.log(change.opening_spread / OPENING_UNITS)
 
 
-def of_tilt(seen: torch.Tensor, change: Change, target: Targets) -> torch.Tensor:
-    """Returns how improbable the person's lean is at each pixel, shape (n, h, w)."""
+def of_tilt(seen: torch.Tensor, change: RefinementOutput, target: RefinementTargets) -> torch.Tensor:
+    """Returns how improbable the operator's lean is at each pixel, shape (n, h, w)."""
     x = change.tilt_x + change.follow * seen[:, LEAN_X] - _of_all(target.tilt_x)
     y = change.tilt_y + change.follow * seen[:, LEAN_Y] - _of_all(target.tilt_y)
     off = torch.sqrt(x.square() + y.square() + LEAST)

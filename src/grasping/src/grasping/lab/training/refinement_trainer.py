@@ -1,4 +1,4 @@
-"""The training of the second network as steps; it is over when held-out episodes say so.
+"""The training of the refinement network as steps; it is over when held-out episodes say so.
 
 AdamW with a linear decay of the rate. What is kept is the running mean of the weights.
 """
@@ -11,21 +11,21 @@ import numpy as np
 import torch
 
 from grasping.lab.training.mean_trainer import CPU, MeanTrainer
-from grasping.lab.training.refinement_batches import Targets, batch
-from grasping.lab.training.refinement_examples import Example, Offset
-from grasping.lab.training.refinement_losses import Losses, losses
+from grasping.lab.training.refinement_batches import RefinementTargets, batch
+from grasping.lab.training.refinement_examples import Example, OperatorOffset
+from grasping.lab.training.refinement_losses import RefinementLosses, losses
 from grasping.network.refinement import AXES, HIDDEN, SHRINK, RefinementNetwork
 
 VALIDATION_BATCH = 16
 
 
 @dataclass(frozen=True)
-class Settings:
+class RefinementTraining:
     """How to train.
 
     Attributes:
         steps: most steps; the rate falls to zero over them.
-        count: pictures a step.
+        count: images a step.
         rate: learning rate at first.
         weight_decay: of AdamW.
         memory: of the mean of the weights, a step.
@@ -44,11 +44,11 @@ class Settings:
     seed: int = 1
 
 
-class Trainer(MeanTrainer[RefinementNetwork]):
-    """The training of the second network."""
+class RefinementTrainer(MeanTrainer[RefinementNetwork]):
+    """The training of the refinement network."""
 
-    def __init__(self, settings: Settings, offset: Offset, device: torch.device = CPU) -> None:
-        """Makes the trainer on a device; `offset` is the person's constant one."""
+    def __init__(self, settings: RefinementTraining, offset: OperatorOffset, device: torch.device = CPU) -> None:
+        """Makes the trainer on a device; `offset` is the operator's constant one."""
         self.settings, self.offset, self.device = settings, offset, device
         torch.manual_seed(settings.seed)
         network = RefinementNetwork(settings.hidden)
@@ -66,8 +66,8 @@ class Trainer(MeanTrainer[RefinementNetwork]):
         return self.descend(loss, s.rate * max(0.0, 1.0 - self.step / s.steps))
 
     def validate(self, examples: list[Example]) -> dict[str, float]:
-        """Returns the losses of the mean network, and how far its best pixel is from the person's, the median [px of
-        the network's picture]."""
+        """Returns the losses of the mean network, and how far its best pixel is from the operator's, the median [px of
+        the network's image]."""
         held = [e for e in examples if e.held]
         rows, misses, counts = [], [], []
         for i in range(0, len(held), VALIDATION_BATCH):
@@ -78,16 +78,18 @@ class Trainer(MeanTrainer[RefinementNetwork]):
             rows.append([v.item() for v in losses(seen, change, target)])
             counts.append(len(part))
             misses += _misses(seen[:, 0] + change[:, 0], target.place)
-        found = dict(zip(("validation", *Losses._fields[1:]), np.average(rows, axis=0, weights=counts).tolist()))
+        found = dict(
+            zip(("validation", *RefinementLosses._fields[1:]), np.average(rows, axis=0, weights=counts).tolist())
+        )
         return {**found, "miss": float(np.median(misses))}
 
-    def _batch(self, examples: list[Example]) -> tuple[torch.Tensor, Targets]:
+    def _batch(self, examples: list[Example]) -> tuple[torch.Tensor, RefinementTargets]:
         seen, target = batch(examples, self.offset)
         return seen.to(self.device), target.to(self.device)
 
 
 def _misses(quality: torch.Tensor, place: torch.Tensor) -> list[float]:
-    """Returns the distances between the highest pixels of two maps, shape (n, h, w) [px of the network's picture]."""
+    """Returns the distances between the highest pixels of two maps, shape (n, h, w) [px of the network's image]."""
     side = quality.shape[-1]
     a, b = quality.flatten(1).argmax(1), place.flatten(1).argmax(1)
     return (SHRINK * torch.hypot((a // side - b // side).float(), (a % side - b % side).float())).tolist()

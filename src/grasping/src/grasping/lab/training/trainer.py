@@ -12,14 +12,14 @@ import numpy as np
 import torch
 from torch import nn
 
-from grasping.lab.training.batches import Samples, Targets, batch, random_batch
+from grasping.lab.training.batches import MapTargets, Samples, batch, random_batch
 from grasping.lab.training.losses import losses
 from grasping.lab.training.mean_trainer import CPU, MeanTrainer
 from grasping.network.networks import NETWORKS
 
 
 @dataclass(frozen=True)
-class Settings:
+class NetworkTraining:
     """How to train.
 
     Attributes:
@@ -47,10 +47,10 @@ class Settings:
     half: bool = True
 
 
-class Trainer(MeanTrainer[nn.Module]):
+class NetworkTrainer(MeanTrainer[nn.Module]):
     """The training of a grasp network."""
 
-    def __init__(self, settings: Settings, device: torch.device = CPU) -> None:
+    def __init__(self, settings: NetworkTraining, device: torch.device = CPU) -> None:
         """Makes the trainer on a device."""
         self.settings, self.device = settings, device
         torch.manual_seed(settings.seed)
@@ -72,7 +72,7 @@ class Trainer(MeanTrainer[nn.Module]):
         return self.descend(losses(self._maps(self.network, depth), target).total, self.rate())
 
     def validate(self, samples: Samples) -> dict[str, float]:
-        """Returns the losses of the mean network on whole pictures, and the share of best pixels that are grasps."""
+        """Returns the losses of the mean network on whole images, and the share of best pixels that are grasps."""
         rows = []
         for i in range(len(samples["depth"])):
             depth, target = self._here(batch({name: values[i : i + 1] for name, values in samples.items()}))
@@ -83,9 +83,9 @@ class Trainer(MeanTrainer[nn.Module]):
         names = ("validation", "quality", "angle", "width", "hits")
         return dict(zip(names, np.mean(rows, axis=0).tolist()))
 
-    def _here(self, made: tuple[torch.Tensor, Targets]) -> tuple[torch.Tensor, Targets]:
+    def _here(self, made: tuple[torch.Tensor, MapTargets]) -> tuple[torch.Tensor, MapTargets]:
         depth, target = made
-        return depth.to(self.device), Targets(*(value.to(self.device) for value in target))
+        return depth.to(self.device), MapTargets(*(value.to(self.device) for value in target))
 
     def _maps(self, network: nn.Module, depth: torch.Tensor) -> torch.Tensor:
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.settings.half):
@@ -93,7 +93,7 @@ class Trainer(MeanTrainer[nn.Module]):
         return maps
 
 
-def _best_is_grasp(maps: torch.Tensor, target: Targets) -> float:
+def _best_is_grasp(maps: torch.Tensor, target: MapTargets) -> float:
     """Returns 1 where the pixel of highest quality is a grasp whose angle is right within 30 degrees, else 0."""
     i = int(maps[0, 0].argmax())
     cos, sin = maps[0, 1].flatten()[i], maps[0, 2].flatten()[i]
