@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections import defaultdict
 from pathlib import Path
 
 from tools.reference import markdown, sources
@@ -14,16 +15,18 @@ def page() -> str:
         markdown.generated(
             "Launch files",
             "the launch files",
-            "`roslaunch PACKAGE FILE.launch name:=value ...`. An argument without a default must be given. "
-            "`roslaunch leap_rig demo` is short for `demo.launch`.",
+            "`roslaunch PACKAGE FILE.launch name:=value ...`. `roslaunch leap_rig demo` is short for `demo.launch`. "
+            "An argument that another launch file of the package has already, with the same default and meaning, is "
+            "named below the table.",
         )
     ]
     name = ""
+    shown: dict[tuple[str, ...], str] = {}
     for file in sorted(sources.ROOT.glob("src/**/launch/*.launch"), key=sources.inside):
         if sources.package(file) != name:
             name = sources.package(file)
             parts.append(f"## {name}\n")
-        parts.append(_file(file))
+        parts.append(_file(file, shown))
     return "\n".join(parts)
 
 
@@ -32,13 +35,20 @@ def arguments(file: Path) -> dict[str, ElementTree.Element]:
     return {a.get("name", ""): a for a in ElementTree.parse(file).getroot().findall("arg") if a.get("value") is None}
 
 
-def _file(file: Path) -> str:
-    rows = [
-        [markdown.code(name), _default(arg), markdown.text(arg.get("doc", ""))] for name, arg in arguments(file).items()
-    ]
-    parts = [f"### {file.name}\n", f"{sources.link(file)}: {markdown.text(_comment(file))}\n"]
+def _file(file: Path, shown: dict[tuple[str, ...], str]) -> str:
+    """Returns the section of a launch file; rows that `shown` has already for its package are only named."""
+    rows, same = [], defaultdict(list)
+    for name, arg in arguments(file).items():
+        row = [markdown.code(name), _default(arg), markdown.text(arg.get("doc", ""))]
+        before = shown.setdefault((sources.package(file), *row), file.name)
+        if before == file.name:
+            rows.append(row)
+        else:
+            same[before].append(row[0])
+    parts = [f"### {file.name}\n", f"{markdown.text(_comment(file))}\n"]
     if rows:
         parts.append(markdown.table(["argument", "default", "meaning"], rows))
+    parts += [f"As in {markdown.code(other)}: {', '.join(names)}.\n" for other, names in same.items()]
     return "\n".join(parts)
 
 

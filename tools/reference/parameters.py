@@ -120,53 +120,60 @@ def page() -> str:
         markdown.generated(
             "Parameters",
             "the yaml files and their schemas",
-            "Every yaml file of every package with its defaults, and behind them the private parameters of the "
-            "package's nodes (`~name`, given by launch files or as `_name:=value`). What is checked is the schema "
-            "beside it: a value out of range, a missing key and an unknown key are refused with one sentence each, and "
-            "nothing moves.\n\n"
-            "In intervals a square bracket includes the limit and a round one does not.",
+            "Every yaml file with its defaults, and the private parameters of the nodes (`~name`, set by launch files "
+            "or as `_name:=value`). A schema checks each file: a value out of range, a missing key and an unknown key "
+            "are rejected at start-up, all at once, and nothing moves. In ranges a square bracket includes the limit "
+            "and a round one excludes it.",
         )
     ]
+    shown: dict[tuple[str, str], str] = {}
     packages = {sources.package(file) for file in files} | {program.split("/")[0] for program in nodes.NODES}
     for package in sorted(packages):
         parts.append(f"## {package}\n")
-        parts += [_file(file) for file in files if sources.package(file) == package]
+        parts += [_file(file, shown) for file in files if sources.package(file) == package]
         parts += nodes.of_package(package)
     return "\n".join(parts)
 
 
-def _file(file: Path) -> str:
+def _file(file: Path, shown: dict[tuple[str, str], str]) -> str:
+    """Returns the section of a yaml file; rows that `shown` has already, with the same default, are left out."""
     words = file.read_text()
-    parts = [f"### {file.relative_to(file.parents[len(file.parts) - 2 - file.parts.index('config')])}\n"]
+    name = str(file.relative_to(file.parents[len(file.parts) - 2 - file.parts.index("config")]))
     head = _head(words)
-    parts.append(f"{sources.link(file)}{': ' + markdown.text(head) if head else ''}\n")
+    parts = [f"### {name}\n", f"[{sources.inside(file)}](../../{file.relative_to(sources.ROOT)})"]
+    parts[-1] += f": {markdown.text(head)}\n" if head else "\n"
     found = SCHEMAS.get(sources.inside(file))
     if found is None:
-        body = re.sub(r"\A(#.*\n)+\n*", "", words)
-        return "\n".join([*parts, f"```yaml\n{body.rstrip()}\n```\n"])
-    comments = _comments(words)
-    rest = [k for k in yaml.safe_load(words) if not any(not part.path or part.path[0] == k for part in found)]
-    if rest:
-        values = yaml.safe_load(words)
-        rows = [[markdown.code(k), markdown.code(schemas.value(values[k])), comments.get((k,), "")] for k in rest]
-        parts.append(markdown.table(["key", "default", "meaning"], rows))
+        return "\n".join(parts)
+    comments, values = _comments(words), yaml.safe_load(words)
+    rest = [k for k in values if not any(not part.path or part.path[0] == k for part in found)]
+    rows = [[markdown.code(k), markdown.code(schemas.value(values[k])), "", comments.get((k,), "")] for k in rest]
+    same: dict[str, int] = {}
     for part in found:
-        parts.append(_table(part, yaml.safe_load(words), comments))
+        for schema_row in _rows(part, values, comments):
+            key = (part.schema, "\n".join([schema_row[0].split(".")[-1], *schema_row[1:]]))
+            before = shown.setdefault(key, name)
+            if before == name:
+                rows.append(schema_row)
+            else:
+                same[before] = same.get(before, 0) + 1
+    if rows:
+        parts.append(schemas.table("key", rows))
+    if same:
+        names = " and ".join(map(markdown.code, same))
+        parts.append(f"The other {sum(same.values())} keys are as in {names}.\n")
     return "\n".join(parts)
 
 
-def _table(part: Part, values: Any, comments: dict[tuple[str, ...], str]) -> str:
+def _rows(part: Part, values: Any, comments: dict[tuple[str, ...], str]) -> list[list[str]]:
     for key in part.path:
         values = values[key]
     order = list(values)
     found = [k for k in schemas.keys_of(part.schema) if k.name in order or not part.above]
-    return schemas.table(
-        "key",
-        (
-            schemas.row(key, ".".join([*part.path, key.name]), values, comments.get((*part.path, key.name), ""))
-            for key in sorted(found, key=lambda k: order.index(k.name) if k.name in order else len(order))
-        ),
-    )
+    return [
+        schemas.row(key, ".".join([*part.path, key.name]), values, comments.get((*part.path, key.name), ""))
+        for key in sorted(found, key=lambda k: order.index(k.name) if k.name in order else len(order))
+    ]
 
 
 def _head(words: str) -> str:

@@ -13,7 +13,8 @@ from tools.reference import markdown
 if TYPE_CHECKING:
     from common.config import Key
 
-COLUMNS = ("default", "type", "range", "unit", "meaning")
+KINDS = {"whole number": "integer", "true or false": "boolean"}
+COLUMNS = ("default", "range", "meaning")
 
 
 def keys_of(schema: str) -> list[Key]:
@@ -36,9 +37,7 @@ def row(key: Key, name: str, values: Mapping[str, Any], comment: str = "") -> li
     return [
         markdown.code(name),
         markdown.code(value(values[key.name])) if key.name in values else _absent(key),
-        key.type + (": " + _options(key.range) if key.type == "one of" else ""),
-        "" if key.type == "one of" else key.range,
-        key.unit,
+        _range(key),
         markdown.text(key.meaning or comment),
     ]
 
@@ -64,6 +63,9 @@ def _absent(key: Key) -> str:
     return "empty" if plain == "" else markdown.code(value(plain))
 
 
-def _options(words: str) -> str:
-    """Returns the options of a choice; one may be empty."""
-    return "empty" + words if words.startswith(",") else words
+def _range(key: Key) -> str:
+    """Returns type, range and unit of a key in one cell; a number needs no type."""
+    if key.type == "one of":
+        return "empty" + key.range if key.range.startswith(",") else key.range
+    kind = "" if key.type == "number" and (key.range or key.unit) else KINDS.get(key.type, key.type)
+    return " ".join(part for part in (kind, key.range, key.unit) if part)
