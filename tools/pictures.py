@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
+import math
 import os
 import re
 import shutil
@@ -17,9 +18,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import cv2
 from PIL import Image
 
 from common.ports import free_port
@@ -31,6 +33,10 @@ WIDTH, COLOURS = 1200, 128
 """Of a picture at most: the pages do not show more, and files stay small."""
 SHEETS, SHEET_WIDTH = ("pick-cup.png", "assisted_grasp.png"), 1920
 """Contact sheets, whose writing can be read by whoever opens them alone."""
+
+FILM_OPTIONS = ("--view", "150", "-16", "1.75", "--size", "640", "440", "--rate", "12")
+FILM_WIDTH, FILM_SPEED, FILM_FRAME_MS, FILM_QUALITY = 560, 2.0, 80, 55
+"""Of the animated image: width [px], times real time, duration of a frame [ms], and WebP quality."""
 
 SCREEN = (1400, 900)
 VIEW = (384, 82, 1284, 830)
@@ -103,14 +109,22 @@ def rig() -> None:
         picture.crop(VIEW).save(file)
 
 
+def film() -> None:
+    """The rig at work: the simulated operator picks up a cup, as an animated image."""
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / "film.mp4"
+        _record("pick_cup", recording, FILM_OPTIONS)
+        _animate(recording, PICTURES / "film.webp")
+
+
 def pick_cup() -> None:
-    """The simulated person picks a cup up and puts it down."""
-    _film("pick_cup", SHEETS[0])
+    """The simulated operator picks up a cup and puts it down."""
+    _sheet("pick_cup", SHEETS[0])
 
 
 def assisted_grasp() -> None:
-    """The simulated person corrects a grasp that the network proposes."""
-    _film("assisted_grasp", SHEETS[1], " --view 165 -20 1.25")
+    """The simulated operator corrects a grasp that the network proposes."""
+    _sheet("assisted_grasp", SHEETS[1], ("--view", "165", "-20", "1.25"))
 
 
 def grasping() -> None:
@@ -156,7 +170,7 @@ def curves() -> None:
 
 MAKERS = {
     maker.__name__: maker
-    for maker in (workspace, panel, rig, pick_cup, assisted_grasp, grasping, tag_pose, parts, vision, curves)
+    for maker in (workspace, panel, rig, film, pick_cup, assisted_grasp, grasping, tag_pose, parts, vision, curves)
 }
 
 
@@ -202,13 +216,44 @@ def _run(*command: str, **environment: str) -> None:
     subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, **environment})
 
 
-def _film(scenario: str, name: str, options: str = "") -> None:
-    """Writes a contact sheet of a scenario that went well; where it did not, the one before stays."""
+def _sheet(scenario: str, name: str, options: Sequence[str] = ()) -> None:
+    """Writes a contact sheet of a scenario that succeeded; otherwise the previous one stays."""
     with tempfile.TemporaryDirectory() as folder:
-        film = Path(folder) / name
-        arguments = ("--headless", "--scenario", scenario, "--", *_ports(), f"record:={film}{options}")
-        _run("rosrun", "leap_rig", "demo.py", *arguments, ROS_MASTER_URI=f"http://localhost:{free_port()}")
-        shutil.copy(film, PICTURES / name)
+        sheet = Path(folder) / name
+        _record(scenario, sheet, options)
+        shutil.copy(sheet, PICTURES / name)
+
+
+def _record(scenario: str, file: Path, options: Sequence[str] = ()) -> None:
+    """Runs a scenario of the demo and films it.
+
+    Raises:
+        CalledProcessError: the scenario failed.
+    """
+    ports = _ports()
+    world = next(port.split(":=")[1] for port in ports if port.startswith("world_port"))
+    recorder = ("rosrun", "rig_simulation", "record.py", str(file), "--port", world, "--wait", "120", *options)
+    with _started(*recorder):
+        _run(
+            "rosrun", "leap_rig", "demo.py", "--headless", "--scenario", scenario, "--", *ports,
+            ROS_MASTER_URI=f"http://localhost:{free_port()}",
+        )  # fmt: skip
+
+
+def _animate(recording: Path, file: Path, begin_s: float = 0.0, end_s: float = math.inf) -> None:
+    """Converts a part of a film into an animated image that plays FILM_SPEED times as fast."""
+    film = cv2.VideoCapture(str(recording))
+    step = FILM_SPEED * FILM_FRAME_MS * 1e-3
+    frames, due = [], begin_s
+    while (read := film.read())[0]:
+        now = film.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
+        if due <= now <= end_s:
+            size = (FILM_WIDTH, round(FILM_WIDTH * read[1].shape[0] / read[1].shape[1]))
+            frames.append(Image.fromarray(cv2.resize(read[1], size, interpolation=cv2.INTER_AREA)[..., ::-1]))
+            due += step
+    frames[0].save(
+        file, save_all=True, append_images=frames[1:], duration=FILM_FRAME_MS, loop=0, quality=FILM_QUALITY, method=6
+    )
 
 
 @contextlib.contextmanager

@@ -16,8 +16,7 @@ def page() -> str:
             "Launch files",
             "the launch files",
             "`roslaunch PACKAGE FILE.launch name:=value ...`. `roslaunch leap_rig demo` is short for `demo.launch`. "
-            "An argument that another launch file of the package has already, with the same default and meaning, is "
-            "named below the table.",
+            "An argument that another launch file of the package has already, with the same default, is only named.",
         )
     ]
     name = ""
@@ -40,7 +39,7 @@ def _file(file: Path, shown: dict[tuple[str, ...], str]) -> str:
     rows, same = [], defaultdict(list)
     for name, arg in arguments(file).items():
         row = [markdown.code(name), _default(arg), markdown.text(arg.get("doc", ""))]
-        before = shown.setdefault((sources.package(file), *row), file.name)
+        before = shown.setdefault((sources.package(file), *row[:2]), file.name)
         if before == file.name:
             rows.append(row)
         else:

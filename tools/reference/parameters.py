@@ -151,6 +151,12 @@ def _file(file: Path, shown: dict[tuple[str, str], str]) -> str:
     same: dict[str, int] = {}
     for part in found:
         for schema_row in _rows(part, values, comments):
+            if part.path[:1] == ("objects",):  # several kinds share most keys
+                key_name = schema_row[0].strip("`").split(".")[-1]
+                one = [f"`objects.NAME.{key_name}`", *schema_row[1:]]
+                if not any(row[0] == one[0] and row[3] == one[3] for row in rows):
+                    rows.append(one)
+                continue
             key = (part.schema, "\n".join([schema_row[0].split(".")[-1], *schema_row[1:]]))
             before = shown.setdefault(key, name)
             if before == name:
