@@ -88,7 +88,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     ),
     "rig_simulation/config/scenes/objects.yaml": (
         Part(f"{SCENE}:Table", ("table",)),
-        Part(f"{SCENE}:CameraPlace", ("camera",)),
+        Part(f"{SCENE}:CameraPose", ("camera",)),
         *(Part(f"{SCENE}:{kind}", ("objects", name)) for name, kind in OBJECTS.items()),
     ),
 }
