@@ -28,7 +28,7 @@ class Part:
 
 
 SCENE = "rig_simulation.world.scene"
-OBJECTS = {"cup": "Cup", "box": "Box", "ball": "Ball", "cylinder": "Cylinder", "bottle": "Bottle"}
+OBJECTS = {"cup": "Cup", "box": "Cuboid", "ball": "Ball", "cylinder": "Cylinder", "bottle": "Bottle"}
 
 GGCNN = {
     "input": "settings:InputConfig",
