@@ -168,8 +168,8 @@ def test_a_hand_that_comes_in_turned_starts_unclipped(rig):
 @pytest.mark.parametrize("way", ["service", "panel", "panel, hanging controller"])
 @on_an_unbroken_stream
 def test_the_emergency_button_ends_the_controller_and_the_arm_stands(rig, way):
+    from common.ros.service_calls import ServiceClient
     from kuka_control.ros import controller_process, emergency
-    from kuka_control.ros.service_caller import ServiceCaller
     from kuka_msgs.srv import exitAppEmergency
 
     rig.follow(right=-0.06)
@@ -183,7 +183,8 @@ def test_the_emergency_button_ends_the_controller_and_the_arm_stands(rig, way):
         process = controller_process.find(rig.status.pid)
         if "hanging" in way:
             rig.suspend(CONTROLLER)
-        ended, sentence = emergency.stop(ServiceCaller([emergency.SERVICE]), process, socket.gethostname())
+        client = ServiceClient(emergency.SERVICE, exitAppEmergency)
+        ended, sentence = emergency.stop(client, process, socket.gethostname())
         assert ended, sentence
         assert rig.exit_code(CONTROLLER) == (-signal.SIGKILL if "hanging" in way else 2)
     rig.wait(lambda: rig.arm.now.speed == 0.0, "the arm to stand")

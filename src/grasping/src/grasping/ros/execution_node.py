@@ -21,11 +21,11 @@ from common.config import parse, required, vector
 from common.errors import DeviceError
 from common.frames import BASE
 from common.mounting import directions, mounting_field
-from common.ros.calls import call
 from common.ros.conversions import stamped_pose
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_param
+from common.ros.service_calls import call
 from common.tool import ToolConfig
 from grasping.execution.execution import HELD, Execution, ExecutionConfig, ExecutionOutcome
 from grasping.execution.execution_request import Refusal, ToolGoal, choose, tool_goal

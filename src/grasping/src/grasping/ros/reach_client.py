@@ -12,6 +12,7 @@ import rospy
 from common.frames import BASE
 from common.mounting import directions
 from common.ros.conversions import stamped_pose
+from common.ros.service_calls import ServiceFailed, call
 from grasping.pipeline.live import GraspProposal
 from grasping.pipeline.reach import ASKED, SILENT, Reachability, ReachabilityCache, ReachConfig
 from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
@@ -89,9 +90,9 @@ class ReachClient:
         except (TypeError, ValueError) as error:
             return Reachability(False, str(error), True)
         try:
-            rospy.wait_for_service(SERVICE, self._config.timeout)
-            found = rospy.ServiceProxy(SERVICE, CheckToolPose)(stamped_pose(T, BASE, rospy.Time.now()))
-        except (rospy.ROSException, rospy.ServiceException):  # no such service, or it failed
+            timeout = self._config.timeout
+            found = call(SERVICE, CheckToolPose, stamped_pose(T, BASE, rospy.Time.now()), timeout=timeout, wait=timeout)
+        except ServiceFailed:
             return None
         self.answers += 1
         return Reachability(found.success, "" if found.success else found.message.rstrip("."), not found.success)

@@ -1,13 +1,12 @@
-"""The Emergency Stop of the control panel: asks the controller to end at once, and ends its process if it hangs."""
+"""The Emergency Stop of the control panel: asks the controller to exit at once, and kills its process if it hangs."""
 
 from __future__ import annotations
 
 import time
 
+from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed
 from kuka_control.ros import controller_process
 from kuka_control.ros.controller_process import ControllerProcess
-from kuka_control.ros.service_caller import CallFailed, NotThere, ServiceCaller
-from kuka_msgs.srv import exitAppEmergency
 
 SERVICE = "kuka/exit_app_emergency"
 PATIENCE_S = 0.5
@@ -19,26 +18,26 @@ LEFT_BEHIND = "the robot holds its last goal, a motion to a point runs to its en
 SMARTPAD = "Press the red button of the smartPad."
 
 
-def stop(caller: ServiceCaller, process: ControllerProcess | None, host: str) -> tuple[bool, str]:
-    """Ends the controller; returns after about half a second at most whether it is known to have ended, and a sentence.
+def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str) -> tuple[bool, str]:
+    """Stops the controller; returns within about half a second whether it is known to have exited, and a sentence.
 
     Args:
-        caller: knows where the service is.
+        call_exit: the client of the service.
         process: the controller's process if it runs on this machine and was verified.
         host: name of the machine on which it runs, empty if it was never heard of.
     """
     deadline = time.monotonic() + PATIENCE_S
     answer, failure = "", None
     try:
-        answer = caller.call(SERVICE, exitAppEmergency, timeout=PATIENCE_S).message
-    except CallFailed as error:
+        answer = call_exit(timeout=PATIENCE_S).message
+    except ServiceFailed as error:
         failure = error
     if process is not None:
         return _end(process, deadline if failure is None else 0.0)
     if failure is None:
         return True, f"Emergency Stop: {answer}"
-    if not host and isinstance(failure, NotThere):
-        return False, f"Emergency Stop: there is no controller to end. {failure}"
+    if not host and isinstance(failure, ServiceAbsent):
+        return False, f"Emergency Stop: there is no controller to stop; {failure}."
     where = f" on {host}" if host else ""
     return False, f"Emergency Stop: the controller{where} did not confirm it. {SMARTPAD}"
 

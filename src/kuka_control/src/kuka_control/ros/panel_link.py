@@ -16,12 +16,12 @@ import rosgraph
 import rospy
 from python_qt_binding.QtCore import QObject, QTimer
 
+from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
 from kuka_control.gui.panel import ControlPanel
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelState, Surroundings, Tone, panel_state
 from kuka_control.ros import controller_process, emergency
 from kuka_control.ros.controller_process import ControllerProcess
-from kuka_control.ros.service_caller import CallFailed, MasterLost, ServiceCaller, ask_master
-from kuka_msgs.srv import exitApp, setGripperControl, setKukaControl, setScalingFactor
+from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
 from rig_msgs.msg import KukaStatus
 
 REFRESH_MS = 50
@@ -32,7 +32,8 @@ SETTLE_S = 1.0
 
 CONTROL, GRIPPER = "kuka/kuka_control", "kuka/gripper_control"
 SCALING, EXIT = "kuka/scaling_factor", "kuka/exit_app"
-KINDS = {CONTROL: setKukaControl, GRIPPER: setGripperControl, SCALING: setScalingFactor, EXIT: exitApp}
+KINDS = {CONTROL: setKukaControl, GRIPPER: setGripperControl, SCALING: setScalingFactor, EXIT: exitApp,
+         emergency.SERVICE: exitAppEmergency}  # fmt: skip
 
 
 class PanelLink(QObject):
@@ -44,7 +45,7 @@ class PanelLink(QObject):
         self._status: ControllerStatus | None = None
         self._process: ControllerProcess | None = None
         self._master_lost = False
-        self._caller = ServiceCaller([emergency.SERVICE, *KINDS])
+        self._services = {name: ServiceClient(name, kind) for name, kind in KINDS.items()}
         self._answers: SimpleQueue[tuple[str, bool, str]] = SimpleQueue()
         self._running: set[str] = set()
         self._next: dict[str, tuple] = {}
@@ -110,10 +111,10 @@ class PanelLink(QObject):
 
     def _call(self, name: str, request) -> None:
         try:
-            answer = self._caller.call(name, KINDS[name], *request, timeout=CALL_TIMEOUT_S)
+            answer = self._services[name](*request, timeout=CALL_TIMEOUT_S)
             self._answers.put((name, answer.success, answer.message))
-        except CallFailed as error:
-            self._answers.put((name, False, str(error)))
+        except ServiceFailed as error:
+            self._answers.put((name, False, f"Not confirmed: {error}."))
 
     def _ask_emergency(self) -> None:
         if emergency.SERVICE not in self._running:
@@ -122,7 +123,9 @@ class PanelLink(QObject):
 
     def _stop(self) -> None:
         status = self._status
-        ended, sentence = emergency.stop(self._caller, self._process, status.host if status else "")
+        ended, sentence = emergency.stop(
+            self._services[emergency.SERVICE], self._process, status.host if status else ""
+        )
         self._answers.put((emergency.SERVICE, ended, sentence))
 
     def _watch(self) -> None:
@@ -135,7 +138,8 @@ class PanelLink(QObject):
         while not self._closed:
             self._wake.clear()
             try:
-                self._caller.refresh()
+                for service in self._services.values():
+                    service.look_up()
                 forgotten = ask_master("lookupNode", rospy.get_name()) is None
                 self._master_lost = False
             except MasterLost:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
 import rospy
 from std_srvs.srv import Empty
 
 from common.errors import DeviceError
+from common.ros.service_calls import call
 
 SERVICES = ("reflex_takktile/calibrate_fingers", "reflex_takktile/calibrate_tactile")
 ANSWER_TIMEOUT_S = 10.0
@@ -37,29 +37,10 @@ def calibrate(timeout: float) -> None:
                 f"The service {name} is not there after {timeout:g} s: is the driver of the ReFlex hand running?"
             ) from None
     for name in SERVICES:
-        _call(name)
+        call(name, Empty, timeout=ANSWER_TIMEOUT_S)
     rospy.loginfo("The hand calibrates; commands follow in %g s.", SETTLING_S)
     end = time.monotonic() + SETTLING_S
     while time.monotonic() < end:
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shut down during the calibration")
         time.sleep(0.05)
-
-
-def _call(name: str) -> None:
-    """Calls a service; rospy's own calls know no time-out, so a thread makes it."""
-    faults: list[str] = []
-
-    def call() -> None:
-        try:
-            rospy.ServiceProxy(name, Empty)()
-        except rospy.ServiceException as error:
-            faults.append(str(error))
-
-    caller = threading.Thread(target=call, name=name, daemon=True)
-    caller.start()
-    caller.join(ANSWER_TIMEOUT_S)
-    if caller.is_alive():
-        raise DeviceError(f"The service {name} did not answer within {ANSWER_TIMEOUT_S:g} s.")
-    if faults:
-        raise DeviceError(f"The service {name} failed: {faults[0]}.")

@@ -22,6 +22,7 @@ import rospy
 from roslaunch.pmon import ProcessListener
 
 from common.errors import RigError
+from common.ros.service_calls import ServiceFailed, call
 from kuka_msgs.srv import exitApp
 from leap_rig.recorder import Recorder
 from leap_rig.report import as_text, summarise
@@ -169,9 +170,9 @@ def end_in_order(deaths: Deaths) -> None:
     """Sends the arm to its zero position and waits for the controller to end."""
     deaths.expected.add(CONTROLLER)
     try:
-        rospy.ServiceProxy("kuka/exit_app", exitApp)()
-    except rospy.ServiceException as error:
-        print(f"The controller did not take the request to exit: {error}")
+        call("kuka/exit_app", exitApp, timeout=EXIT_TIMEOUT_S)
+    except ServiceFailed as error:
+        print(f"The controller did not take the request to exit: {error}.")
         return
     deadline = time.monotonic() + EXIT_TIMEOUT_S
     while CONTROLLER not in deaths.ended and time.monotonic() < deadline:

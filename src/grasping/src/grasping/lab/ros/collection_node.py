@@ -28,6 +28,7 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.images import camera_model_from_info, depth_from_image
 from common.ros.node import run, while_running
 from common.ros.params import private_values
+from common.ros.service_calls import ServiceFailed, call
 from grasp_msgs.msg import GraspOutcome
 from grasping.execution.grasp_watch import HandMeasurement, ObservedGrasp
 from grasping.lab.dataset.collector import Collector, Finished
@@ -297,9 +298,8 @@ def _play() -> None:
         RigError: there is none.
     """
     try:
-        rospy.wait_for_service(PLAYER, PLAYER_S)
-        rospy.ServiceProxy(PLAYER, SetBool)(False)
-    except (rospy.ROSException, rospy.ServiceException) as error:
+        call(PLAYER, SetBool, False, timeout=PLAYER_S, wait=PLAYER_S)
+    except ServiceFailed as error:
         if rospy.is_shutdown():
             return
         raise RigError(f"The recording cannot be played: {error}.") from None

@@ -13,12 +13,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
 from common.ros.conversions import array
+from common.ros.service_calls import ServiceFailed, call
 from common.rotations import rotation_from_quaternion
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from rig_simulation.control_port import ControlClient
 from rig_simulation.operator.alignment import heading, turn_to
 from rig_simulation.operator.assisted_grasp import (
-    CANCEL,
     EXECUTE,
     HIDE,
     IDLE,
@@ -100,7 +100,6 @@ class AssistedScenario:
         self._eyes, self._story, self._proposals = Eyes(name, world), Story(name), GraspTopics()
         self._person = AssistedGrasp(OperatorHabits(rounds), Plan(hold=HOLD_S), self._eyes.center_line)
         self._streams = False
-        self._services = {name: rospy.ServiceProxy(f"grasping/{name}", Trigger) for name in (EXECUTE, CANCEL)}
         rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=10)
 
     def run(self) -> None:
@@ -141,10 +140,9 @@ class AssistedScenario:
 
     def _call(self, name: str) -> tuple[bool, str]:
         try:
-            self._services[name].wait_for_service(SERVICE_TIMEOUT_S)
-            answer = self._services[name]()
-        except (rospy.ROSException, rospy.ServiceException) as error:
-            return False, f"the service grasping/{name} does not answer: {error}"
+            answer = call(f"grasping/{name}", Trigger, timeout=SERVICE_TIMEOUT_S, wait=SERVICE_TIMEOUT_S)
+        except ServiceFailed as error:
+            return False, str(error)
         return answer.success, answer.message
 
     def _scene(self) -> AssistedView:

@@ -15,6 +15,7 @@ import rospy
 
 from common.errors import DeviceError, RigError
 from common.ros.params import private_config
+from common.ros.service_calls import ServiceClient, ServiceFailed
 from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_simulation.control_port import ControlClient
@@ -24,7 +25,7 @@ from rig_simulation.ros.scenario import PickScenario
 
 NAME = "operator"
 POLL_S = 0.1
-REMIND_S = 10.0
+REMIND_S = ANSWER_TIMEOUT_S = 10.0
 AT_HOME = np.radians(1.0)
 
 
@@ -69,12 +70,12 @@ class Operator:
         return self._joints is not None and bool(np.abs(self._joints - home).max() < AT_HOME)
 
     def _switch(self, name: str, service_type: type) -> None:
-        proxy = rospy.ServiceProxy(name, service_type)
+        client = ServiceClient(name, service_type)
 
         def switched() -> bool:
             try:
-                answer = proxy(True)
-            except rospy.ServiceException as error:
+                answer = client(True, timeout=ANSWER_TIMEOUT_S)
+            except ServiceFailed as error:
                 self._why = f": {error}"
                 return False
             self._why = f": {answer.message}"

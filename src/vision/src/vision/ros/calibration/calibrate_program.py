@@ -21,6 +21,7 @@ from common.errors import ConfigError, DeviceError, RigError
 from common.mounting import rotation_of_mounting
 from common.poses import inverse
 from common.ros.params import wait_for_config
+from common.ros.service_calls import ServiceFailed, call
 from common.rotations import rotation_angle
 from rig_description.urdf import urdf
 from vision.calibration.acceptance import judge, mean_pose, table, view_from
@@ -39,6 +40,7 @@ from vision.ros.visiting_arm import RobotAddress, VisitingArm, robot_address
 NODE = "calibrate_camera"
 DETECTOR = "apriltag_ros_continuous_node"
 SETTLE_S = 0.6
+RELOAD_S = 1.0
 FIRST_PLACES = 6
 FLANGE_WAIT_S = 3.0
 STILL_M = 5e-4
@@ -288,9 +290,8 @@ def _conclude(
         camera_frame=frame,
     )
     print(f"Stored in {setup.store.save(record)}.")
-    with contextlib.suppress(rospy.ROSException, rospy.ServiceException):
-        rospy.wait_for_service("camera_place/reload", 1.0)
-        print(rospy.ServiceProxy("camera_place/reload", Trigger)().message)
+    with contextlib.suppress(ServiceFailed):
+        print(call("camera_place/reload", Trigger, timeout=RELOAD_S, wait=RELOAD_S).message)
 
 
 def _agree(options: argparse.Namespace, question: str) -> None:

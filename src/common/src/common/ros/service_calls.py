@@ -1,0 +1,184 @@
+"""Service calls that return in time, whatever the node that offers the service and the ROS master do.
+
+`rospy.ServiceProxy` waits for ever for a node that hangs, and asks the master before every call. Here each call runs in
+a thread of its own, and a `ServiceClient` keeps the service's address. The request is sent after the node has answered
+the handshake, and only if the caller still waits: a node that hangs never executes a call that was given up before.
+"""
+
+from __future__ import annotations
+
+import http.client
+import socket
+import threading
+import xmlrpc.client
+
+import rosgraph
+import rosgraph.network
+import rospy
+from rospy.impl.tcpros_base import TCPROSTransport
+
+from common.errors import DeviceError, RigError
+
+MASTER_TIMEOUT_S = 2.0
+
+
+class MasterLost(RigError):
+    """The ROS master does not answer."""
+
+
+class ServiceFailed(DeviceError):
+    """A service call brought no answer; the message is the end of a sentence.
+
+    Attributes:
+        service: its name.
+        sent: whether the request was sent, so that the node may execute it.
+    """
+
+    def __init__(self, service: str, reason: str, sent: bool) -> None:
+        super().__init__(f"the service {service} {reason}")
+        self.service, self.sent = service, sent
+
+
+class ServiceAbsent(ServiceFailed):
+    """No node offers the service."""
+
+    def __init__(self, service: str, reason: str) -> None:
+        super().__init__(service, f"is not offered: {reason}", sent=False)
+
+
+class ServiceClient:
+    """Calls one service by its last known address.
+
+    Args:
+        name: of the service.
+        kind: its type.
+    """
+
+    def __init__(self, name: str, kind: type) -> None:
+        self.name, self._kind = name, kind
+        self._address: tuple[str, int] | None = None
+
+    def look_up(self) -> None:
+        """Asks the master for the address; a service that it does not know keeps its last one.
+
+        Raises:
+            MasterLost: the master does not answer.
+        """
+        uri = ask_master("lookupService", rospy.resolve_name(self.name))
+        if uri is not None:
+            family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
+            try:  # a number, so that no later call waits for a name server
+                found = socket.getaddrinfo(*rospy.core.parse_rosrpc_uri(uri), family, socket.SOCK_STREAM)
+            except OSError:
+                return
+            self._address = found[0][4][:2]
+
+    def __call__(self, *values, timeout: float, wait: float = 0.0):
+        """Returns the response.
+
+        Args:
+            values: the fields of the request.
+            timeout: longest wait for the answer [s].
+            wait: how long to wait before that for a node that offers the service [s].
+
+        Raises:
+            ServiceFailed: no node offers the service, it failed, or it did not answer in time.
+        """
+        attempt = _Attempt(self, rospy.ServiceProxy(self.name, self._kind), self._kind._request_class(*values), wait)
+        return attempt.response(wait + timeout)
+
+    def connected(self, proxy: rospy.ServiceProxy) -> TCPROSTransport:
+        """Returns a connection to the node, which has answered the handshake.
+
+        Raises:
+            ServiceAbsent: no node offers the service.
+        """
+        known, reason = self._address, "nobody offers it"
+        if known is not None:
+            try:
+                return _connection(proxy, known)
+            except rospy.exceptions.TransportInitError as error:  # perhaps the node was started again elsewhere
+                reason = str(error)
+        try:
+            self.look_up()
+            if self._address not in (None, known):
+                return _connection(proxy, self._address)
+        except (MasterLost, rospy.exceptions.TransportInitError) as error:
+            reason = str(error).rstrip(".")
+        raise ServiceAbsent(self.name, reason)
+
+
+def call(name: str, kind: type, *values, timeout: float, wait: float = 0.0):
+    """Calls a service once, as a `ServiceClient` does."""
+    return ServiceClient(name, kind)(*values, timeout=timeout, wait=wait)
+
+
+class _Attempt:
+    """One call in a thread of its own."""
+
+    def __init__(self, client: ServiceClient, proxy: rospy.ServiceProxy, request, wait: float) -> None:
+        self._client, self._proxy, self._request, self._wait = client, proxy, request, wait
+        self._lock, self._done = threading.Lock(), threading.Event()
+        self._given_up = self._sent = False
+        self._response, self._failure = None, None
+        threading.Thread(target=self._run, name=client.name, daemon=True).start()
+
+    def response(self, timeout: float):
+        """Returns the response, or gives the call up after `timeout` [s]."""
+        if not self._done.wait(timeout):
+            with self._lock:
+                self._given_up = True
+            outcome = "it may still execute the request" if self._sent else "nothing was requested"
+            raise ServiceFailed(self._client.name, f"did not answer within {timeout:g} s: {outcome}", self._sent)
+        if self._failure is not None:
+            raise self._failure
+        return self._response
+
+    def _run(self) -> None:
+        name = self._client.name
+        try:
+            if self._wait > 0.0:
+                rospy.wait_for_service(name, self._wait)
+            self._proxy.transport = self._client.connected(self._proxy)
+            with self._lock:
+                self._sent = not self._given_up
+            if self._sent:
+                self._response = self._proxy.call(self._request)
+            else:
+                self._proxy.transport.close()
+        except ServiceFailed as failure:
+            self._failure = failure
+        except (rospy.ServiceException, rospy.ROSException, rospy.exceptions.TransportException, OSError) as error:
+            text = str(error)
+            self._failure = ServiceFailed(name, f"failed: {text}", True) if self._sent else ServiceAbsent(name, text)
+        finally:
+            self._done.set()
+
+
+def _connection(proxy: rospy.ServiceProxy, address: tuple[str, int]) -> TCPROSTransport:
+    transport = TCPROSTransport(proxy.protocol, proxy.resolved_name)
+    transport.buff_size = proxy.buff_size
+    transport.connect(*address, proxy.resolved_name)
+    return transport
+
+
+def ask_master(method: str, *arguments):
+    """Calls a method of the ROS master's interface and returns its value, None if the master has none.
+
+    Raises:
+        MasterLost: the master does not answer within `MASTER_TIMEOUT_S`.
+    """
+    uri = rosgraph.get_master_uri()
+    master = xmlrpc.client.ServerProxy(uri, transport=_HttpWithTimeout())
+    try:
+        code, _, value = getattr(master, method)(rospy.get_caller_id(), *arguments)
+    except (OSError, xmlrpc.client.Error, http.client.HTTPException) as error:
+        raise MasterLost(f"The ROS master at {uri} does not answer.") from error
+    return value if code == 1 else None
+
+
+class _HttpWithTimeout(xmlrpc.client.Transport):
+    def make_connection(self, host):
+        connection = super().make_connection(host)
+        connection.timeout = MASTER_TIMEOUT_S
+        return connection

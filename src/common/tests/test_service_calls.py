@@ -1,0 +1,121 @@
+"""Service calls that return in time."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def offer():
+    import rospy
+    from std_srvs.srv import SetBool
+
+    services = []
+
+    def start(name, handler):
+        services.append(rospy.Service(name, SetBool, handler))
+        return services[-1]
+
+    yield start
+    for service in services:
+        service.shutdown()
+
+
+def test_a_call_answers_or_is_given_up(ros, offer):
+    from std_srvs.srv import SetBool, SetBoolResponse
+
+    from common.ros.service_calls import ServiceFailed, call
+
+    resume = threading.Event()
+
+    def answer(request):
+        if not request.data:
+            resume.wait(30.0)
+        return SetBoolResponse(request.data, "so it is")
+
+    offer("answers", answer)
+    try:
+        assert call("answers", SetBool, True, timeout=30.0).message == "so it is"
+        with pytest.raises(ServiceFailed) as caught:
+            call("answers", SetBool, False, timeout=0.5)
+        assert (caught.value.service, caught.value.sent) == ("answers", True)
+    finally:
+        resume.set()
+
+
+def test_a_service_that_fails_or_is_absent(ros, offer):
+    from std_srvs.srv import SetBool, Trigger
+
+    from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed, call
+
+    def fail(_request):
+        raise ValueError("no arm")
+
+    client = ServiceClient("fails", SetBool)
+    with pytest.raises(ServiceAbsent):
+        client(True, timeout=30.0)
+    with pytest.raises(ServiceAbsent):
+        call("fails", SetBool, True, timeout=30.0, wait=0.2)
+    service = offer("fails", fail)
+    client.look_up()
+    with pytest.raises(ServiceFailed, match="no arm") as caught:
+        client(True, timeout=30.0)
+    assert caught.value.sent
+    with pytest.raises(ServiceAbsent, match="md5sum"):
+        call("fails", Trigger, timeout=30.0)
+    service.shutdown()
+    with pytest.raises(ServiceAbsent):
+        client(True, timeout=30.0)
+
+
+def test_a_known_service_is_called_without_the_master(ros, offer, monkeypatch, free_port):
+    from std_srvs.srv import SetBool, SetBoolResponse
+
+    from common.ros.service_calls import MasterLost, ServiceAbsent, ServiceClient, call
+
+    offer("known", lambda request: SetBoolResponse(request.data, ""))
+    client = ServiceClient("known", SetBool)
+    client.look_up()
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://localhost:{free_port()}")
+    assert client(True, timeout=30.0).success
+    with pytest.raises(MasterLost):
+        client.look_up()
+    with pytest.raises(ServiceAbsent):
+        call("known", SetBool, True, timeout=30.0)
+
+
+def test_a_service_that_comes_later_is_waited_for(ros, offer):
+    from std_srvs.srv import SetBool, SetBoolResponse
+
+    from common.ros.service_calls import ServiceClient
+
+    client = ServiceClient("again", SetBool)
+    threading.Timer(0.5, offer, ("again", lambda _: SetBoolResponse(True, "first"))).start()
+    assert client(True, timeout=30.0, wait=30.0).message == "first"
+
+
+def test_a_node_that_hangs_never_executes_a_call_that_was_given_up(ros):
+    """The handshake is never answered, as by a suspended process; then the node continues."""
+    import socket
+
+    from std_srvs.srv import SetBool
+
+    from common.ros.service_calls import ServiceClient, ServiceFailed
+
+    with socket.create_server(("127.0.0.1", 0)) as node:
+        client = ServiceClient("hangs", SetBool)
+        client._address = node.getsockname()
+        with pytest.raises(ServiceFailed) as caught:
+            client(True, timeout=0.5)
+        assert not caught.value.sent
+        connection, _ = node.accept()
+        with connection:
+            connection.settimeout(30.0)
+            assert b"service=/hangs" in connection.recv(4096)
+            header = b"".join(len(f).to_bytes(4, "little") + f for f in (b"md5sum=*", b"type=*"))
+            connection.sendall(len(header).to_bytes(4, "little") + header)
+            assert connection.recv(4096) == b"", "closed without a request"
