@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Dict, Tuple
 
 import yaml
 
@@ -94,6 +95,9 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
 }
 """What the page shows as tables."""
 
+Shown = Dict[Tuple[str, ...], Tuple[str, str]]
+"""File and value by package, key, range and meaning."""
+
 AS_IT_IS = {
     "apriltag_ros/config/tags.yaml",
     "kuka_control/config/joint_configurations.yaml",
@@ -126,17 +130,22 @@ def page() -> str:
             "and a round one excludes it.",
         )
     ]
-    shown: dict[tuple[str, str], str] = {}
+    shown: Shown = {}
     packages = {sources.package(file) for file in files} | {program.split("/")[0] for program in nodes.NODES}
     for package in sorted(packages):
         parts.append(f"## {package}\n")
-        parts += [_file(file, shown) for file in files if sources.package(file) == package]
+        parts += [_file(file, shown) for file in sorted(files, key=_is_variant) if sources.package(file) == package]
         parts += nodes.of_package(package)
     return "\n".join(parts)
 
 
-def _file(file: Path, shown: dict[tuple[str, str], str]) -> str:
-    """Returns the section of a yaml file; rows that `shown` has already, with the same default, are left out."""
+def _is_variant(file: Path) -> bool:
+    """Whether a file changes some values of another one, or has the same keys for the PTP controller."""
+    return "ptp" in file.name or any(part.above for part in SCHEMAS.get(sources.inside(file), ()))
+
+
+def _file(file: Path, shown: Shown) -> str:
+    """Returns the section of a yaml file; of a key that another file of the package explains, only the value."""
     words = file.read_text()
     name = str(file.relative_to(file.parents[len(file.parts) - 2 - file.parts.index("config")]))
     head = _head(words)
@@ -148,26 +157,19 @@ def _file(file: Path, shown: dict[tuple[str, str], str]) -> str:
     comments, values = _comments(words), yaml.safe_load(words)
     rest = [k for k in values if not any(not part.path or part.path[0] == k for part in found)]
     rows = [[markdown.code(k), markdown.code(schemas.value(values[k])), "", comments.get((k,), "")] for k in rest]
-    same: dict[str, int] = {}
+    explained: dict[str, list[str]] = defaultdict(list)
     for part in found:
-        for schema_row in _rows(part, values, comments):
-            if part.path[:1] == ("objects",):  # several kinds share most keys
-                key_name = schema_row[0].strip("`").split(".")[-1]
-                one = [f"`objects.NAME.{key_name}`", *schema_row[1:]]
-                if not any(row[0] == one[0] and row[3] == one[3] for row in rows):
-                    rows.append(one)
-                continue
-            key = (part.schema, "\n".join([schema_row[0].split(".")[-1], *schema_row[1:]]))
-            before = shown.setdefault(key, name)
+        for row in _rows(part, values, comments):
+            key, default, *meaning = row
+            before, value = shown.setdefault((sources.package(file), key.split(".")[-1], *meaning), (name, default))
             if before == name:
-                rows.append(schema_row)
+                if row not in rows:
+                    rows.append(row)
             else:
-                same[before] = same.get(before, 0) + 1
+                explained[before].append(key if value == default else f"{key} = {default}")
     if rows:
         parts.append(schemas.table("key", rows))
-    if same:
-        names = " and ".join(map(markdown.code, same))
-        parts.append(f"The other {sum(same.values())} keys are as in {names}.\n")
+    parts += [f"As in {markdown.code(other)}: {', '.join(keys)}.\n" for other, keys in explained.items()]
     return "\n".join(parts)
 
 
@@ -175,9 +177,10 @@ def _rows(part: Part, values: Any, comments: dict[tuple[str, ...], str]) -> list
     for key in part.path:
         values = values[key]
     order = list(values)
+    shown = ("objects", "NAME") if part.path[:1] == ("objects",) else part.path
     found = [k for k in schemas.keys_of(part.schema) if k.name in order or not part.above]
     return [
-        schemas.row(key, ".".join([*part.path, key.name]), values, comments.get((*part.path, key.name), ""))
+        schemas.row(key, ".".join([*shown, key.name]), values, comments.get((*part.path, key.name), ""))
         for key in sorted(found, key=lambda k: order.index(k.name) if k.name in order else len(order))
     ]
 
