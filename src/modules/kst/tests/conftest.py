@@ -113,13 +113,14 @@ def server():
 @pytest.fixture
 def connect(server):
     """Connects a client to the scripted server with short waits; changes of the waits as keywords."""
-    from kst.client import KstClient, Timing
+    from kst.client import KstClient
+    from kst.session import KstTiming
 
     clients = []
 
     def connect(**waits):
         quick = {"connect_settle": 0.0, "tool_settle": 0.0, "servo_start": 0.01, "servo_stop": 0.02, "rest": 0.0}
-        timing = Timing(**{"reply": 5.0, "servo_reply": 5.0, "quiet": 0.05, "main_pause": 0.005, **quick, **waits})
+        timing = KstTiming(**{"reply": 5.0, "servo_reply": 5.0, "quiet": 0.05, "main_pause": 0.005, **quick, **waits})
         clients.append(KstClient.connect("127.0.0.1", server.port, timing=timing, timeout=10.0))
         return clients[-1]
 

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from common.poses import translation
-from kst.client import KstClient, Mode, Timing
+from kst.client import KstClient, KstMode
+from kst.codec import Feedback
 from kst.errors import ConnectionLost, MotionRefused, NoServer, ServerBusy, WrongMode
 from kst.limits import JointLimits
+from kst.session import KstTiming
 from rig_simulation.control_port import ControlClient
 
 PROGRAM = Path(__file__).parents[2] / "rig_simulation" / "scripts" / "sunrise_controller.py"
@@ -30,7 +32,7 @@ class Rig:
         self.port, self._truth, self.clients = port, truth, []
 
     def connect(self, limits=None, **waits):
-        timing = Timing(**{**WAITS, **waits})
+        timing = KstTiming(**{**WAITS, **waits})
         self.clients.append(KstClient.connect("127.0.0.1", self.port, TOOL, limits, timeout=10.0, timing=timing))
         return self.clients[-1]
 
@@ -67,10 +69,10 @@ def rig(start):
     return start()
 
 
-def stream(call, q_from, q_to, count=25):
-    """Calls `call` with goals in small steps and returns the last result."""
-    for share in np.linspace(0.0, 1.0, count):
-        result = call(q_from + share * (q_to - q_from))
+def stream(client, feedback, q_from, q_to, count=25):
+    """Sends goals in small steps and returns the last result."""
+    for fraction in np.linspace(0.0, 1.0, count):
+        result = client.servo(q_from + fraction * (q_to - q_from), feedback)
     return result
 
 
@@ -78,8 +80,13 @@ def test_getters_motion_and_close(rig, wait_until):
     client = rig.connect()
     np.testing.assert_allclose(client.joints(), np.zeros(7), atol=1e-9)
     np.testing.assert_allclose(client.pose(), translation(0.0, 0.0, 1.301 + 0.106), atol=1e-6)
-    for getter, size in [("external_torques", 7), ("measured_torques", 7), ("force", 3), ("moment", 3)]:
-        assert getattr(client, getter)().shape == (size,)
+    for getter, size in (
+        (client.external_torques, 7),
+        (client.measured_torques, 7),
+        (client.force, 3),
+        (client.moment, 3),
+    ):
+        assert getter().shape == (size,)
     client.set_blue(True)
     client.set_pin(1, True)
     assert client.pin(3) is True
@@ -115,21 +122,21 @@ def test_every_servo_goal_and_a_still_arm_after_the_stop(rig):
     client.start_joint_servo()
     assert rig.state("mode") == "servo"
     q = ABOVE_ZERO
-    for call, shape in [
-        (client.servo, None),
-        (client.servo_joints, (7,)),
-        (client.servo_external_torques, (7,)),
-        (client.servo_measured_torques, (7,)),
-        (client.servo_pose, (4, 4)),
-        (client.servo_force, (3,)),
-        (client.servo_unacknowledged, None),
+    for feedback, shape in [
+        (Feedback.DONE, None),
+        (Feedback.JOINTS, (7,)),
+        (Feedback.EXTERNAL_TORQUES, (7,)),
+        (Feedback.MEASURED_TORQUES, (7,)),
+        (Feedback.POSE, (4, 4)),
+        (Feedback.FORCE, (3,)),
+        (Feedback.NOTHING, None),
     ]:
-        result = stream(call, q, q + 0.002)
+        result = stream(client, feedback, q, q + 0.002)
         q = q + 0.002
         assert (None if result is None else result.shape) == shape
     np.testing.assert_allclose(client.joints(), q, atol=0.02)
     client.stop_joint_servo()
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
     np.testing.assert_allclose(client.pose(), np.array(rig.state("flange")) @ TOOL, atol=1e-3)
     assert rig.state("goals") == 25 * 7
     client.start_joint_servo()
@@ -167,7 +174,7 @@ def test_a_safety_stop_only_delays_the_arrival(rig, wait_until):
 
 def test_after_a_refused_goal_the_poses_are_again_those_of_the_tool(rig):
     client = rig.connect(limits=JointLimits(np.full(7, -4.0), np.full(7, 4.0)))
-    with pytest.raises(MotionRefused, match="tool is attached again"):
+    with pytest.raises(MotionRefused):
         client.ptp_joints([3.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5, timeout=30.0)
     np.testing.assert_allclose(client.pose(), np.array(rig.state("flange")) @ TOOL, atol=1e-6)
     client.ptp_joints(ABOVE_ZERO, 1.0, timeout=30.0)
@@ -181,10 +188,10 @@ def test_closing_in_the_servo_mode_leaves_it(rig, wait_until):
     wait_until(lambda: not rig.state("connected"), 10.0, "the end of the connection")
 
 
-def test_a_second_client_is_told_that_the_server_is_busy(rig):
+def test_a_second_client_finds_the_server_busy(rig):
     rig.connect()
     with pytest.raises(ServerBusy):
-        KstClient.connect("127.0.0.1", rig.port, timing=Timing(connect_settle=0.0, reply=0.3), timeout=0.6)
+        KstClient.connect("127.0.0.1", rig.port, timing=KstTiming(connect_settle=0.0, reply=0.3), timeout=0.6)
 
 
 def test_the_program_dies(start, processes):
@@ -192,8 +199,8 @@ def test_the_program_dies(start, processes):
     client = rig.connect()
     client.start_joint_servo()
     processes.end_all()
-    with pytest.raises(ConnectionLost, match="on the pad"):
+    with pytest.raises(ConnectionLost):
         for _ in range(1000):
-            client.servo_joints(np.zeros(7))
+            client.servo(np.zeros(7), Feedback.JOINTS)
     with pytest.raises(NoServer):
         KstClient.connect("127.0.0.1", rig.port)

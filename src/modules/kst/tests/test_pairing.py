@@ -5,8 +5,10 @@ import threading
 import numpy as np
 import pytest
 
-from kst.client import Mode, Timing
-from kst.errors import ConnectionLost, ProtocolError, ReplyTimeout
+from kst.client import KstMode
+from kst.codec import Feedback
+from kst.errors import ConnectionLost, ReplyTimeout, UnexpectedReply
+from kst.session import KstTiming
 
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 TORQUES = np.arange(1, 8) / 10
@@ -42,10 +44,10 @@ def test_nothing_is_sent_again_while_the_arm_moves(server, connect):
     client = connect(**BRIEF)
     server.once("doPTPinJS", b"")
     server.once("getJointsPositions", *(joints(0.01 * i) for i in range(3)))
-    with pytest.raises(ReplyTimeout, match="the arm moves"):
+    with pytest.raises(ReplyTimeout):
         client.start_ptp_joints(HOME, 0.25)
     assert server.words().count("doPTPinJS") == 1
-    assert client.mode is Mode.PTP
+    assert client.mode is KstMode.PTP
 
 
 def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect, wait_until):
@@ -65,13 +67,14 @@ def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect, wa
 def test_a_dead_main_thread_is_told_from_a_dead_link(server, connect, wait_until, word):
     client = connect(**BRIEF, tries=2)
     server.answers[word] = b""
-    with pytest.raises(ReplyTimeout, match=rf"`{word}` was not answered in 2 tries.*main thread"):
+    with pytest.raises(ReplyTimeout) as caught:
         client.start_ptp_joints(HOME, 0.25)
         server.push(b"done\n")
         wait_until(client.ptp_arrived, 10.0, "the arrival")
         client.external_torques()
         client.start_joint_servo()
-    assert client.mode is Mode.IDLE
+    assert caught.value.command == word
+    assert client.mode is KstMode.IDLE
     assert server.words().count(word) == 2
     np.testing.assert_array_equal(client.joints(), HOME)
 
@@ -103,16 +106,17 @@ def test_a_late_answer_is_never_taken_for_the_next_one(server, connect, arrives)
     client.start_joint_servo()
     server.answers["jpJP"] = joints(2.0)
     server.once("jpJP", b"")
-    with pytest.raises(ReplyTimeout, match="`jpJP` was not answered"):
-        client.servo_joints(HOME)
+    with pytest.raises(ReplyTimeout) as caught:
+        client.servo(HOME, Feedback.JOINTS)
+    assert caught.value.command == "jpJP"
     if arrives == "before the next command":
         server.push(joints(1.0))
     elif arrives == "with the probe":
         server.once("getPin3", joints(1.0) + b"1\n\n")
     for _ in range(3):
-        assert client.servo_joints(HOME)[0] == 2.0
+        assert client.servo(HOME, Feedback.JOINTS)[0] == 2.0
     assert client.counts.stray == (0 if arrives == "never" else 1)
-    assert client.mode is Mode.SERVO
+    assert client.mode is KstMode.SERVO
 
 
 def test_a_late_acknowledgement_does_not_count_for_the_next_goal(server, connect):
@@ -133,9 +137,9 @@ def test_a_reader_that_falls_silent_is_a_lost_connection(server, connect):
     server.answers.clear()
     with pytest.raises(ReplyTimeout):
         client.servo(HOME)
-    with pytest.raises(ConnectionLost, match="deaf"):
+    with pytest.raises(ConnectionLost):
         client.servo(HOME)
-    with pytest.raises(ConnectionLost, match="deaf"):
+    with pytest.raises(ConnectionLost):
         client.joints()
 
 
@@ -160,8 +164,9 @@ def test_garbage_before_an_answer_is_dropped_and_counted(server, connect, garbag
 def test_nothing_but_garbage(server, connect):
     client = connect()
     server.once("getJointsPositions", b"hello\n" * 100)
-    with pytest.raises(ProtocolError, match="hello"):
+    with pytest.raises(UnexpectedReply) as caught:
         client.joints()
+    assert caught.value.reply == "hello"
     np.testing.assert_array_equal(client.joints(), HOME)
 
 
@@ -169,8 +174,9 @@ def test_an_answer_of_the_wrong_kind_leaves_the_next_one_right(server, connect):
     client = connect()
     server.once("getJointsPositions", b"done\n")
     server.once("getPin3", joints(1.0) + b"1\n\n")
-    with pytest.raises(ProtocolError, match="`getJointsPositions` was answered by `done` instead of 7 numbers"):
+    with pytest.raises(UnexpectedReply) as caught:
         client.joints()
+    assert (caught.value.command, caught.value.reply) == ("getJointsPositions", "done")
     for _ in range(3):
         np.testing.assert_array_equal(client.joints(), HOME)
     assert "getPin3" in server.words()
@@ -180,8 +186,8 @@ def test_the_pose_of_an_old_server_is_its_force(server, connect):
     client = connect()
     client.start_joint_servo()
     server.answers["jpEEfP"] = b"0.0_0.0_0.0_\n"
-    with pytest.raises(ProtocolError, match="another version"):
-        client.servo_pose(HOME)
+    with pytest.raises(UnexpectedReply):
+        client.servo(HOME, Feedback.POSE)
 
 
 def test_an_answer_in_single_bytes(server, connect):
@@ -210,9 +216,9 @@ def test_a_pause_follows_every_answer_of_the_main_thread(connect, monkeypatch):
 
 
 def test_the_shortest_pause_outlasts_the_wiping():
-    assert Timing().main_pause >= 0.005
-    assert Timing().servo_start >= 0.3
-    assert Timing().servo_stop >= 0.1
+    assert KstTiming().main_pause >= 0.005
+    assert KstTiming().servo_start >= 0.3
+    assert KstTiming().servo_stop >= 0.1
 
 
 def test_an_unasked_line_is_not_the_answer_to_the_next_question(server, connect):

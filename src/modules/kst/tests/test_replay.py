@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from common.poses import translation
-from kst.client import KstClient, Timing
+from kst.client import KstClient
+from kst.codec import Feedback
+from kst.session import KstTiming
 
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
-WAITS = Timing(
+WAITS = KstTiming(
     connect_settle=0.0, tool_settle=0.0, servo_start=0.0, servo_stop=0.0, rest=0.0, reply=10.0, servo_reply=10.0
 )
 
@@ -58,12 +60,12 @@ CALLS = {
     "arrival": lambda client, _: wait_for_arrival(client),
     "stopDirectServoJoints": lambda client, _: client.stop_joint_servo(),
     "jp": lambda client, q: client.servo(q),
-    "jf": lambda client, q: client.servo_unacknowledged(q),
-    "jpJP": lambda client, q: client.servo_joints(q),
-    "jpExT": lambda client, q: client.servo_external_torques(q),
-    "jpMT": lambda client, q: client.servo_measured_torques(q),
-    "jpEEfP": lambda client, q: client.servo_pose(q),
-    "jpEEfFrelEEF": lambda client, q: client.servo_force(q),
+    "jf": lambda client, q: client.servo(q, Feedback.NOTHING),
+    "jpJP": lambda client, q: client.servo(q, Feedback.JOINTS),
+    "jpExT": lambda client, q: client.servo(q, Feedback.EXTERNAL_TORQUES),
+    "jpMT": lambda client, q: client.servo(q, Feedback.MEASURED_TORQUES),
+    "jpEEfP": lambda client, q: client.servo(q, Feedback.POSE),
+    "jpEEfFrelEEF": lambda client, q: client.servo(q, Feedback.FORCE),
     "end": lambda client, _: client.close(),
 }
 

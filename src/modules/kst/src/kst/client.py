@@ -1,11 +1,10 @@
 """Client of the KUKA Sunrise Toolbox server on the arm's controller: point-to-point motions, joint servo, measurements.
 
-One socket, no thread of its own, called from one thread (only `abort` may come from another). Angles in rad, lengths
-in m, forces in N, torques in Nm. A command that the server would never answer in the present mode is refused, not sent;
-so are joint angles that are no numbers or outside the limits. Every call ends: with a result or with an error of
-`kst.errors`. It does not plan: the goals of the servo mode must be smooth by themselves, and whether the arm follows
-them is for the caller to watch, since a servo mode that ended by itself still acknowledges its goals (reference:
-kst.md, 3.5).
+One socket, no thread of its own. All calls come from one thread; only `abort` may come from another. Angles in rad,
+lengths in m, forces in N, torques in Nm. The client refuses joint angles outside the limits, and commands that the
+server would never answer in the present mode. Every call returns a result or raises an error of `kst.errors`. The
+client does not plan: servo goals must be smooth by themselves. The caller checks that the arm follows them, because a
+servo mode that the controller stopped still acknowledges its goals (docs/handbook/wire-protocols.md).
 """
 
 from __future__ import annotations
@@ -16,25 +15,25 @@ import enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from common.errors import DeviceError
 from kst import codec
-from kst.codec import Command, Feedback, Kind, Reply, ToolTransform
+from kst.codec import Feedback, KstCommand, KstReply, ReplyKind, ToolTransform
 from kst.errors import (
     ConnectionLost,
+    KstError,
     MotionRefused,
     NoServer,
-    ProtocolError,
     ReplyTimeout,
     ServerBusy,
     ToolNotAttached,
+    UnexpectedReply,
     WrongMode,
 )
 from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
-from kst.session import Counts, Session, Timing
-from kst.transport import Transport
+from kst.session import KstSession, KstTiming, LinkCounts
+from kst.transport import KstTransport
 
 
-class Mode(enum.Enum):
+class KstMode(enum.Enum):
     """What the server's main thread is busy with."""
 
     IDLE = "idle"
@@ -43,21 +42,21 @@ class Mode(enum.Enum):
 
 
 class KstClient:
-    """A connection to the server; made by `connect`, ended by `close`, also as a context manager.
+    """A connection to the server; `connect` makes it, `close` ends it. Also a context manager.
 
     Every call that talks to the server may raise, besides what it lists:
         ConnectionLost: the link is gone, was aborted, or the server fell silent; all later calls raise it too.
-        ReplyTimeout: this answer did not come; the next call first finds the pairing of answers again.
-        ProtocolError: the answer does not fit the command.
-        MotionRefused: the controller had given up the servo mode by itself and said `nak`.
-        WrongMode: the command is never answered in the present mode; nothing was sent.
+        ReplyTimeout: this answer did not come; the next call restores the pairing of answers first.
+        UnexpectedReply: the answer does not fit the command.
+        MotionRefused: the controller had left servo mode by itself and said `nak`.
+        WrongMode: the server never answers the command in the present mode; nothing was sent.
     """
 
-    def __init__(self, session: Session, tool: ToolTransform, limits: JointLimits) -> None:
+    def __init__(self, session: KstSession, tool: ToolTransform, limits: JointLimits) -> None:
         self._session = session
         self._tool = tool
         self._limits = limits
-        self._mode = Mode.IDLE
+        self._mode = KstMode.IDLE
         self._goal: np.ndarray | None = None
 
     @classmethod
@@ -68,7 +67,7 @@ class KstClient:
         tool: ToolTransform | np.ndarray | None = None,
         limits: JointLimits | None = None,
         timeout: float = 5.0,
-        timing: Timing | None = None,
+        timing: KstTiming | None = None,
     ) -> KstClient:
         """Connects and attaches the tool.
 
@@ -88,10 +87,11 @@ class KstClient:
         """
         if not isinstance(tool, ToolTransform):
             tool = ToolTransform(np.eye(4) if tool is None else tool)
-        timing = Timing() if timing is None else timing
-        transport = Transport.connect(host, port, timeout)
-        session = Session(transport, timing)
+        timing = KstTiming() if timing is None else timing
+        transport = KstTransport.connect(host, port, timeout)
+        session = KstSession(transport, timing)
         client = cls(session, tool, LBR_IIWA_LIMITS if limits is None else limits)
+        address = f"{host}:{port}"
         try:
             transport.pause(timing.connect_settle)
             client._attach_tool(patience=max(timeout - timing.reply, timing.reply))
@@ -99,13 +99,15 @@ class KstClient:
             client.close()
             if transport.ended_by_peer:
                 raise NoServer(
-                    f"the server at {host}:{port} ended the connection at once: its application has just ended;"
-                    f" start MatlabToolboxServer on the pad again (it waits 60 s for a client)"
+                    f"the server at {address} closed the connection at once: its application has just ended; start"
+                    " MatlabToolboxServer on the smartPad again (it waits 60 s for a client)",
+                    address=address,
                 ) from error
             if session.counts.answered == 0:
                 raise ServerBusy(
-                    f"{host}:{port} is open but silent for {timeout:g} s: somebody else is connected, or the server is"
-                    f" deaf since a client was lost; end and start MatlabToolboxServer on the pad"
+                    f"{address} is open but silent for {timeout:g} s: another client is connected, or the server lost"
+                    " one and no longer reads; end and start MatlabToolboxServer on the smartPad",
+                    address=address,
                 ) from error
             raise
         except BaseException:
@@ -120,18 +122,13 @@ class KstClient:
         self.close()
 
     @property
-    def mode(self) -> Mode:
-        """What the server is busy with as far as this client made it so."""
+    def mode(self) -> KstMode:
+        """What the server is busy with, as far as this client asked for it."""
         return self._mode
 
     @property
-    def limits(self) -> JointLimits:
-        """The joint ranges that goals must keep to."""
-        return self._limits
-
-    @property
-    def counts(self) -> Counts:
-        """What happened on the link so far."""
+    def counts(self) -> LinkCounts:
+        """Events on the link so far."""
         return self._session.counts
 
     @property
@@ -142,35 +139,36 @@ class KstClient:
     def joints(self) -> np.ndarray:
         """Returns the measured joint angles, shape (7,) [rad]; in every mode."""
         timing = self._session.timing
-        return self._numbers(self._ask(codec.JOINTS, timing.servo_reply if self._mode is Mode.SERVO else timing.reply))
+        timeout = timing.servo_reply if self._mode is KstMode.SERVO else timing.reply
+        return self._numbers(codec.JOINTS, self._ask(codec.JOINTS, timeout))
 
     def external_torques(self) -> np.ndarray:
         """Returns the external joint torques, shape (7,) [Nm]; only when idle."""
-        return self._measure(codec.EXTERNAL_TORQUES, "servo_external_torques")
+        return self._measure(codec.EXTERNAL_TORQUES, Feedback.EXTERNAL_TORQUES)
 
     def measured_torques(self) -> np.ndarray:
         """Returns the measured joint torques, shape (7,) [Nm]; only when idle."""
-        return self._measure(codec.MEASURED_TORQUES, "servo_measured_torques")
+        return self._measure(codec.MEASURED_TORQUES, Feedback.MEASURED_TORQUES)
 
     def pose(self) -> np.ndarray:
         """Returns the pose of the tool in the arm's base, shape (4, 4) [m]; only when idle."""
-        return codec.pose_from_fields(self._measure(codec.POSE, "servo_pose"))
+        return codec.pose_from_fields(self._measure(codec.POSE, Feedback.POSE))
 
     def force(self) -> np.ndarray:
         """Returns the external force at the tool, shape (3,) [N], along the tool's axes; only when idle."""
-        return self._measure(codec.FORCE, "servo_force")
+        return self._measure(codec.FORCE, Feedback.FORCE)
 
     def moment(self) -> np.ndarray:
         """Returns the external moment at the tool, shape (3,) [Nm], about the tool's axes; only when idle."""
         return self._measure(codec.MOMENT, None)
 
     def ptp_joints(self, q: ArrayLike, velocity: float, timeout: float) -> None:
-        """Moves the arm to q, shape (7,) [rad], and waits until it is there, at most `timeout` seconds.
+        """Moves the arm to q, shape (7,) [rad], and waits until it arrives, at most `timeout` seconds.
 
         Raises:
             BadJoints, BadVelocity, WrongMode: as `start_ptp_joints`.
             MotionRefused: the controller refused the motion or gave it up; the tool is attached again.
-            ReplyTimeout: the arm is not there in time. It may still move: the mode stays PTP.
+            ReplyTimeout: the arm did not arrive in time. It may still move: the mode stays PTP.
         """
         self.start_ptp_joints(q, velocity)
         if self._session.wait_for_final(timeout) is None:
@@ -178,12 +176,13 @@ class KstClient:
             worst = int(np.argmax(left))
             raise ReplyTimeout(
                 f"the PTP motion did not end within {timeout:g} s: joint {worst + 1} is still"
-                f" {np.degrees(left[worst]):.2f} deg away; the arm may go on moving, only the pad stops a PTP"
+                f" {np.degrees(left[worst]):.2f} deg away; the arm may keep moving, only the smartPad stops it",
+                command=codec.START_PTP.word,
             )
         self.ptp_arrived()
 
     def start_ptp_joints(self, q: ArrayLike, velocity: float) -> None:
-        """Starts a motion to q, shape (7,) [rad], at `velocity` of the greatest speed, in (0, 1].
+        """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1].
 
         Raises:
             BadJoints: q is not seven numbers within the limits.
@@ -197,10 +196,10 @@ class KstClient:
         self._ask(codec.joint_goal(goal))
         self._goal = goal
         self._session.expect_final(True)
-        self._mode = Mode.PTP
+        self._mode = KstMode.PTP
         try:
             self._accept(codec.START_PTP)
-        except DeviceError:
+        except KstError:
             if self._session.in_step:
                 self._end_motion()
             raise
@@ -212,82 +211,72 @@ class KstClient:
             MotionRefused: the controller refused the motion or gave it up; the tool is attached again.
             WrongMode: no PTP motion was started, or its end was reported already.
         """
-        if self._mode is not Mode.PTP:
-            raise WrongMode(f"no PTP motion is under way (mode {self._mode.value})")
-        self._session.look()
+        if self._mode is not KstMode.PTP:
+            raise WrongMode(f"no PTP motion runs (mode {self._mode.value}); start one first", mode=self._mode)
+        self._session.poll()
         final = self._session.final
         if final is None:
             return False
         self._end_motion()
-        if final is Kind.NAK:
-            self._refused("the PTP motion (a goal it cannot reach, or a stop on the way)")
+        if final is ReplyKind.NAK:
+            self._refused("the PTP motion (an unreachable goal, or a stop during the motion)")
         return True
 
     def start_joint_servo(self) -> None:
         """Starts the joint position servo with the present joints as its goal.
 
         Raises:
-            BadJoints: the arm stands outside the limits.
+            BadJoints: the measured joints are outside the limits.
             MotionRefused: the controller refused; the tool is attached again.
         """
         self._require_idle("the joint servo")
         self._ask(codec.joint_goal(self._limits.check(self.joints())))
         self._accept(codec.START_SERVO)
-        self._mode = Mode.SERVO
+        self._mode = KstMode.SERVO
         self._session.transport.pause(self._session.timing.servo_start)
 
     def stop_joint_servo(self) -> None:
-        """Waits until the arm stands at its last goal and stops the servo.
+        """Waits until the arm stands still at its last goal and stops the servo.
 
         Raises:
-            MotionRefused: the servo had ended by itself before; the tool is attached again.
+            MotionRefused: the controller had stopped the servo before; the tool is attached again.
         """
         self._require_servo()
-        with contextlib.suppress(ReplyTimeout, ProtocolError):
+        with contextlib.suppress(ReplyTimeout, UnexpectedReply):
             self._session.rest(self._session.timing.rest)
         self._ask(codec.STOP_SERVO)
-        self._mode = Mode.IDLE
+        self._mode = KstMode.IDLE
         self._session.transport.pause(self._session.timing.servo_stop)
-        self._session.look()
+        self._session.poll()
         self._heed_refusal()
 
-    def servo(self, q: ArrayLike) -> None:
-        """Sets the servo's goal to q, shape (7,) [rad], acknowledged.
+    def servo(self, q: ArrayLike, feedback: Feedback = Feedback.DONE) -> np.ndarray | None:
+        """Sets the servo's goal to q, shape (7,) [rad], and returns the feedback.
+
+        Args:
+            q: the goal.
+            feedback: DONE is only an acknowledgement. NOTHING is no answer: the caller keeps the pace and sends an
+                answered goal now and then. The others are measurements, taken before the goal acts.
+
+        Returns:
+            JOINTS: shape (7,) [rad]. EXTERNAL_TORQUES, MEASURED_TORQUES: shape (7,) [Nm]. POSE of the tool in the base,
+            shape (4, 4) [m]. FORCE at the tool, shape (3,) [N]. None for DONE and NOTHING.
 
         Raises:
             BadJoints: q is not seven numbers within the limits.
+            UnexpectedReply: also for POSE from a server older than May 2019, which answers the force instead.
         """
-        self._servo(q, Feedback.DONE)
-
-    def servo_unacknowledged(self, q: ArrayLike) -> None:
-        """As `servo`, without an answer: the caller keeps the pace, and looks now and then with an answered goal."""
         self._require_servo()
-        self._session.tell(codec.joint_goal(self._limits.check(q), Feedback.NOTHING))
-        self._heed_refusal()
-
-    def servo_joints(self, q: ArrayLike) -> np.ndarray:
-        """As `servo`; returns the measured joint angles, shape (7,) [rad]."""
-        return self._numbers(self._servo(q, Feedback.JOINTS))
-
-    def servo_external_torques(self, q: ArrayLike) -> np.ndarray:
-        """As `servo`; returns the external joint torques, shape (7,) [Nm]."""
-        return self._numbers(self._servo(q, Feedback.EXTERNAL_TORQUES))
-
-    def servo_measured_torques(self, q: ArrayLike) -> np.ndarray:
-        """As `servo`; returns the measured joint torques, shape (7,) [Nm]."""
-        return self._numbers(self._servo(q, Feedback.MEASURED_TORQUES))
-
-    def servo_pose(self, q: ArrayLike) -> np.ndarray:
-        """As `servo`; returns the pose of the tool in the arm's base, shape (4, 4) [m].
-
-        Raises:
-            ProtocolError: also from a server older than May 2019, which answers the force instead.
-        """
-        return codec.pose_from_fields(self._numbers(self._servo(q, Feedback.POSE)))
-
-    def servo_force(self, q: ArrayLike) -> np.ndarray:
-        """As `servo`; returns the external force at the tool, shape (3,) [N]; needs a server of May 2019 or later."""
-        return self._numbers(self._servo(q, Feedback.FORCE))
+        command = codec.joint_goal(self._limits.check(q), feedback)
+        if feedback is Feedback.NOTHING:
+            self._session.post(command)
+            self._heed_refusal()
+            return None
+        reply = self._ask(command, self._session.timing.servo_reply)
+        if feedback is Feedback.DONE:
+            return None
+        numbers = self._numbers(command, reply)
+        return codec.pose_from_fields(numbers) if feedback is Feedback.POSE else numbers
 
     def set_blue(self, on: bool) -> None:
         """Switches the blue light of the media flange; in every mode."""
@@ -307,52 +296,52 @@ class KstClient:
         Raises:
             ValueError: there is no such input.
         """
-        return bool(self._numbers(self._ask(codec.get_pin(number)))[0])
+        command = codec.get_pin(number)
+        return bool(self._numbers(command, self._ask(command))[0])
 
     def close(self) -> None:
         """Stops the servo, ends the server's application and closes the socket, in about a second at most.
 
-        Never raises on a dead link. A PTP motion under way runs to its end; the application ends after it.
+        Never raises on a dead link. A running PTP motion continues to its goal; the application ends after it.
         """
-        servo = self._mode is Mode.SERVO
+        servo = self._mode is KstMode.SERVO
         timing = self._session.timing
-        with contextlib.suppress(DeviceError):
+        with contextlib.suppress(KstError):
             if servo and self._session.in_step:
                 self._session.rest(min(timing.rest, timing.servo_reply))
-        with contextlib.suppress(DeviceError):
+        with contextlib.suppress(KstError):
             self._session.farewell(stop_servo=servo)
-        self._mode = Mode.IDLE
+        self._mode = KstMode.IDLE
         self._session.transport.close()
 
     def abort(self) -> None:
-        """Ends the connection without a word to the server; safe from any thread.
+        """Drops the connection without a command to the server; any thread may call it.
 
-        A call that is under way raises ConnectionLost, and so does every later one. The arm holds its last goal or runs
-        its PTP to the end, and the server must be restarted on the pad.
+        A pending call raises ConnectionLost, and so does every later one. The arm holds its last goal or completes its
+        PTP motion, and somebody must restart the server on the smartPad.
         """
         self._session.transport.abort()
 
-    def _servo(self, q: ArrayLike, feedback: Feedback) -> Reply:
-        self._require_servo()
-        return self._ask(codec.joint_goal(self._limits.check(q), feedback), self._session.timing.servo_reply)
+    def _measure(self, command: KstCommand, in_servo: Feedback | None) -> np.ndarray:
+        if self._mode is KstMode.SERVO:
+            cure = f"use servo(q, {in_servo})" if in_servo else "call stop_joint_servo() first"
+            raise WrongMode(f"`{command.word}` is not answered in servo mode; {cure}", mode=self._mode)
+        if self._mode is KstMode.PTP:
+            raise WrongMode(
+                f"`{command.word}` is not answered during a PTP motion; use joints() or wait for its end",
+                mode=self._mode,
+            )
+        return self._numbers(command, self._accept(command))
 
-    def _measure(self, command: Command, alternative: str | None) -> np.ndarray:
-        if self._mode is Mode.SERVO:
-            way = f"use {alternative}(q)" if alternative else "stop the servo first"
-            raise WrongMode(f"`{command.word}` is not answered in the servo mode; {way}")
-        if self._mode is Mode.PTP:
-            raise WrongMode(f"`{command.word}` is not answered during a PTP motion; use joints() or wait for its end")
-        return self._numbers(self._accept(command))
-
-    def _ask(self, command: Command, timeout: float | None = None) -> Reply:
+    def _ask(self, command: KstCommand, timeout: float | None = None) -> KstReply:
         reply = self._session.ask(command, timeout)
         self._heed_refusal()
         return reply
 
-    def _accept(self, command: Command) -> Reply:
+    def _accept(self, command: KstCommand) -> KstReply:
         """Asks the main thread; a `nak` becomes MotionRefused."""
         reply = self._session.ask_main(command)
-        if reply.kind is Kind.NAK:
+        if reply.kind is ReplyKind.NAK:
             self._end_motion()
             self._refused(f"`{command.word}`")
         self._heed_refusal()
@@ -363,15 +352,15 @@ class KstClient:
             return
         self._session.refused = False
         self._session.ask(codec.STOP_SERVO)
-        self._mode = Mode.IDLE
+        self._mode = KstMode.IDLE
         self._session.transport.pause(self._session.timing.servo_stop)
-        self._refused("to go on and left its mode by itself (a limit or a safety stop)")
+        self._refused("to continue and left servo mode by itself (a limit or a safety stop)")
 
     def _refused(self, what: str) -> None:
-        """The server dropped the tool with its `nak`: attaches it again and raises MotionRefused."""
+        """Raises MotionRefused, after attaching the tool again, which the server dropped with its `nak`."""
         self._attach_tool()
         raise MotionRefused(
-            f"the controller refused {what}; look at the pad for the reason. The tool is attached again"
+            f"the controller refused {what}; look at the smartPad for the reason. The tool is attached again"
         )
 
     def _attach_tool(self, patience: float | None = None) -> None:
@@ -380,30 +369,37 @@ class KstClient:
             reply = self._session.ask_main(command, patience)
         except ReplyTimeout as error:
             raise ToolNotAttached(
-                "the server answers but does not attach the tool: its main program has died, or it is older than"
-                " version 1.7; restart MatlabToolboxServer on the pad"
+                "the server answers but does not attach the tool: its main program has ended, or it is older than"
+                " version 1.7; restart MatlabToolboxServer on the smartPad"
             ) from error
-        if reply.kind is Kind.NAK:
+        if reply.kind is ReplyKind.NAK:
             raise ToolNotAttached(f"the controller refused the tool `{command.line}`; restart MatlabToolboxServer")
         self._session.transport.pause(self._session.timing.tool_settle)
 
     def _end_motion(self) -> None:
         self._session.expect_final(False)
-        self._mode = Mode.IDLE
+        self._mode = KstMode.IDLE
 
     def _require_idle(self, what: str) -> None:
-        if self._mode is Mode.PTP:
-            raise WrongMode(f"{what} cannot start while a PTP motion runs; wait until ptp_arrived() says so")
-        if self._mode is Mode.SERVO:
-            raise WrongMode(f"{what} cannot start in the servo mode; call stop_joint_servo() first")
+        if self._mode is KstMode.PTP:
+            raise WrongMode(f"{what} cannot start during a PTP motion; wait for ptp_arrived()", mode=self._mode)
+        if self._mode is KstMode.SERVO:
+            raise WrongMode(f"{what} cannot start in servo mode; call stop_joint_servo() first", mode=self._mode)
 
     def _require_servo(self) -> None:
-        if self._mode is not Mode.SERVO:
-            raise WrongMode(f"the joint servo does not run (mode {self._mode.value}); call start_joint_servo() first")
+        if self._mode is not KstMode.SERVO:
+            raise WrongMode(
+                f"the joint servo does not run (mode {self._mode.value}); call start_joint_servo() first",
+                mode=self._mode,
+            )
 
     @staticmethod
-    def _numbers(reply: Reply) -> np.ndarray:
+    def _numbers(command: KstCommand, reply: KstReply) -> np.ndarray:
         numbers = np.array(reply.numbers)
         if not np.all(np.isfinite(numbers)):
-            raise ProtocolError(f"the controller reported `{reply.text}`, which is not all numbers")
+            raise UnexpectedReply(
+                f"the controller reported `{reply.text}`, which is not all numbers; it was ignored",
+                command=command.word,
+                reply=reply.text,
+            )
         return numbers

@@ -1,7 +1,8 @@
 """Wire text of the KUKA Sunrise Toolbox: commands to lines, bytes to replies. Pure; knows no socket and no time.
 
 Millimetres and the angles A, B, C of the wire end here: poses are 4x4 matrices in metres on this side. The commands
-and their threads follow reference kst.md, 2; those that no server understands, or that hurt it, are left out.
+and their threads: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox". Commands that no server understands, or that
+stop it, are left out.
 """
 
 from __future__ import annotations
@@ -14,14 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.poses import check_pose, pose, read_only
-from common.rotations import rotation_from_zyx, zyx_from_rotation
+from kst.poses import check_pose, rotation_from_zyx, zyx_from_rotation
 
 MAX_LINE = 512
-"""Longest reply taken for one, in bytes; seven doubles in Java's longest text need about 180."""
+"""Longest line that counts as a reply [bytes]; seven doubles in Java's longest text need about 180."""
 
 MAX_TOOL_M = 1.0
-"""A tool tip farther from the flange is taken for a mix-up of millimetres and metres."""
+"""A tool point farther from the flange is refused: somebody mixed up millimetres and metres."""
 
 OUTPUT_PINS = (1, 2, 11, 12)
 INPUT_PINS = (3, 4, 10, 13, 16)
@@ -29,15 +29,15 @@ INPUT_PINS = (3, 4, 10, 13, 16)
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|Infinity)|NaN")
 
 
-class Thread(enum.Enum):
-    """Which of the server's two threads answers a command (reference: kst.md, 0)."""
+class ServerThread(enum.Enum):
+    """Which of the server's two threads answers a command."""
 
     READER = "reader"
     MAIN = "main"
 
 
-class Kind(enum.Enum):
-    """What a reply is, or which reply a command asks for."""
+class ReplyKind(enum.Enum):
+    """Kind of a reply, or of the reply that a command asks for."""
 
     NOTHING = "no answer"
     DONE = "done"
@@ -46,39 +46,39 @@ class Kind(enum.Enum):
     THREE = "3 numbers"
     SIX = "6 numbers"
     SEVEN = "7 numbers"
-    FOREIGN = "no reply of the toolbox"
+    FOREIGN = "not a reply of the toolbox"
 
 
-_KIND_OF_COUNT = {3: Kind.THREE, 6: Kind.SIX, 7: Kind.SEVEN}
-_KIND_OF_WORD = {"done": Kind.DONE, "nak": Kind.NAK}
+_KIND_OF_COUNT = {3: ReplyKind.THREE, 6: ReplyKind.SIX, 7: ReplyKind.SEVEN}
+_KIND_OF_WORD = {"done": ReplyKind.DONE, "nak": ReplyKind.NAK}
 
 
 @dataclass(frozen=True)
-class Command:
-    """One line to the server, without its line feed, who answers it and how."""
+class KstCommand:
+    """One line to the server, without its line feed, and who answers it with which kind of reply."""
 
     line: str
-    thread: Thread
-    answer: Kind
+    thread: ServerThread
+    answer: ReplyKind
 
     @property
     def word(self) -> str:
-        """The command without its numbers, for messages."""
+        """The command without its numbers."""
         return self.line.split("_", 1)[0] if self.line.endswith("_") else self.line
 
 
 @dataclass(frozen=True)
-class Reply:
-    """One line from the server; `text` is made printable, `numbers` hold what it says in wire units."""
+class KstReply:
+    """One line from the server: its printable text, its kind, and its numbers in wire units."""
 
     text: str
-    kind: Kind
+    kind: ReplyKind
     numbers: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class ToolTransform:
-    """Pose of the tool point at the flange, T_flange_tool, shape (4, 4) [m].
+    """Pose of the tool point in the flange frame, T_flange_tool, shape (4, 4) [m].
 
     Raises:
         ValueError: not a rigid pose, or farther than `MAX_TOOL_M` from the flange.
@@ -87,58 +87,63 @@ class ToolTransform:
     T_flange_tool: np.ndarray
 
     def __post_init__(self) -> None:
-        T = read_only(check_pose(self.T_flange_tool))
+        T = check_pose(self.T_flange_tool)
         object.__setattr__(self, "T_flange_tool", T)
         if np.linalg.norm(T[:3, 3]) > MAX_TOOL_M:
-            raise ValueError(f"the tool point {T[:3, 3].tolist()} m is too far from the flange; are these millimetres?")
+            raise ValueError(
+                f"the tool point {T[:3, 3].tolist()} m is more than {MAX_TOOL_M:g} m from the flange; give metres"
+            )
 
 
 class Feedback(enum.Enum):
-    """What the server sends back on a joint servo goal: the command's prefix and the kind of the answer."""
+    """What the server returns on a joint servo goal: the command's prefix and the kind of the answer.
 
-    DONE = ("jp", Kind.DONE)
-    NOTHING = ("jf", Kind.NOTHING)
-    JOINTS = ("jpJP", Kind.SEVEN)
-    EXTERNAL_TORQUES = ("jpExT", Kind.SEVEN)
-    MEASURED_TORQUES = ("jpMT", Kind.SEVEN)
-    POSE = ("jpEEfP", Kind.SIX)
-    FORCE = ("jpEEfFrelEEF", Kind.THREE)
+    Servers before May 2019 know neither POSE, which they answer with the force, nor FORCE.
+    """
 
-
-JOINTS = Command("getJointsPositions", Thread.READER, Kind.SEVEN)
-EXTERNAL_TORQUES = Command("Torques_ext_J", Thread.MAIN, Kind.SEVEN)
-MEASURED_TORQUES = Command("Torques_m_J", Thread.MAIN, Kind.SEVEN)
-POSE = Command("Eef_pos", Thread.MAIN, Kind.SIX)
-FORCE = Command("Eef_force", Thread.MAIN, Kind.THREE)
-MOMENT = Command("Eef_moment", Thread.MAIN, Kind.THREE)
-START_PTP = Command("doPTPinJS", Thread.MAIN, Kind.DONE)
-START_SERVO = Command("startDirectServoJoints", Thread.MAIN, Kind.DONE)
-STOP_SERVO = Command("stopDirectServoJoints", Thread.READER, Kind.DONE)
-END = Command("end", Thread.READER, Kind.NOTHING)
+    DONE = ("jp", ReplyKind.DONE)
+    NOTHING = ("jf", ReplyKind.NOTHING)
+    JOINTS = ("jpJP", ReplyKind.SEVEN)
+    EXTERNAL_TORQUES = ("jpExT", ReplyKind.SEVEN)
+    MEASURED_TORQUES = ("jpMT", ReplyKind.SEVEN)
+    POSE = ("jpEEfP", ReplyKind.SIX)
+    FORCE = ("jpEEfFrelEEF", ReplyKind.THREE)
 
 
-def attach_tool(tool: ToolTransform) -> Command:
-    """Returns the command that makes `tool` the one whose pose, force and moment the server reports."""
-    return Command(_with_numbers("TFtrans", fields_from_pose(tool.T_flange_tool)), Thread.MAIN, Kind.DONE)
+JOINTS = KstCommand("getJointsPositions", ServerThread.READER, ReplyKind.SEVEN)
+EXTERNAL_TORQUES = KstCommand("Torques_ext_J", ServerThread.MAIN, ReplyKind.SEVEN)
+MEASURED_TORQUES = KstCommand("Torques_m_J", ServerThread.MAIN, ReplyKind.SEVEN)
+POSE = KstCommand("Eef_pos", ServerThread.MAIN, ReplyKind.SIX)
+FORCE = KstCommand("Eef_force", ServerThread.MAIN, ReplyKind.THREE)
+MOMENT = KstCommand("Eef_moment", ServerThread.MAIN, ReplyKind.THREE)
+START_PTP = KstCommand("doPTPinJS", ServerThread.MAIN, ReplyKind.DONE)
+START_SERVO = KstCommand("startDirectServoJoints", ServerThread.MAIN, ReplyKind.DONE)
+STOP_SERVO = KstCommand("stopDirectServoJoints", ServerThread.READER, ReplyKind.DONE)
+END = KstCommand("end", ServerThread.READER, ReplyKind.NOTHING)
 
 
-def relative_velocity(velocity: float) -> Command:
-    """Returns the command that sets the speed of the next PTP, 0 to 1 of the greatest."""
-    return Command(_with_numbers("jRelVel", (velocity,)), Thread.MAIN, Kind.DONE)
+def attach_tool(tool: ToolTransform) -> KstCommand:
+    """Returns the command after which the server reports pose, force and moment of `tool`."""
+    return KstCommand(_with_numbers("TFtrans", fields_from_pose(tool.T_flange_tool)), ServerThread.MAIN, ReplyKind.DONE)
 
 
-def joint_goal(q: Iterable[float], feedback: Feedback = Feedback.DONE) -> Command:
+def relative_velocity(velocity: float) -> KstCommand:
+    """Returns the command that sets the speed of the next PTP motion, as a fraction of the greatest."""
+    return KstCommand(_with_numbers("jRelVel", (velocity,)), ServerThread.MAIN, ReplyKind.DONE)
+
+
+def joint_goal(q: Iterable[float], feedback: Feedback = Feedback.DONE) -> KstCommand:
     """Returns the command that sets the goal of the joint servo or of the next PTP to q, shape (7,) [rad]."""
     prefix, answer = feedback.value
-    return Command(_with_numbers(prefix, q), Thread.READER, answer)
+    return KstCommand(_with_numbers(prefix, q), ServerThread.READER, answer)
 
 
-def blue(on: bool) -> Command:
+def blue(on: bool) -> KstCommand:
     """Returns the command for the blue light of the media flange."""
-    return Command("blueOn" if on else "blueOff", Thread.READER, Kind.DONE)
+    return KstCommand("blueOn" if on else "blueOff", ServerThread.READER, ReplyKind.DONE)
 
 
-def set_pin(number: int, on: bool) -> Command:
+def set_pin(number: int, on: bool) -> KstCommand:
     """Returns the command for an output of connector X3.
 
     Raises:
@@ -146,10 +151,10 @@ def set_pin(number: int, on: bool) -> Command:
     """
     if number not in OUTPUT_PINS:
         raise ValueError(f"there is no output pin {number!r}; the outputs are {OUTPUT_PINS}")
-    return Command(f"pin{number}{'on' if on else 'off'}", Thread.READER, Kind.DONE)
+    return KstCommand(f"pin{number}{'on' if on else 'off'}", ServerThread.READER, ReplyKind.DONE)
 
 
-def get_pin(number: int) -> Command:
+def get_pin(number: int) -> KstCommand:
     """Returns the command that reads an input of connector X3.
 
     Raises:
@@ -157,7 +162,7 @@ def get_pin(number: int) -> Command:
     """
     if number not in INPUT_PINS:
         raise ValueError(f"there is no input pin {number!r}; the inputs are {INPUT_PINS}")
-    return Command(f"getPin{number}", Thread.READER, Kind.PIN)
+    return KstCommand(f"getPin{number}", ServerThread.READER, ReplyKind.PIN)
 
 
 def fields_from_pose(T: np.ndarray) -> tuple[float, ...]:
@@ -168,38 +173,41 @@ def fields_from_pose(T: np.ndarray) -> tuple[float, ...]:
 def pose_from_fields(fields: Iterable[float]) -> np.ndarray:
     """Returns the pose, shape (4, 4) [m], of x, y, z [mm], A, B, C [rad]."""
     x, y, z, a, b, c = fields
-    return pose(rotation_from_zyx(a, b, c), (x / 1000.0, y / 1000.0, z / 1000.0))
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_zyx(a, b, c)
+    T[:3, 3] = x / 1000.0, y / 1000.0, z / 1000.0
+    return T
 
 
 def number(value: float) -> str:
     """Returns the shortest text that Java reads back as the same double.
 
     Raises:
-        ValueError: not finite; such a word kills the server's reader thread.
+        ValueError: not finite; such a word stops the server's reader thread.
     """
     value = float(value)
     if not math.isfinite(value):
-        raise ValueError(f"{value} must not be sent to the controller")
+        raise ValueError(f"{value} stops the server's reader thread; nothing was sent")
     return repr(value)
 
 
-def parse_reply(line: bytes) -> Reply:
-    """Returns what a line without its line feed says; whatever is no reply of the toolbox is `Kind.FOREIGN`."""
+def parse_reply(line: bytes) -> KstReply:
+    """Returns the reply in a line without its line feed; what is not a reply of the toolbox is `ReplyKind.FOREIGN`."""
     text = line.decode("ascii", "backslashreplace")
     if len(line) > MAX_LINE:
-        return Reply(text[:60], Kind.FOREIGN)
+        return KstReply(text[:60], ReplyKind.FOREIGN)
     if text in _KIND_OF_WORD:
-        return Reply(text, _KIND_OF_WORD[text])
+        return KstReply(text, _KIND_OF_WORD[text])
     if text in ("0", "1"):
-        return Reply(text, Kind.PIN, (float(text),))
+        return KstReply(text, ReplyKind.PIN, (float(text),))
     fields = (text[:-1] if text.endswith("_") else text).split("_")
     if len(fields) in _KIND_OF_COUNT and all(_NUMBER.fullmatch(field) for field in fields):
-        return Reply(text, _KIND_OF_COUNT[len(fields)], tuple(float(field) for field in fields))
-    return Reply(repr(text)[1:61], Kind.FOREIGN)
+        return KstReply(text, _KIND_OF_COUNT[len(fields)], tuple(float(field) for field in fields))
+    return KstReply(repr(text)[1:-1][:60], ReplyKind.FOREIGN)
 
 
-class LineSplitter:
-    """Cuts a stream of bytes into lines; empty lines vanish, overlong ones arrive shortened to `MAX_LINE` + 2 bytes."""
+class KstLineSplitter:
+    """Cuts a stream of bytes into lines; drops empty lines and shortens overlong ones to `MAX_LINE` + 2 bytes."""
 
     def __init__(self) -> None:
         self._rest = b""

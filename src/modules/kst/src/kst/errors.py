@@ -1,45 +1,75 @@
-"""What can go wrong between the rig and the arm's controller, one class per reaction it calls for."""
+"""What can go wrong between a program and the arm's controller: one class per reaction it calls for.
+
+Each error carries its values as attributes; an attribute that does not apply keeps the default of its class.
+"""
 
 from __future__ import annotations
 
-from common.errors import DeviceError
+from typing import Any
 
 
-class NoServer(DeviceError):
-    """Nobody listens at the address, or the server ended at once: its application is not running."""
+class KstError(Exception):
+    """Base of the errors of this package; keyword arguments become attributes."""
+
+    def __init__(self, message: str, **values: Any) -> None:
+        super().__init__(message)
+        vars(self).update(values)
 
 
-class ServerBusy(DeviceError):
-    """The port is open and stays silent: somebody else is connected, or the server has gone deaf."""
+class NoServer(KstError):
+    """Nobody listens at `address`, or the server ended at once: its application is not running."""
+
+    address: str = ""
 
 
-class ToolNotAttached(DeviceError):
+class ServerBusy(KstError):
+    """The port at `address` is open but silent: another client is connected, or the server no longer reads."""
+
+    address: str = ""
+
+
+class ToolNotAttached(KstError):
     """The server did not attach the tool: the poses it would report are not those of the tool."""
 
 
-class ReplyTimeout(DeviceError):
-    """A command was not answered in time; the link itself may be sound."""
+class ReplyTimeout(KstError):
+    """`command` was not answered in time; the link itself may be sound."""
+
+    command: str = ""
 
 
-class ConnectionLost(DeviceError):
+class ConnectionLost(KstError):
     """The link is gone for good; only a new connection helps."""
 
 
-class MotionRefused(DeviceError):
-    """The controller answered `nak`: it did not carry out what was asked."""
+class MotionRefused(KstError):
+    """The controller answered `nak`: it did not carry out the request."""
 
 
-class ProtocolError(DeviceError):
-    """The server answered something that does not belong to the command."""
+class UnexpectedReply(KstError):
+    """The server answered `command` with `reply`, which does not belong to it."""
+
+    command: str = ""
+    reply: str = ""
 
 
-class WrongMode(DeviceError):
-    """The server would never answer this command in the present mode, so it was not sent."""
+class WrongMode(KstError):
+    """The server would never answer this command in the present `mode`, so the client did not send it."""
+
+    mode: Any = None
 
 
-class BadJoints(DeviceError, ValueError):
-    """Joint angles that must not be sent: not seven finite numbers, or outside the joint ranges."""
+class BadJoints(KstError, ValueError):
+    """Joint angles that were not sent: not seven finite numbers, or `joint` (1 to 7) outside its range."""
+
+    joint: int = 0
 
 
-class BadVelocity(DeviceError, ValueError):
+class BadVelocity(KstError, ValueError):
     """A relative velocity that is not in (0, 1]; it was not sent."""
+
+
+class PtpFailed(KstError):
+    """A PTP motion ended before its goal, stands still or takes too long; `progress` is its last observation."""
+
+    progress: Any = None

@@ -1,7 +1,7 @@
 """The last check before numbers leave for the arm: seven finite joint angles within their ranges, a velocity in (0, 1].
 
-The server checks nothing, and a joint angle that is not a number deafens it for good. Angles in degrees or poses in
-millimetres that end up here by mistake fall outside the ranges and are refused like any other.
+The server checks nothing, and a joint angle that is not a number makes it deaf for good. Angles in degrees or poses in
+millimetres that end up here by mistake are outside the ranges.
 """
 
 from __future__ import annotations
@@ -11,19 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from common.poses import read_only
 from kst.errors import BadJoints, BadVelocity
+from kst.poses import read_only
 
 JOINTS = 7
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Joint ranges.
-
-    Attributes:
-        lower: smallest angles, shape (7,) [rad].
-        upper: largest angles, shape (7,) [rad].
+    """Ranges of the joint angles, from `lower` to `upper`, shape (7,) each [rad].
 
     Raises:
         ValueError: not seven finite ranges, or an empty one.
@@ -53,26 +49,24 @@ class JointLimits:
             raise BadJoints(f"the joint angles {q!r} are not numbers; nothing was sent") from error
         if angles.shape != (JOINTS,):
             raise BadJoints(f"seven joint angles are needed, not an array of shape {angles.shape}; nothing was sent")
-        if not np.all(np.isfinite(angles)):
-            bad = int(np.flatnonzero(~np.isfinite(angles))[0])
-            raise BadJoints(f"the angle of joint {bad + 1} is {angles[bad]}, not a number; nothing was sent")
-        outside = np.flatnonzero((angles < self.lower) | (angles > self.upper))
-        if outside.size:
-            raise BadJoints(self._sentence(angles, int(outside[0])))
+        bad = np.flatnonzero(~((angles >= self.lower) & (angles <= self.upper)))
+        if bad.size:
+            first = int(bad[0])
+            raise BadJoints(self._sentence(angles, first), joint=first + 1)
         return angles
 
     def _sentence(self, angles: np.ndarray, bad: int) -> str:
-        low, high = np.degrees(self.lower[bad]), np.degrees(self.upper[bad])
-        hint = " (degrees in the place of radians?)" if np.abs(angles).max() > 2.0 * np.pi else ""
+        low, high, angle = np.degrees([self.lower[bad], self.upper[bad], angles[bad]])
+        hint = " (degrees instead of radians?)" if np.any(np.abs(angles) > 2.0 * np.pi) else ""
         return (
-            f"joint {bad + 1} at {np.degrees(angles[bad]):.6g} deg is outside its range"
-            f" {low:.6g} to {high:.6g} deg{hint}; nothing was sent"
+            f"joint {bad + 1} at {angle:.6g} deg is outside its range {low:.6g} to {high:.6g} deg{hint};"
+            " nothing was sent"
         )
 
 
 LBR_IIWA_RANGE = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
 LBR_IIWA_LIMITS = JointLimits(-LBR_IIWA_RANGE, LBR_IIWA_RANGE)
-"""Joint ranges of the LBR iiwa 7 R800 and 14 R820 (reference: kst.md, 4)."""
+"""Joint ranges of the LBR iiwa 7 R800 and 14 R820 (KUKA, LBR iiwa specification, axis data)."""
 
 
 def check_relative_velocity(velocity: float) -> float:

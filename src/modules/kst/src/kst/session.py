@@ -1,8 +1,9 @@
-"""Question and answer with a server that numbers neither: which reply belongs to which command.
+"""Pairs replies with commands on a link that numbers neither.
 
 The server's reader thread answers in order. Its main thread clears the shared command word after each answer, so a
-main-thread command that comes too early is wiped without a reply (reference: kst.md, 0 and 3.2): hence the pause after
-its answers and the guarded resending. The final word of a motion comes unasked and is kept apart from the answers.
+main-thread command that comes too early is wiped without a reply (docs/handbook/wire-protocols.md, "Arm: Sunrise
+Toolbox"). Therefore the session pauses after such an answer and sends a wiped command again. The final word of a motion
+comes unasked and is not an answer.
 """
 
 from __future__ import annotations
@@ -13,34 +14,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kst import codec
-from kst.codec import Command, Kind, Reply, Thread
-from kst.errors import ProtocolError, ReplyTimeout
-from kst.transport import Transport
+from kst.codec import KstCommand, KstReply, ReplyKind, ServerThread
+from kst.errors import ReplyTimeout, UnexpectedReply
+from kst.transport import KstTransport
 
 STILL_RAD = 5e-4
-"""Joints that change less than this between two looks, `Timing.quiet` apart, count as standing."""
+"""Joints that change less than this between two readings, `KstTiming.quiet` apart, stand still [rad]."""
 
 MAX_FOREIGN = 20
-"""Lines that are no replies while one answer is awaited; more, and something else is talking."""
+"""After more foreign lines than this before one answer, the peer is not a toolbox server."""
 
 MAX_STRAY = 200
-"""Lines thrown away while the pairing is sought again; more, and it is given up."""
+"""After more stray lines than this, resynchronisation fails."""
 
 
 @dataclass(frozen=True)
-class Timing:
-    """How long to wait for what; all in seconds but `tries`.
+class KstTiming:
+    """Waits [s] and tries.
 
     Attributes:
         connect_settle: after connecting, until the server's main thread has attached its own tool.
         tool_settle: after the tool is attached.
-        reply: longest wait for an answer outside the servo mode.
+        reply: longest wait for an answer outside servo mode.
         servo_reply: longest wait for the answer to a servo goal.
-        main_pause: after an answer of the main thread, during which a further command could be wiped.
-        servo_start: after the start of the servo mode, while the server overwrites the goal with the present joints.
-        servo_stop: after the stop of the servo mode, until the main thread listens again.
-        rest: longest wait for the arm to stand before the servo mode is stopped.
-        quiet: silence that shows that no late answer of the main thread is on its way.
+        main_pause: after an answer of the main thread, which could wipe a further command.
+        servo_start: after the start of servo mode, while the server overwrites the goal with the present joints.
+        servo_stop: after the stop of servo mode, until the main thread reads again.
+        rest: longest wait for the arm to stand still before servo mode stops.
+        quiet: silence after which no late answer of the main thread comes.
         farewell: longest wait for the server's end of file after `end`.
         tries: how often a main-thread command is sent at most.
     """
@@ -59,9 +60,9 @@ class Timing:
 
 
 @dataclass(frozen=True)
-class Counts:
-    """What happened on the link since it was opened: commands sent and answered, answers missed, commands sent again
-    after they were wiped, lines that belonged to no question, lines that were no replies at all."""
+class LinkCounts:
+    """Counts since the link was opened: commands sent and answered, missed answers, commands sent again after they were
+    wiped, replies that belonged to no command, and lines that were not replies."""
 
     sent: int = 0
     answered: int = 0
@@ -71,48 +72,48 @@ class Counts:
     foreign: int = 0
 
 
-class Session:
+class KstSession:
     """Pairs the lines of one connection.
 
     Attributes:
-        counts: what happened so far.
+        counts: events so far.
         round_trip: time from the sending of the last answered command to its answer [s]; None before the first.
-        final: the final word of the motion, `Kind.DONE` or `Kind.NAK`; None while it has not come.
-        refused: an unasked `nak` came: the main thread gave something up and dropped the tool.
+        final: the final word of the motion, DONE or NAK; None before it comes.
+        refused: an unasked `nak` came: the main thread gave up a motion and dropped the tool.
     """
 
-    def __init__(self, transport: Transport, timing: Timing) -> None:
+    def __init__(self, transport: KstTransport, timing: KstTiming) -> None:
         self.transport = transport
         self.timing = timing
-        self.counts = Counts()
+        self.counts = LinkCounts()
         self.round_trip: float | None = None
-        self.final: Kind | None = None
+        self.final: ReplyKind | None = None
         self.refused = False
         self._awaits_final = False
-        self._unanswered: Command | None = None
+        self._unanswered: KstCommand | None = None
         self._main_answered_at = -np.inf
 
     @property
     def in_step(self) -> bool:
-        """Whether every question so far has its answer."""
+        """Whether every command so far has its answer."""
         return self._unanswered is None
 
     def expect_final(self, expected: bool) -> None:
-        """Says whether a motion is about to run, whose final word will come unasked, or is over."""
+        """Sets whether a motion is about to start, whose final word will come unasked, or is over."""
         self._awaits_final = expected
         self.final = None
 
-    def tell(self, command: Command) -> None:
+    def post(self, command: KstCommand) -> None:
         """Sends a command that has no answer.
 
         Raises:
             ConnectionLost: the link is lost.
         """
-        self.look()
+        self.poll()
         self._send(command)
 
-    def look(self) -> None:
-        """Takes in what has come unasked; does not wait.
+    def poll(self) -> None:
+        """Sorts the lines that have come unasked; does not wait.
 
         Raises:
             ConnectionLost: the link is lost.
@@ -120,8 +121,8 @@ class Session:
         for reply in self.transport.waiting():
             self._sort(reply)
 
-    def wait_for_final(self, timeout: float) -> Kind | None:
-        """Returns the final word of the motion; None when it does not come within `timeout` seconds.
+    def wait_for_final(self, timeout: float) -> ReplyKind | None:
+        """Returns the final word of the motion, or None if it does not come within `timeout` seconds.
 
         Raises:
             ConnectionLost: the link is lost.
@@ -136,19 +137,19 @@ class Session:
                 break
         return self.final
 
-    def ask(self, command: Command, timeout: float | None = None) -> Reply:
+    def ask(self, command: KstCommand, timeout: float | None = None) -> KstReply:
         """Sends a command and returns its answer; for a command of the main thread that may be a `nak`.
 
         Raises:
-            ReplyTimeout: no answer within `timeout` seconds (None: `Timing.reply`).
-            ProtocolError: an answer that does not fit, or too many lines that are no replies.
+            ReplyTimeout: no answer within `timeout` seconds (None: `KstTiming.reply`).
+            UnexpectedReply: an answer that does not fit, or too many lines that are no replies.
             ConnectionLost: the link is lost, or an earlier missing answer left the pairing unknown and it could not
                 be found again.
         """
         timeout = self.timing.reply if timeout is None else timeout
         late = self.resynchronise()
-        self.refused = self.refused or (late is not None and late.kind is Kind.NAK)
-        self.look()
+        self.refused = self.refused or (late is not None and late.kind is ReplyKind.NAK)
+        self.poll()
         sent_at = self._send(command)
         foreign, last = 0, ""
         while foreign <= MAX_FOREIGN:
@@ -156,36 +157,37 @@ class Session:
             if reply is None:
                 self._unanswered = command
                 self._count(missed=1)
-                raise ReplyTimeout(f"`{command.word}` was not answered within {timeout:g} s")
-            if reply.kind is command.answer or (reply.kind is Kind.NAK and command.thread is Thread.MAIN):
+                raise ReplyTimeout(f"`{command.word}` was not answered within {timeout:g} s", command=command.word)
+            if reply.kind is command.answer or (reply.kind is ReplyKind.NAK and command.thread is ServerThread.MAIN):
                 self._note_answer(command, sent_at)
                 return reply
-            if not self._sort(reply) and reply.kind is not Kind.FOREIGN:
+            if not self._sort(reply) and reply.kind is not ReplyKind.FOREIGN:
                 self._unanswered = command
-                raise ProtocolError(
-                    f"`{command.word}` was answered by `{reply.text}` instead of {command.answer.value}:"
-                    f" the server is of another version, or answers got mixed up"
+                raise UnexpectedReply(
+                    f"`{command.word}` was answered by `{reply.text}` instead of {command.answer.value}: check the"
+                    " version of the server",
+                    command=command.word,
+                    reply=reply.text,
                 )
-            foreign += reply.kind is Kind.FOREIGN
+            foreign += reply.kind is ReplyKind.FOREIGN
             last = reply.text
         self._unanswered = command
-        raise ProtocolError(
-            f"`{command.word}` met {foreign} lines that are no replies, the last `{last}`:"
-            f" is something else than the toolbox server listening there?"
+        raise UnexpectedReply(
+            f"{foreign} lines after `{command.word}` were not replies, the last `{last}`: another program listens"
+            " there; check address and port",
+            command=command.word,
+            reply=last,
         )
 
-    def ask_main(self, command: Command, patience: float | None = None) -> Reply:
+    def ask_main(self, command: KstCommand, patience: float | None = None) -> KstReply:
         """Sends a command of the main thread, again if it was wiped, and returns its answer, which may be a `nak`.
 
-        Before it sends again it makes sure that the reader thread still answers and that the arm stands.
-
-        Args:
-            command: what to ask.
-            patience: how long to wait for the reader thread where the main thread is silent [s] (None: `Timing.reply`).
+        It sends again only while the arm stands still and the reader thread answers within `patience` seconds (None:
+        `KstTiming.reply`).
 
         Raises:
             ReplyTimeout: the main thread stays silent while the reader thread answers, or the arm moves.
-            ProtocolError: as in `ask`.
+            UnexpectedReply: as in `ask`.
             ConnectionLost: the link is lost or silent.
         """
         for attempt in range(self.timing.tries):
@@ -201,18 +203,20 @@ class Session:
                 if self._arm_moves():
                     self._unanswered = command
                     raise ReplyTimeout(
-                        f"`{command.word}` was not acknowledged and the arm moves; it was not sent again"
+                        f"`{command.word}` was not acknowledged and the arm moves; it was not sent again",
+                        command=command.word,
                     ) from error
         raise ReplyTimeout(
             f"`{command.word}` was not answered in {self.timing.tries} tries though the server reads: its main thread"
-            f" is stuck or has ended; look at the pad and restart MatlabToolboxServer there"
+            " is stuck or has ended; look at the smartPad and restart MatlabToolboxServer there",
+            command=command.word,
         )
 
-    def resynchronise(self, patience: float | None = None) -> Reply | None:
-        """Finds the pairing again after a missing answer, and returns that answer if it came late.
+    def resynchronise(self, patience: float | None = None) -> KstReply | None:
+        """Restores the pairing after a missing answer, and returns that answer if it came late.
 
-        A probe of another kind than the missing answer is asked of the reader thread, which answers in order: what
-        comes before its answer is late. For a command of the main thread a short silence follows.
+        The reader thread, which answers in order, is asked for a reply of another kind than the missing one: what comes
+        before it is late. For a command of the main thread a short silence follows.
 
         Raises:
             ConnectionLost: the probe is not answered either.
@@ -223,7 +227,7 @@ class Session:
         late = self._sort_out(self.transport.waiting(), missing)
         if late is not None:
             return late
-        probe = codec.get_pin(codec.INPUT_PINS[0]) if missing.answer is Kind.SEVEN else codec.JOINTS
+        probe = codec.get_pin(codec.INPUT_PINS[0]) if missing.answer is ReplyKind.SEVEN else codec.JOINTS
         sent_at = self._send(probe)
         deadline = sent_at + (self.timing.reply if patience is None else patience)
         for _ in range(MAX_STRAY):
@@ -232,7 +236,7 @@ class Session:
                 break
             if reply.kind is probe.answer:
                 self._note_answer(probe, sent_at)
-                if late is None and missing.thread is Thread.MAIN:
+                if late is None and missing.thread is ServerThread.MAIN:
                     self.transport.pause(self.timing.quiet)
                     late = self._sort_out(self.transport.waiting(), missing)
                 self._unanswered = None
@@ -240,25 +244,25 @@ class Session:
             found = self._sort_out([reply], missing)
             late = late or found
         self.transport.give_up(
-            f"the controller answers neither `{missing.word}` nor `{probe.word}`: its application is stopped or deaf"
+            f"the controller answers neither `{missing.word}` nor `{probe.word}`: its application has stopped"
         )
         return None
 
     def rest(self, longest: float) -> None:
-        """Waits until the arm stands, at most `longest` seconds.
+        """Waits until the arm stands still, at most `longest` seconds.
 
         Raises:
-            ReplyTimeout, ProtocolError, ConnectionLost: as in `ask`.
+            ReplyTimeout, UnexpectedReply, ConnectionLost: as in `ask`.
         """
         deadline = time.monotonic() + longest
         while time.monotonic() < deadline and self._arm_moves():
             pass
 
     def farewell(self, stop_servo: bool) -> None:
-        """Ends the server's application: stops the servo mode if it may run, sends `end`, awaits the end of file.
+        """Ends the server's application: stops servo mode on request, sends `end`, waits for the end of file.
 
         Raises:
-            ConnectionLost: the link is lost; after the server's end of file that is the good end.
+            ConnectionLost: the link is lost, as it is after the server's end of file.
         """
         if stop_servo:
             self._send(codec.STOP_SERVO)
@@ -269,7 +273,7 @@ class Session:
         while self.transport.receive(deadline) is not None and time.monotonic() < deadline:
             pass
 
-    def _send(self, command: Command) -> float:
+    def _send(self, command: KstCommand) -> float:
         ready_at = self._main_answered_at + self.timing.main_pause
         if ready_at > time.monotonic():
             self.transport.pause(ready_at - time.monotonic())
@@ -278,38 +282,40 @@ class Session:
         self._count(sent=1)
         return sent_at
 
-    def _note_answer(self, command: Command, sent_at: float | None = None) -> None:
+    def _note_answer(self, command: KstCommand, sent_at: float | None = None) -> None:
         now = time.monotonic()
         self._count(answered=1)
         if sent_at is not None:
             self.round_trip = now - sent_at
-        if command.thread is Thread.MAIN:
+        if command.thread is ServerThread.MAIN:
             self._main_answered_at = now
 
-    def _sort(self, reply: Reply) -> bool:
-        """Puts a reply that is not the awaited answer in its place; returns whether it has one."""
+    def _sort(self, reply: KstReply) -> bool:
+        """Handles a reply that is not the awaited answer; returns whether it belongs to a motion or refuses one."""
         missing = self._unanswered
         if missing is not None and reply.kind is missing.answer:
             self._unanswered = None
-        elif self._awaits_final and self.final is None and reply.kind in (Kind.DONE, Kind.NAK):
+        elif self._awaits_final and self.final is None and reply.kind in (ReplyKind.DONE, ReplyKind.NAK):
             self.final = reply.kind
             self._main_answered_at = time.monotonic()
             return True
-        elif reply.kind is Kind.NAK and not self.refused:
+        elif reply.kind is ReplyKind.NAK and not self.refused:
             self.refused = True
             self._main_answered_at = time.monotonic()
             return True
-        if reply.kind is Kind.FOREIGN:
+        if reply.kind is ReplyKind.FOREIGN:
             self._count(foreign=1)
         else:
             self._count(stray=1)
         return False
 
-    def _sort_out(self, replies: list[Reply], missing: Command) -> Reply | None:
+    def _sort_out(self, replies: list[KstReply], missing: KstCommand) -> KstReply | None:
         """Sorts replies and returns the one among them that answers `missing`."""
         late = None
         for reply in replies:
-            expected = reply.kind is missing.answer or (reply.kind is Kind.NAK and missing.thread is Thread.MAIN)
+            expected = reply.kind is missing.answer or (
+                reply.kind is ReplyKind.NAK and missing.thread is ServerThread.MAIN
+            )
             if expected and self._unanswered is missing:
                 self._unanswered = None
                 self._count(stray=1)

@@ -1,7 +1,7 @@
 """The socket to the toolbox server: whole lines out, whole replies in, every wait bounded.
 
-Small packets leave at once (TCP_NODELAY), and a cable that is pulled out is noticed within seconds even while the
-link is idle or only written to (keepalive, TCP_USER_TIMEOUT). Once the link is lost every use says so.
+Small packets leave at once (TCP_NODELAY). Keepalive and TCP_USER_TIMEOUT reveal a cable that is pulled out within
+seconds, even while the link is idle or only written to. Every use of a lost link raises ConnectionLost.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import threading
 import time
 from collections import deque
 
-from kst.codec import LineSplitter, Reply, parse_reply
+from kst.codec import KstLineSplitter, KstReply, parse_reply
 from kst.errors import ConnectionLost, NoServer
 
 USER_TIMEOUT_S = 3.0
-"""Longest time that sent bytes may stay unconfirmed by the peer's TCP before the link counts as lost."""
+"""A link whose peer has not confirmed sent bytes for this long is lost [s]."""
 
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 2))
 _CHUNK = 65536
-_RECONNECT = "start MatlabToolboxServer again on the pad and connect anew"
+_RECONNECT = "look after the arm, restart MatlabToolboxServer on the smartPad and connect again"
 
 
-class Transport:
+class KstTransport:
     """One TCP connection; used from one thread, except `abort`."""
 
     def __init__(self, connected: socket.socket) -> None:
@@ -38,30 +38,34 @@ class Transport:
         self._readable, self._writable = select.poll(), select.poll()
         self._readable.register(self._socket, select.POLLIN)
         self._writable.register(self._socket, select.POLLOUT)
-        self._splitter = LineSplitter()
-        self._replies: deque[Reply] = deque()
+        self._splitter = KstLineSplitter()
+        self._replies: deque[KstReply] = deque()
         self._aborted = threading.Event()
         self._lost: str | None = None
         self.ended_by_peer = False
 
     @classmethod
-    def connect(cls, host: str, port: int, timeout: float) -> Transport:
+    def connect(cls, host: str, port: int, timeout: float) -> KstTransport:
         """Connects within `timeout` seconds.
 
         Raises:
-            NoServer: nobody listens there, or the address cannot be reached.
+            NoServer: nobody listens there, or the address is unreachable.
         """
         try:
             connected = socket.create_connection((host, port), timeout)
         except (OSError, OverflowError) as error:
             raise NoServer(
-                f"no toolbox server at {host}:{port} ({error}): start MatlabToolboxServer on the pad (it waits 60 s for"
-                f" a client and then ends) and check cable and address"
+                f"no toolbox server at {host}:{port} ({error}): start MatlabToolboxServer on the smartPad (it waits"
+                " 60 s for a client) and check cable and address",
+                address=f"{host}:{port}",
             ) from error
         if connected.getsockname() == connected.getpeername():
-            # A free port of the own machine may be handed out to the connecting socket itself.
+            # The kernel may give a free port of this machine to the connecting socket itself.
             connected.close()
-            raise NoServer(f"no toolbox server at {host}:{port}: the connection met only itself; start the server")
+            raise NoServer(
+                f"no toolbox server at {host}:{port}: the socket connected to itself; start the server",
+                address=f"{host}:{port}",
+            )
         return cls(connected)
 
     def send(self, line: str, timeout: float) -> None:
@@ -78,13 +82,13 @@ class Transport:
                 data = data[self._socket.send(data) :]
             except BlockingIOError:
                 if not self._wait(self._writable, deadline):
-                    self._lose(f"the controller takes no more bytes since {timeout:g} s")
+                    self._lose(f"the controller has taken no more bytes for {timeout:g} s")
             except OSError as error:
                 self.ended_by_peer = isinstance(error, ConnectionError)
                 self._lose(f"the link to the controller broke while writing ({error})")
 
-    def receive(self, deadline: float) -> Reply | None:
-        """Returns the next reply, or None when there is none until `deadline`, in seconds of time.monotonic().
+    def receive(self, deadline: float) -> KstReply | None:
+        """Returns the next reply, or None if none comes until `deadline`, in seconds of time.monotonic().
 
         Raises:
             ConnectionLost: the peer closed or reset the link, or it was aborted.
@@ -96,8 +100,8 @@ class Transport:
             self._read()
         return self._replies.popleft()
 
-    def waiting(self) -> list[Reply]:
-        """Returns the replies that have come in already; does not wait.
+    def waiting(self) -> list[KstReply]:
+        """Returns the replies that have arrived already; does not wait.
 
         Raises:
             ConnectionLost: as in `receive`.
@@ -110,7 +114,7 @@ class Transport:
         return replies
 
     def pause(self, duration: float) -> None:
-        """Waits `duration` seconds, less when the link is aborted meanwhile.
+        """Waits `duration` seconds, or until the link is aborted.
 
         Raises:
             ConnectionLost: the link was aborted.
@@ -127,12 +131,12 @@ class Transport:
         self._lose(reason)
 
     def abort(self) -> None:
-        """Ends the connection without a word; safe from any thread, wakes up one that waits here."""
+        """Drops the connection without a command to the server; any thread may call it, a waiting call wakes up."""
         self._aborted.set()
         self._shut_down()
 
     def close(self) -> None:
-        """Gives the socket back; only from the thread that uses it."""
+        """Closes the socket; only from the thread that uses it."""
         self._lost = self._lost or "the connection is closed"
         self._shut_down()
         self._socket.close()

@@ -1,0 +1,134 @@
+"""Supervision of one point-to-point motion: progress, stalls, missed readings, interruption, time-out, arrival. Pure.
+
+The toolbox reports only the end of a motion and cannot stop one. A safety stop or a released enabling switch therefore
+shows only in joints that stand still.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kst.poses import read_only
+
+MOVED_RAD = math.radians(0.02)
+"""A smaller change of the joints is not a motion [rad]."""
+
+
+@dataclass(frozen=True)
+class PtpLimits:
+    """Bounds of a supervised motion.
+
+    Attributes:
+        arrived: largest distance of a joint from its goal at the end of the motion [rad].
+        stalled: an arm that stands still for this long is stalled [s].
+        given_up: an arm that stands still for this long is not awaited any longer [s].
+        timeout: longest motion [s].
+        missed: this many missed readings in a row are an error.
+        period: time between two readings [s].
+    """
+
+    arrived: float = math.radians(0.1)
+    stalled: float = 3.0
+    given_up: float = 60.0
+    timeout: float = math.inf
+    missed: int = 5
+    period: float = 0.1
+
+
+class PtpState(enum.Enum):
+    """State of a supervised motion; all but MOVING and STALLED are final."""
+
+    MOVING = "moving"
+    STALLED = "stalled"
+    ARRIVED = "arrived"
+    INTERRUPTED = "interrupted"
+    SHORT = "ended before its goal"
+    GIVEN_UP = "given up"
+    TIMED_OUT = "timed out"
+
+
+@dataclass(frozen=True)
+class PtpProgress:
+    """Progress of a motion.
+
+    Attributes:
+        state: of the motion.
+        fraction: of the largest joint step that is done, 0 to 1.
+        joint: the joint with the largest remaining step, 1 to 7.
+        remaining: that step, absolute [rad].
+        still: time since the arm moved last [s].
+        stall_began: whether the arm is stalled since this reading.
+    """
+
+    state: PtpState
+    fraction: float
+    joint: int
+    remaining: float
+    still: float
+    stall_began: bool = False
+
+
+@dataclass
+class PtpSupervisor:
+    """Judges a motion from one reading to the next.
+
+    Attributes:
+        start: joints before the motion, shape (7,) [rad].
+        goal: joints after the motion, shape (7,) [rad].
+        started: time at which it starts [s].
+        limits: its bounds.
+    """
+
+    start: np.ndarray
+    goal: np.ndarray
+    started: float
+    limits: PtpLimits = field(default_factory=PtpLimits)
+
+    def __post_init__(self) -> None:
+        self._last, self._goal = read_only(self.start), read_only(self.goal)
+        self._step = float(np.max(np.abs(self._goal - self._last)))
+        self._moved_at = self.started
+        self._stalled = False
+        self._missed = 0
+
+    def observe(self, q: np.ndarray, now: float, arrived: bool = False, interrupted: bool = False) -> PtpProgress:
+        """Returns the progress at the joints q, shape (7,) [rad], at the time `now` [s].
+
+        Args:
+            q: measured joints.
+            now: monotonic time.
+            arrived: the controller reported the end of the motion before the joints were read.
+            interrupted: the user wants to wait no longer; the arm continues to its goal.
+        """
+        self._missed = 0
+        if np.max(np.abs(q - self._last)) > MOVED_RAD:
+            self._last, self._moved_at = read_only(q), now
+        left = np.abs(self._goal - q)
+        joint, still = int(np.argmax(left)), now - self._moved_at
+        remaining = float(left[joint])
+        fraction = 1.0 - remaining / self._step if self._step > 0.0 else 1.0
+        state = self._state(remaining, still, now, arrived, interrupted)
+        stalled = state is PtpState.STALLED
+        began, self._stalled = stalled and not self._stalled, stalled
+        return PtpProgress(state, min(max(fraction, 0.0), 1.0), joint + 1, remaining, still, began)
+
+    def miss(self) -> bool:
+        """Counts a reading that did not come or was unusable; returns whether these are too many in a row."""
+        self._missed += 1
+        return self._missed >= self.limits.missed
+
+    def _state(self, remaining: float, still: float, now: float, arrived: bool, interrupted: bool) -> PtpState:
+        limits = self.limits
+        if arrived:
+            return PtpState.ARRIVED if remaining <= limits.arrived else PtpState.SHORT
+        if interrupted:
+            return PtpState.INTERRUPTED
+        if still >= limits.given_up:
+            return PtpState.GIVEN_UP
+        if now - self.started >= limits.timeout:
+            return PtpState.TIMED_OUT
+        return PtpState.STALLED if still >= limits.stalled else PtpState.MOVING
