@@ -15,14 +15,15 @@ import numpy as np
 
 from bench.measure import SRC, BenchError, Row, number, row
 from common.poses import translation
-from kst.client import KstClient, Timing
+from kst import Feedback, KstClient, KstTiming
 
 PROGRAM = SRC / "modules" / "rig_simulation" / "scripts" / "sunrise_controller.py"
 READY = re.compile(r"listening on 127\.0\.0\.1:(\d+)")
 TOOL = translation(0.0, 0.0, 0.106)
 PERIOD_S = 1.0 / 250.0
 SWING_RAD = 0.03
-CALLS = ("servo", "servo_joints", "servo_unacknowledged")
+CALLS = {"servo": Feedback.DONE, "servo_joints": Feedback.JOINTS, "servo_unacknowledged": Feedback.NOTHING}
+"""Feedback of a call, by the name of its row."""
 
 
 def rows(quick: bool) -> list[Row]:
@@ -30,11 +31,11 @@ def rows(quick: bool) -> list[Row]:
     paced, fast = (50, 50) if quick else (5000, 5000)
     table = []
     with simulated_controller() as port:
-        timing = Timing(servo_reply=10.0, reply=10.0)
+        timing = KstTiming(servo_reply=10.0, reply=10.0)
         with KstClient.connect("127.0.0.1", port, TOOL, timeout=10.0, timing=timing) as client:
             client.start_joint_servo()
-            for name in CALLS:
-                table += _call_rows(client, name, paced, fast)
+            for name, feedback in CALLS.items():
+                table += _call_rows(client, name, feedback, paced, fast)
     return table
 
 
@@ -63,11 +64,13 @@ def simulated_controller() -> Iterator[int]:
         process.stdout.close()
 
 
-def _call_rows(client: KstClient, name: str, paced: int, fast: int) -> list[Row]:
-    call = getattr(client, name)
+def _call_rows(client: KstClient, name: str, feedback: Feedback, paced: int, fast: int) -> list[Row]:
+    def call(q: np.ndarray) -> None:
+        client.servo(q, feedback)
+
     starts, ends = _paced(call, paced)
     late = np.abs(np.diff(starts) - PERIOD_S)
-    way = "call (written, no answer)" if name == "servo_unacknowledged" else "round trip"
+    way = "call (written, no answer)" if feedback is Feedback.NOTHING else "round trip"
     table = [
         row(f"kst {name}: {way}", 1e3 * (ends - starts), "ms", "goals at 250 Hz to the simulated controller, loopback"),
         row(f"kst {name}: jitter of the period", 1e3 * late, "ms", "how far a period was from 4 ms; time.sleep"),

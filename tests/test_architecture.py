@@ -28,7 +28,7 @@ ROS = {"rospy", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "rospkg", "geome
        "reflex_msgs", "rig_msgs", "grasp_msgs"}  # fmt: skip
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files: they may hold sockets, clocks and threads.
-EDGES = {"transport", "session", "client", "ports"}
+EDGES = {"transport", "session", "client", "ptp_client", "ports"}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
 STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
 

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from kst.errors import ProtocolError, ReplyTimeout
+from kst import Feedback, ReplyTimeout, UnexpectedReply
 from kuka_control.loop.arm import KstArm
 
 
@@ -26,15 +26,18 @@ class FakeClient:
         self.round_trip = 0.001
 
     def __getattr__(self, name):
-        def ask(*_):
-            self.asked[name] += 1
-            if self.silent and name not in ("joints",):
-                raise ReplyTimeout("silent")
-            if self.fails.get(name):
-                raise self.fails[name].pop(0)
-            return self.arrived if name == "ptp_arrived" else np.full(7, float(self.asked[name]))
+        def ask(*arguments):
+            return self._answer(arguments[1] if name == "servo" else name)
 
         return ask
+
+    def _answer(self, asked):
+        self.asked[asked] += 1
+        if self.silent and asked != "joints":
+            raise ReplyTimeout("silent")
+        if self.fails.get(asked):
+            raise self.fails[asked].pop(0)
+        return self.arrived if asked == "ptp_arrived" else np.full(7, float(self.asked[asked]))
 
 
 def in_servo(client):
@@ -52,8 +55,8 @@ def test_in_servo_mode_every_goal_brings_joints_and_each_tenth_every_other_kind(
         arm.servo(np.zeros(7))
         assert arm.state.joints is not joints
         joints = arm.state.joints
-    assert client.asked["servo_joints"] == 60 and client.asked["joints"] == 40
-    for kind in ("servo_external_torques", "servo_measured_torques", "servo_pose", "servo_force"):
+    assert client.asked[Feedback.JOINTS] == 60 and client.asked["joints"] == 40
+    for kind in (Feedback.EXTERNAL_TORQUES, Feedback.MEASURED_TORQUES, Feedback.POSE, Feedback.FORCE):
         assert client.asked[kind] == 10
     assert arm.state.moment is not None and arm.take_remarks() == []
     assert arm.estimated_in_servo == ("moment",)
@@ -65,14 +68,14 @@ def test_on_a_slow_link_no_goal_waits_for_a_second_question():
     client.round_trip = 0.0015
     for _ in range(100):
         arm.servo(np.zeros(7))
-    assert client.asked["servo_joints"] == 60 and client.asked["joints"] == 0
+    assert client.asked[Feedback.JOINTS] == 60 and client.asked["joints"] == 0
 
 
 def test_what_an_old_server_does_not_tell_is_said_once_and_calculated():
     client = FakeClient()
     client.fails = {
-        "servo_pose": [ProtocolError("the force instead")] * 2,
-        "servo_force": [ReplyTimeout("silent")] * 2,
+        Feedback.POSE: [UnexpectedReply("the force instead")] * 2,
+        Feedback.FORCE: [ReplyTimeout("silent")] * 2,
     }
     arm = in_servo(client)
     pose, force = arm.take_remarks()
@@ -80,7 +83,7 @@ def test_what_an_old_server_does_not_tell_is_said_once_and_calculated():
     assert arm.estimated_in_servo == ("moment", "pose", "force")
     for _ in range(20):
         arm.servo(np.zeros(7))
-    assert set(client.asked) == {"servo_joints", "joints", "servo_external_torques", "servo_measured_torques"}
+    assert set(client.asked) == {Feedback.JOINTS, "joints", Feedback.EXTERNAL_TORQUES, Feedback.MEASURED_TORQUES}
     assert arm.state.T_base_tool is None
     np.testing.assert_array_equal(arm.state.force, arm.state.torques_external[:3])
     arm.stop_servo()
@@ -90,11 +93,11 @@ def test_what_an_old_server_does_not_tell_is_said_once_and_calculated():
 
 def test_one_lost_answer_drops_no_kind_of_reading():
     client = FakeClient()
-    client.fails = {"servo_pose": [ProtocolError("NaN")], "servo_force": [ReplyTimeout("silent")]}
+    client.fails = {Feedback.POSE: [UnexpectedReply("NaN")], Feedback.FORCE: [ReplyTimeout("silent")]}
     arm = in_servo(client)
     for _ in range(10):
         arm.servo(np.zeros(7))
-    assert client.asked["servo_pose"] == client.asked["servo_force"] == 1
+    assert client.asked[Feedback.POSE] == client.asked[Feedback.FORCE] == 1
     assert arm.take_remarks() == []
 
 

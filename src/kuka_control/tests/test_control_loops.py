@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.poses import pose, read_only
 from common.rotations import rotation_about, rotation_from_zyx
-from kst.errors import ConnectionLost, MotionRefused, ReplyTimeout
+from kst import ConnectionLost, MotionRefused, ReplyTimeout
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Servo

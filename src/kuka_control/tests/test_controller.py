@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kst.errors import MotionRefused, ProtocolError, ReplyTimeout
+from kst import MotionRefused, ReplyTimeout, UnexpectedReply
 from kuka_control.loop.commands import Servo, StartPtp, Step, StopServo, Wait
 from kuka_control.loop.controller import MAX_MISSED, WARN_EVERY_S, Controller, Inputs
 
 Q = np.zeros(7)
 GOAL, PTP = Servo(Q), StartPtp(Q, 0.1)
-NAN, LATE = ProtocolError("the controller reported `NaN_`, which is not all numbers"), ReplyTimeout("late")
+NAN, LATE = UnexpectedReply("the controller reported `NaN_`, which is not all numbers"), ReplyTimeout("late")
 
 
 class Arm:
@@ -75,7 +75,7 @@ def test_what_is_missed_again_and_again_is_said_once_in_a_while():
 
 
 def test_a_stop_that_is_not_confirmed_is_no_single_missed_answer():
-    with pytest.raises(ProtocolError):
+    with pytest.raises(UnexpectedReply):
         Cycles(StopServo()).run(NAN)
 
 

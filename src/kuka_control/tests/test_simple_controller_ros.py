@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
-from kst.client import KstClient
+from kst import KstClient
 from rig_simulation.control_port import ControlClient
 
 pytestmark = pytest.mark.ros
@@ -209,7 +209,7 @@ class TestWithoutMaster:
         process.send_signal(signal.SIGINT)
         assert process.wait(20.0) == 130
         text = process.log_path.read_text()
-        assert "cannot stop a motion to a point" in text and "smartPad" in text and "connection is closed" in text
+        assert "cannot stop a PTP motion" in text and "smartPad" in text and "connection is closed" in text
         assert "Traceback" not in text
         wait_until(lambda: np.allclose(robot.degrees, FAR, atol=0.1), MOVE_S, "the motion's end")
 

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from kst.errors import ConnectionLost, NoServer, ProtocolError
+from kst import ConnectionLost, NoServer, UnexpectedReply
 from kuka_control.loop.commands import Observation, StartPtp, Step, Wait
 from kuka_control.loop.standby import LONGEST_PAUSE_S, REMIND_S, Standby
 from kuka_control.loop.stream import Desired
@@ -87,7 +87,7 @@ def test_tries_come_ever_more_rarely_and_are_said_once_in_a_while(standby):
 
 @pytest.mark.parametrize(
     "error, opening",
-    [(LOST, "The robot is out of reach"), (ProtocolError("NaN"), "The link to the robot was given up")],
+    [(LOST, "The robot is out of reach"), (UnexpectedReply("NaN"), "The link to the robot was given up")],
 )
 def test_only_a_silent_robot_is_called_out_of_reach(error, opening):
     assert Standby(error, Counter(), Loop, 0.0).reason.startswith(f"{opening}: {error}. Control is off")

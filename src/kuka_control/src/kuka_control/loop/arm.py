@@ -1,7 +1,7 @@
 """The robot behind one interface: what the control loop asks of it, and that over the toolbox's client.
 
 Joints q have shape (7,) [rad]. All calls come from one thread and return within the client's time-outs. The client's
-errors (kst.errors, all DeviceError) pass through: a lost connection ends the controller.
+errors (kst.KstError) pass through: a lost connection ends the controller.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
 from common.poses import read_only
-from kst.client import KstClient
-from kst.errors import ProtocolError, ReplyTimeout
+from kst import Feedback, KstClient, ReplyTimeout, UnexpectedReply
 
-NO_READING = (ReplyTimeout, ProtocolError)
+NO_READING = (ReplyTimeout, UnexpectedReply)
 """Errors of one answer, which did not come or says nothing, on a link that may be sound."""
 
 
@@ -90,7 +89,7 @@ class Arm(ABC):
         """Starts a motion to q at the share `velocity` of the full joint speed, (0, 1]; returns once it is accepted.
 
         Raises:
-            kst.errors.MotionRefused: the robot's controller refused it.
+            kst.MotionRefused: the robot's controller refused it.
         """
 
     @abstractmethod
@@ -98,7 +97,7 @@ class Arm(ABC):
         """Returns whether the motion has ended, without waiting.
 
         Raises:
-            kst.errors.MotionRefused: the robot's controller gave the motion up.
+            kst.MotionRefused: the robot's controller gave the motion up.
         """
 
     @abstractmethod
@@ -110,7 +109,7 @@ class Arm(ABC):
         """Sends a servo goal and brings joints, and in turn the other kinds of reading, in `state` up to date.
 
         Raises:
-            kst.errors.MotionRefused: the robot's controller has ended servo mode.
+            kst.MotionRefused: the robot's controller has ended servo mode.
         """
 
     @abstractmethod
@@ -118,7 +117,7 @@ class Arm(ABC):
         """Ends servo mode, once the arm stands at its last goal.
 
         Raises:
-            kst.errors.MotionRefused: servo mode had ended by itself before.
+            kst.MotionRefused: servo mode had ended by itself before.
         """
 
     @abstractmethod
@@ -159,6 +158,13 @@ class KstArm(Arm):
         *("joints", "torques_external", "joints", "torques_measured", "joints"),
         *("joints", "T_base_tool", "joints", "force", "joints"),
     )
+    FEEDBACK: ClassVar = {
+        "joints": Feedback.JOINTS,
+        "torques_external": Feedback.EXTERNAL_TORQUES,
+        "torques_measured": Feedback.MEASURED_TORQUES,
+        "T_base_tool": Feedback.POSE,
+        "force": Feedback.FORCE,
+    }
     REST_TURN = ("torques_external", "torques_measured", "T_base_tool", "force", "moment")
 
     def __init__(
@@ -171,13 +177,6 @@ class KstArm(Arm):
         self._remarks: list[str] = []
         self._turn = 0
         self._at_rest = True
-        self._servo_calls = {
-            "joints": client.servo_joints,
-            "torques_external": client.servo_external_torques,
-            "torques_measured": client.servo_measured_torques,
-            "T_base_tool": client.servo_pose,
-            "force": client.servo_force,
-        }
         self._rest_calls = {
             "torques_external": client.external_torques,
             "torques_measured": client.measured_torques,
@@ -231,7 +230,7 @@ class KstArm(Arm):
         kind = self._next(self.SERVO_TURN)
         if kind in self._untold:
             kind = "joints"
-        value = self._servo_calls[kind](q)
+        value = self._client.servo(q, self.FEEDBACK[kind])
         self._take(kind, value)
         if kind == "torques_external":
             force, moment = self._wrench(self.measured_joints, value)
@@ -256,7 +255,7 @@ class KstArm(Arm):
         """Finds out what the server's answers to servo goals can tell, by goals where the arm is."""
         for kind, (name, remedy) in NEWER.items():
             try:
-                _second_try(partial(self._servo_calls[kind], q))
+                _second_try(partial(self._client.servo, q, self.FEEDBACK[kind]))
             except NO_READING:
                 self._untold += (kind,)
                 self._remarks.append(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from common.errors import DeviceError
-from kst.errors import MotionRefused, ReplyTimeout
+from kst import KstError, MotionRefused, ReplyTimeout
 from kuka_control.loop.arm import NO_READING, Arm
 from kuka_control.loop.commands import End, Event, Observation, Servo, StartPtp, StartServo, Step, StopServo
 from kuka_control.loop.control_loop import ControlLoop
@@ -63,7 +62,7 @@ class Controller:
             now: monotonic time [s].
 
         Raises:
-            DeviceError: the connection is lost, or the robot's controller stays silent or answers nonsense.
+            KstError: the connection is lost, or the robot's controller stays silent or answers nonsense.
         """
         self._watch_motion()
         refused, self._refused = self._refused, None
@@ -91,7 +90,7 @@ class Controller:
         remarks = tuple(Event("warn", remark) for remark in self._arm.take_remarks())
         return replace(step, events=step.events + remarks) if remarks else step
 
-    def _miss(self, step: Step, error: DeviceError) -> None:
+    def _miss(self, step: Step, error: KstError) -> None:
         """Counts an answer that did not come or was none; raises it again where that is the end of the link."""
         self.missed += 1
         if isinstance(step.command, (StartPtp, StartServo)):
@@ -102,7 +101,7 @@ class Controller:
         if isinstance(step.command, StopServo) or self._missed_in_a_row >= MAX_MISSED:
             raise error
 
-    def _warning(self, error: DeviceError, now: float) -> tuple[Event, ...]:
+    def _warning(self, error: KstError, now: float) -> tuple[Event, ...]:
         if now - self._warned_at < WARN_EVERY_S:
             return ()
         self._warned_at = now

@@ -11,8 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
-from common.errors import DeviceError
-from kst.errors import ConnectionLost, ReplyTimeout
+from kst import ConnectionLost, KstError, ReplyTimeout
 from kuka_control.loop.commands import Event, Observation, Step, Wait
 from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.loop.stream import Desired
@@ -39,9 +38,7 @@ class Standby:
         next_try: when to try to connect, monotonic time [s].
     """
 
-    def __init__(
-        self, error: DeviceError, counts: Counter[str], make_loop: Callable[[], ControlLoop], now: float
-    ) -> None:
+    def __init__(self, error: KstError, counts: Counter[str], make_loop: Callable[[], ControlLoop], now: float) -> None:
         silent = isinstance(error, (ConnectionLost, ReplyTimeout))
         what = "The robot is out of reach" if silent else "The link to the robot was given up"
         self.counts = counts
@@ -63,7 +60,7 @@ class Standby:
         """Why nothing moves; None if nothing hinders it."""
         return self.reason if self._loop is None else self._loop.stopped_because
 
-    def failed(self, error: DeviceError, now: float) -> tuple[Event, ...]:
+    def failed(self, error: KstError, now: float) -> tuple[Event, ...]:
         """Takes in that a try failed at the time `now` [s]; returns what is to be said."""
         self._tries += 1
         self._pause = min(2.0 * self._pause, LONGEST_PAUSE_S)

@@ -16,6 +16,7 @@ from common.ros import node
 from common.ros.diagnostics import Diagnostics
 from common.ros.params import wait_for_config
 from common.ros.stage_times import StageTimes
+from kst import KstError
 from kuka_control.loop import assembly
 from kuka_control.loop.commands import End, Event, Servo, Step
 from kuka_control.loop.control_loop import ControlLoop
@@ -97,7 +98,7 @@ class _Node:
             while not rospy.is_shutdown():
                 try:
                     return self._run_loop()
-                except DeviceError as error:
+                except KstError as error:
                     if not self._stand_by(error):
                         return
         except rospy.ROSException:
@@ -116,7 +117,7 @@ class _Node:
             if isinstance(self._step.command, End):
                 return self._end(self._step.command)
 
-    def _stand_by(self, error: DeviceError) -> bool:
+    def _stand_by(self, error: KstError) -> bool:
         """Waits until the robot is connected again; False: this controller is to end before.
 
         Raises:
@@ -141,7 +142,7 @@ class _Node:
                 continue
             try:
                 self._link.again()
-            except DeviceError as failure:
+            except KstError as failure:
                 self._say(standby.failed(failure, time.monotonic()))
                 self._show(standby.waiting())
                 continue

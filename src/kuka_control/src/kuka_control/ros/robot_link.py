@@ -8,8 +8,7 @@ from functools import partial
 import rospy
 
 from common.errors import DeviceError
-from kst.client import KstClient
-from kst.errors import NoServer
+from kst import KstClient, KstError, NoServer
 from kuka_control.loop.arm import KstArm
 from kuka_control.model.config import ArmConfig
 from kuka_control.model.rig import Rig
@@ -50,7 +49,7 @@ class RobotLink:
         """Tries once to connect; `arm` is another one then.
 
         Raises:
-            DeviceError: it did not succeed.
+            KstError: it did not succeed.
         """
         self.arm = self._connected(AGAIN_TIMEOUT_S)
 
@@ -60,7 +59,7 @@ class RobotLink:
         while not rospy.is_shutdown():
             try:
                 return self._connected(TIMEOUT_S)
-            except DeviceError as error:
+            except KstError as error:
                 if not isinstance(error, NoServer) or time.monotonic() > deadline:
                     if ends_soon():
                         break
@@ -77,7 +76,7 @@ class RobotLink:
         client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool, timeout=timeout)
         try:
             return KstArm(client, partial(wrench_at_tool, rig.kinematics))
-        except DeviceError:
+        except KstError:
             client.close()
             raise
 

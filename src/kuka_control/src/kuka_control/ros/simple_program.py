@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import signal
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,8 @@ import rospy
 
 from common.errors import ConfigError, DeviceError, RigError
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
-from kst.client import KstClient
-from kst.errors import ReplyTimeout, ServerBusy
-from kst.limits import JointLimits
-from kuka_control.limits.joint_motion import ARRIVED_DEG, JointMotion, MotionWatch, Progress
+from kst import JointLimits, KstClient, KstError, PtpProgress, PtpState, ServerBusy, read_joints, run_ptp
+from kuka_control.limits.joint_motion import JointMotion
 from kuka_control.model.joint_configurations import chosen_configuration, named_configurations
 from kuka_control.model.robot_address import OPTIONS, RobotAddress, robot_address
 from kuka_control.ros.parameter_server import (
@@ -35,14 +32,8 @@ NODE = "kuka_simple_node"
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", NODE)
 """Nodes that hold the robot's only connection while they run."""
 
-PERIOD_S = 0.1
-"""Between two looks at the arm [s]."""
-
-MAX_MISSED = 5
-"""So many answers in a row may fail to come."""
-
 STOP_M_PER_S = 0.8
-"""Above this speed of the tool point the robot's controller stops the arm on its way [m/s]."""
+"""Above this speed of the tool point the robot's controller stops the arm [m/s]."""
 
 INTERRUPTED = 130
 
@@ -57,7 +48,7 @@ def main() -> None:
     sys.stdout.reconfigure(line_buffering=True)
     try:
         code = _run(options)
-    except RigError as error:
+    except (RigError, KstError) as error:
         for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
             print(f"simple_controller: {sentence}", file=sys.stderr)
         code = 1
@@ -100,7 +91,7 @@ def _move(
     target: np.ndarray,
     options: argparse.Namespace,
 ) -> int:
-    motion = JointMotion(client.joints(), target)
+    motion = JointMotion(read_joints(client), target)
     print("\n".join(motion.table()))
     if not motion.needed:
         print(f"The arm is at {name} already; nothing was moved.")
@@ -117,15 +108,26 @@ def _move(
     if not agreed:
         print("Nothing was moved.")
         return INTERRUPTED if agreed is None else 1
+    line = ProgressLine()
+
+    def show(progress: PtpProgress, _: np.ndarray) -> None:
+        line.show(progress)
+        if progress.stall_began:
+            line.end()
+            print("The arm does not move: look at the smartPad (enabling switch, safety stop, speed override).")
+
     with Interruption() as interruption:
-        client.start_ptp_joints(target, options.velocity)
-        watch = MotionWatch(motion, time.monotonic())
-        progress = _follow(client, watch, interruption)
-    if progress is not None:
-        return _leave(progress)
-    joint, left = JointMotion(client.joints(), target).largest
-    if abs(left) > ARRIVED_DEG:
-        raise DeviceError(f"The motion ended with joint {joint} still {abs(left):.1f} deg away; look at the smartPad.")
+        try:
+            end = run_ptp(client, target, options.velocity, report=show, interrupted=lambda: interruption.asked)
+        finally:
+            line.end()
+    if end.state is PtpState.INTERRUPTED:
+        print(
+            "Interrupted, but the toolbox cannot stop a PTP motion: the arm continues to its goal, "
+            f"{np.degrees(end.remaining):.1f} deg more.\n"
+            "To stop it, press stop or release the enabling switch on the smartPad."
+        )
+        return INTERRUPTED
     print(f"The arm is at {name}.")
     return 0
 
@@ -135,53 +137,8 @@ def _refuse_if_too_fast(speed: float, velocity: float) -> None:
         slower = np.floor(100.0 * velocity * STOP_M_PER_S / speed) / 100.0
         raise RigError(
             f"The tool would move at up to {speed:.2f} m/s, and above {STOP_M_PER_S:g} m/s the robot's controller "
-            f"stops the arm on its way; use --velocity {slower:g}."
+            f"stops the arm; use --velocity {slower:g}."
         )
-
-
-def _follow(client: KstClient, watch: MotionWatch, interruption: Interruption) -> Progress | None:
-    """Shows the motion to its end; returns the progress if it was interrupted before.
-
-    Raises:
-        DeviceError: the robot refused or gave up the motion, does not answer, or the arm stands still for too long.
-    """
-    line = ProgressLine()
-    missed = 0
-    told = False
-    try:
-        while True:
-            try:
-                arrived = client.ptp_arrived()
-                progress = watch.step(client.joints(), time.monotonic())
-                missed = 0
-            except ReplyTimeout:
-                missed += 1
-                if missed == MAX_MISSED:
-                    raise
-                continue
-            line.show(progress)
-            if arrived or interruption.asked:
-                return None if arrived else progress
-            if progress.given_up:
-                raise DeviceError(
-                    f"The arm has not moved for {progress.still:.0f} s, {progress.remaining:.1f} deg before its goal; "
-                    "the motion is still pending on the robot: end the server on the smartPad before it is released."
-                )
-            if progress.stalled and not told:
-                line.end()
-                print("The arm does not move: look at the smartPad (enabling switch, safety stop, speed override).")
-            told = progress.stalled
-            time.sleep(PERIOD_S)
-    finally:
-        line.end()
-
-
-def _leave(progress: Progress) -> int:
-    print(
-        "Interrupted, but the toolbox cannot stop a motion to a point: the arm goes on to its goal, "
-        f"{progress.remaining:.1f} deg more.\nTo stop it, press stop or release the enabling switch on the smartPad."
-    )
-    return INTERRUPTED
 
 
 def _address(options: argparse.Namespace) -> tuple[RobotAddress, bool]:
@@ -219,7 +176,7 @@ def _connect(address: RobotAddress, model: RobotModel, T_flange_tool: np.ndarray
             "The robot serves one program at a time, and another one seems to have it (is a controller node running?): "
             f"{error}."
         ) from error
-    except DeviceError as error:
+    except KstError as error:
         raise DeviceError(f"There is no connection to the robot: {error}.") from error
 
 

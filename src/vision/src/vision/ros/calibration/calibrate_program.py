@@ -35,7 +35,7 @@ from vision.ros.calibration.store import read
 from vision.ros.calibration.tf_poses import Frames
 from vision.ros.marker_board.detections import PanelSights
 from vision.ros.marker_board.view_capture import VIEW_TIMEOUT_S, PanelViewer
-from vision.ros.visiting_arm import RobotAddress, VisitingArm, robot_address
+from vision.ros.ptp_arm import ArmAddress, PtpArm, arm_address
 
 NODE = "calibrate_camera"
 DETECTOR = "apriltag_ros_continuous_node"
@@ -113,7 +113,7 @@ def _views_by_hand(options: argparse.Namespace, setup: CalibrationSetup, viewer:
             ) from None
         return _taken_by_hand(setup, viewer, lambda: frames.flange(rospy.Time.now(), FLANGE_WAIT_S))
     address = _address(options, setup)
-    arm = VisitingArm(address, ArmModel(urdf(address.robot, address.flange)), options.velocity)
+    arm = PtpArm(address, ArmModel(urdf(address.robot, address.flange)), options.velocity)
     try:
         return _taken_by_hand(setup, viewer, arm.flange)
     finally:
@@ -154,10 +154,10 @@ def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: 
     rng = np.random.default_rng(options.seed)
     if not options.yes and not sys.stdin.isatty():
         raise Refused("There is no terminal to ask on whether the arm may move; use --yes.")
-    print(f"The arm is {address.robot} with {address.flange}, its {address.attitude}.")
+    print(f"The arm is {address.robot} with {address.flange}, its {address.orientation}.")
     print(f"It goes to {_text(config.start)} deg, and then to the views, at {options.velocity:.0%} of full speed.")
     _agree(options, "Is the way free, and may it move?")
-    arm = VisitingArm(address, model, options.velocity)
+    arm = PtpArm(address, model, options.velocity)
     try:
         guess = _first_guess(setup, config, R_world_base)
         _go_to_start(arm, planner, guess, np.radians(config.start))
@@ -173,22 +173,22 @@ def _views_by_arm(options: argparse.Namespace, setup: CalibrationSetup, sights: 
         _agree(options, f"Visit {len(legs)} views, about {_duration(legs, here, options.velocity):.0f} s?")
         views = _visit(arm, legs, setup, viewer)
         for q in planner.way_back(here, legs, guess):
-            arm.go(q, print)
+            arm.move_to(q)
         return views
     finally:
         _end(arm)
 
 
-def _address(options: argparse.Namespace, setup: CalibrationSetup) -> RobotAddress:
-    return robot_address(setup.store_config, {key: getattr(options, key) for key in ("ip", "port", "robot", "flange")})
+def _address(options: argparse.Namespace, setup: CalibrationSetup) -> ArmAddress:
+    return arm_address(setup.store_config, {key: getattr(options, key) for key in ("ip", "port", "robot", "flange")})
 
 
-def _end(arm: VisitingArm) -> None:
+def _end(arm: PtpArm) -> None:
     arm.close()
     print("The connection is closed and the server on the robot ends with it; start it again for the next program.")
 
 
-def _go_to_start(arm: VisitingArm, planner: ViewPlanner, guess: np.ndarray, start: np.ndarray) -> None:
+def _go_to_start(arm: PtpArm, planner: ViewPlanner, guess: np.ndarray, start: np.ndarray) -> None:
     """Raises DeviceError if the start, or the way there, all joints together, is not clear."""
     if planner.clearance(start, guess) <= 0.0:
         raise DeviceError(
@@ -200,7 +200,7 @@ def _go_to_start(arm: VisitingArm, planner: ViewPlanner, guess: np.ndarray, star
             "On the straight way of the joints to the start the arm, hand or panel would come too near to the table, "
             "the camera or the arm: bring the arm elsewhere first, with rosrun kuka_control simple_controller.py."
         )
-    arm.go(start, print)
+    arm.move_to(start)
 
 
 def _first_guess(setup: CalibrationSetup, config: ViewsConfig, R_world_base: np.ndarray) -> np.ndarray:
@@ -218,7 +218,7 @@ def _sighted_guess(arm, setup, sights, planner: ViewPlanner, guess, start, rng) 
     legs += planner.tour(planner.candidates(guess, rng, centre_only=True)[:FIRST_PLACES], start, guess)
     for leg in legs:
         for q in leg.way:
-            arm.go(q, print)
+            arm.move_to(q)
         time.sleep(SETTLE_S)
         seen = sights.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
         if seen:
@@ -233,11 +233,11 @@ def _sighted_guess(arm, setup, sights, planner: ViewPlanner, guess, start, rng) 
     )
 
 
-def _visit(arm: VisitingArm, legs: list[Leg], setup: CalibrationSetup, viewer: PanelViewer) -> list[View]:
+def _visit(arm: PtpArm, legs: list[Leg], setup: CalibrationSetup, viewer: PanelViewer) -> list[View]:
     views: list[View] = []
     for i, leg in enumerate(legs, start=1):
         for q in leg.way:
-            arm.go(q, print)
+            arm.move_to(q)
         time.sleep(SETTLE_S)
         seen, how = viewer.look()
         try:
