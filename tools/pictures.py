@@ -202,7 +202,7 @@ def _shoot(file: str) -> None:
 def _shrink(file: Path) -> None:
     picture = Image.open(file).convert("RGB")
     width = SHEET_WIDTH if file.name in SHEETS else WIDTH
-    picture.thumbnail((width, width), Image.LANCZOS)
+    picture.thumbnail((width, width), Image.Resampling.LANCZOS)
     picture.quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE).save(file, optimize=True)
 
 

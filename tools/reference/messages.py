@@ -38,8 +38,7 @@ def page() -> str:
         spec = load(context, name, search)
         genmsg.load_depends(context, spec, search)
         md5 = genmsg.compute_md5(context, spec)
-        kind = "message" if file.suffix == ".msg" else "service"
-        parts.append(f"### {name}\n\n{kind}, MD5 `{md5}`\n\n```text\n{file.read_text().rstrip()}\n```\n")
+        parts.append(f"### {name}\n\nMD5 `{md5}`\n\n```text\n{file.read_text().rstrip()}\n```\n")
     return "\n".join(parts)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,8 +90,12 @@ NODES: dict[str, Node] = {
 
 
 def of_package(package: str) -> list[str]:
-    """Returns the parts of the page about the nodes of a package."""
-    return [_section(program) for program in NODES if program.split("/")[0] == package]
+    """Returns the parts of the page about the nodes of a package; nodes with the same parameters share one."""
+    programs: dict[str, list[str]] = defaultdict(list)
+    for program in NODES:
+        if program.split("/")[0] == package:
+            programs[_section(program)].append(program.split("/")[1])
+    return [f"### {', '.join(names)}\n\n{text}" for text, names in programs.items()]
 
 
 def keys(program: str) -> set[str]:
@@ -103,14 +108,13 @@ def keys(program: str) -> set[str]:
 
 def _section(program: str) -> str:
     node = NODES[program]
-    name = program.split("/")[1]
-    parts = [f"### {name}\n"]
+    parts = []
     if node.files:
         loaded = (
             f"{', '.join(markdown.code(file) for file in files)}{f' as `~{where}`' if where else ''}"
             for where, files in node.files.items()
         )
-        parts.append(f"Private parameters of the node, from {'; '.join(loaded)}.\n")
+        parts.append(f"From {'; '.join(loaded)}.\n")
     rows = []
     for where, schema in node.schemas.items():
         in_files = {key for file in node.files.get(where, ()) for key in _values(file)}

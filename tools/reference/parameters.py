@@ -95,8 +95,8 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
 }
 """What the page shows as tables."""
 
-Shown = Dict[Tuple[str, ...], Tuple[str, str]]
-"""File and value by package, key, range and meaning."""
+Shown = Dict[Tuple[str, ...], Tuple[str, str, str]]
+"""Package, file and value that explain a key, by schema or package, key, range and meaning."""
 
 AS_IT_IS = {
     "apriltag_ros/config/tags.yaml",
@@ -161,12 +161,16 @@ def _file(file: Path, shown: Shown) -> str:
     for part in found:
         for row in _rows(part, values, comments):
             key, default, *meaning = row
-            before, value = shown.setdefault((sources.package(file), key.split(".")[-1], *meaning), (name, default))
-            if before == name:
+            package = sources.package(file)
+            row_of = (key.split(".")[-1], *meaning)
+            first = shown.get((part.schema, *row_of)) or shown.get((package, *row_of)) or (package, name, default)
+            shown[(part.schema, *row_of)] = shown[(package, *row_of)] = first
+            if first[:2] == (package, name):
                 if row not in rows:
                     rows.append(row)
             else:
-                explained[before].append(key if value == default else f"{key} = {default}")
+                other = first[1] if first[0] == package else f"{first[0]}/{first[1]}"
+                explained[other].append(key if first[2] == default else f"{key} = {default}")
     if rows:
         parts.append(schemas.table("key", rows))
     parts += [f"As in {markdown.code(other)}: {', '.join(keys)}.\n" for other, keys in explained.items()]
