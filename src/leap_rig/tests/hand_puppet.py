@@ -20,7 +20,7 @@ from rig_simulation.devices.leap import wire
 from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.devices.leap.sensing import ReportedHand
 from rig_simulation.devices.leap.server import LeapService
-from rig_simulation.operator.hand_model import HandModel, HandPose, extended, fingers_for, grab_strength, pinch_strength
+from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 from rig_simulation.operator.sources import PERIOD_S
 
 HOST = "127.0.0.1"
@@ -111,26 +111,8 @@ class HandPuppet:
         flexion, spread = fingers_for(hand.curl)
         palm = BOX_CENTRE_MM + 1e3 * np.array([hand.right, hand.up, hand.back])
         yaw, pitch, roll = np.radians([hand.yaw, hand.pitch, hand.roll])
-        geometry = self._model.place(HandPose(palm, pitch, yaw, roll, flexion, spread))
-        return ReportedHand(
-            id=number,
-            side="right",
-            geometry=geometry,
-            velocity=np.zeros(3),
-            tip_velocities=np.zeros((5, 3)),
-            stable_palm=geometry.palm,
-            stable_tips=geometry.tips,
-            confidence=hand.confidence,
-            grab=grab_strength(flexion),
-            pinch=pinch_strength(geometry.tips),
-            extended=extended(flexion),
-            time_visible=1.0,
-            palm_width=self._model.palm_width,
-            arm_width=self._model.arm_width,
-            finger_lengths=self._model.finger_lengths,
-            finger_widths=self._model.finger_widths,
-            mean_flexion=float(flexion[1:].sum(axis=1).mean()),
-        )
+        pose = HandPose(palm, pitch, yaw, roll, flexion, spread)
+        return ReportedHand.at_rest(number, self._model, pose, hand.confidence, time_visible=1.0)
 
 
 class PuppetClient:

@@ -36,7 +36,7 @@ def test_volume_of_a_block_with_a_hole():
 
 @pytest.mark.parametrize("low", [(-15, -30, -30), (40, 40, 40)], ids=["cut off", "beside"])
 def test_solid_outside_its_box_is_refused(low):
-    with pytest.raises(ValueError, match="strictly inside"):
+    with pytest.raises(ValueError):
         surface(BALL, low, (60, 60, 60), 5.0)
 
 

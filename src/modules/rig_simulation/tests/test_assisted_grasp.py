@@ -194,13 +194,13 @@ def test_what_was_not_held_is_tried_again():
     rig = Rig(slips=1)
     result, _, ended = work(rig)
     assert not result.failure and ended[1].held
-    assert ended[1].failed == ("it was not held: no finger pressed",)
+    assert ended[1].failed == ("the object was not held: no finger pressed",)
     assert rig.requests == [EXECUTE, SHOW, HIDE] * 2
 
 
 def test_after_three_tries_the_person_gives_up():
     result, _, ended = work(Rig(slips=9))
-    assert result.failure == "after 3 tries: it was not held: no finger pressed"
+    assert result.failure == "after 3 attempts: the object was not held: no finger pressed"
     assert len(ended[1].failed) == 3 and result.step == "leave"
 
 
@@ -213,7 +213,7 @@ def test_a_hand_that_is_followed_no_more_goes_out_and_tries_again():
 
     result, _, ended = work(rig, each=each)
     assert not result.failure
-    assert ended[1].failed == ("the arm followed the hand no more: no frames came",)
+    assert ended[1].failed == ("the arm stopped following the hand: no frames came",)
 
 
 def test_an_arm_that_never_arrives_is_called_off():

@@ -55,14 +55,14 @@ def test_a_camera_that_hangs_repeats_the_last_picture(camera, name, stamp):
     first = camera.next(1.0)
     camera.faults.switch(name)
     again = camera.next(2.0)
-    assert (again.pictures, again.stamp, camera.taken) == (first.pictures, stamp, 1)
+    assert (again.images, again.stamp, camera.taken) == (first.images, stamp, 1)
     camera.faults.switch(name, on=False)
-    assert camera.next(3.0).pictures is not first.pictures
+    assert camera.next(3.0).images is not first.images
 
 
 def test_empty_depth_leaves_the_colour(camera):
     camera.faults.switch("depth_empty")
-    pictures = camera.next(1.0).pictures
+    pictures = camera.next(1.0).images
     assert not pictures.depth.any() and not pictures.registered.any()
     assert BLANK.depth.all()
 

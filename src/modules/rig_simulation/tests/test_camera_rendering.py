@@ -153,7 +153,7 @@ def test_a_new_model_is_looked_at_with_the_same_unit(cameras):
 
 def test_a_world_without_the_cameras_is_refused(cameras):
     camera = cameras(balls())
-    with pytest.raises(DeviceError, match="no cameras"):
+    with pytest.raises(DeviceError):
         camera.attach(mujoco.MjModel.from_xml_string("<mujoco/>"))
 
 

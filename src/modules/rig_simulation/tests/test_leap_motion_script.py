@@ -84,7 +84,7 @@ def test_the_run_through_a_figure_is_monotonic_from_start_to_end():
 
 
 def test_unknown_figures_are_refused():
-    with pytest.raises(ValueError, match="no figure 'star'"):
+    with pytest.raises(ValueError):
         Visit(Script(figure="star"), np.random.default_rng(0))
 
 

@@ -218,6 +218,6 @@ def test_refuses_a_second_hand_on_the_port(program):
 )
 def test_the_control_port_refuses_nonsense(program, request_fields):
     _, _, control = program
-    with pytest.raises(DeviceError, match=r"\.$"):
+    with pytest.raises(DeviceError):
         control.ask(**request_fields)
     assert control.ask("state")["mode"] == [IDLE] * 4

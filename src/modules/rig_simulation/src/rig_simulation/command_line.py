@@ -1,9 +1,25 @@
-"""Values on the command lines of the simulated devices; a bad one is a sentence that names it."""
+"""Command lines of the simulated devices: checked values, signals, and errors of one sentence with exit code 1."""
 
 from __future__ import annotations
 
 import argparse
 import math
+import signal
+import sys
+from collections.abc import Callable
+from typing import NoReturn
+
+
+class CommandLine(argparse.ArgumentParser):
+    """The options of a simulated device; an invalid one ends the program with one sentence and exit code 1."""
+
+    def __init__(self, name: str, description: str) -> None:
+        super().__init__(prog=f"{name}.py", description=description)
+        self._name = name
+
+    def error(self, message: str) -> NoReturn:
+        """Ends the program."""
+        self.exit(1, f"{self._name}: {message}\n")
 
 
 def port(text: str) -> int:
@@ -27,32 +43,42 @@ def finite(text: str) -> float:
 
 def not_negative(text: str) -> float:
     """A finite number from 0 up."""
-    value = finite(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 up")
-    return value
+    return _checked(text, lambda value: value >= 0.0, "a number from 0 up")
 
 
 def positive(text: str) -> float:
     """A finite number above 0."""
-    value = finite(text)
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return value
+    return _checked(text, lambda value: value > 0.0, "a number above 0")
 
 
 def angle(text: str) -> float:
     """An angle between -180 and 180 degrees."""
+    return _checked(text, lambda value: -180.0 <= value <= 180.0, "an angle between -180 and 180")
+
+
+def _checked(text: str, valid: Callable[[float], bool], meaning: str) -> float:
     value = finite(text)
-    if not -180.0 <= value <= 180.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -180 and 180")
+    if not valid(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not {meaning}")
     return value
 
 
 def parse_options(parser: argparse.ArgumentParser, arguments: list[str] | None) -> argparse.Namespace:
-    """Returns the options; the name:=value pairs that roslaunch adds to the arguments of every node are passed over."""
+    """Returns the options; ignores the name:=value pairs that roslaunch adds to the arguments of every node."""
     options, others = parser.parse_known_args(arguments)
     unknown = [other for other in others if ":=" not in other]
     if unknown:
         parser.error(f"unknown arguments: {' '.join(unknown)}")
     return options
+
+
+def stop_on_signals(stop: Callable[[], None]) -> None:
+    """Calls `stop` at Ctrl-C and at SIGTERM."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop())
+
+
+def failed(name: str, error: Exception) -> int:
+    """Reports the error that ends a program; returns its exit code."""
+    print(f"{name}: {error}", file=sys.stderr)
+    return 1

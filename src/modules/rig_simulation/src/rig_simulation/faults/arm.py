@@ -1,4 +1,4 @@
-"""Faults of the simulated Sunrise controller on its TCP wire, and what they do to the answers that go out."""
+"""Faults of the simulated Sunrise controller on its TCP wire, and their effect on its answers."""
 
 from __future__ import annotations
 
@@ -6,30 +6,29 @@ import random
 
 import numpy as np
 
-from rig_simulation.faults.delay_line import DelayLine
-from rig_simulation.faults.garbage import garbled
+from rig_simulation.faults.delay_line import DelayLine, garbled
 from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
 
 ARM_FAULTS = (
     Fault("cut", "the connection is reset, and so is every new one; the arm brakes"),
-    Fault("half_open", "cable out: nothing is read or answered, the connection stays, the arm goes on"),
+    Fault("half_open", "cable unplugged: nothing is read or answered, the connection stays, the arm moves on"),
     Fault("silent", "commands are followed, but answers are lost", fraction_of("answers")),
     Fault("slow", "every answer comes late", FaultValue("delay [s]", 0.2, 0.001, 60.0)),
-    Fault("garbled", "answers are garbage with a line's end", fraction_of("answers")),
+    Fault("garbled", "answers are garbage that ends like a line", fraction_of("answers")),
     Fault("torn", "answers come byte by byte", FaultValue("time between two bytes [s]", 0.0005, 0.0001, 1.0)),
-    Fault("restarted", "the application ends on the pad and the port is closed; switched off it starts again"),
-    Fault("refused", "motions are answered `done`, `nak`: the arm stays, the tool is taken off"),
-    Fault("frozen", "the joint angles in answers stand still while the arm moves"),
+    Fault("restarted", "the application stops and its port closes; it starts again when the fault ends"),
+    Fault("refused", "motions are answered `done`, `nak`: the arm stays, the tool is detached"),
+    Fault("frozen", "the joint angles in answers stay the same while the arm moves"),
     Fault(
         "shifted",
         "the joint angles in answers are wrong",
-        FaultValue("by so much at every joint [rad]", 0.1, -1.0, 1.0),
+        FaultValue("offset of every joint [rad]", 0.1, -1.0, 1.0),
     ),
 )
 
 
 class ArmAnswers:
-    """What becomes of the answers on their way out. Time is handed in.
+    """Delays, drops and garbles the answers on their way out. Time is handed in.
 
     Args:
         faults: those of ARM_FAULTS.
@@ -41,7 +40,7 @@ class ArmAnswers:
         self._waiting: DelayLine[bytes] = DelayLine()
 
     def put(self, text: str, now: float) -> None:
-        """Takes answers, each with its line's end, that the application gives at the time `now` [s]."""
+        """Takes the answers, complete lines, that the application gives at the time `now` [s]."""
         faults = self._faults.active()
         due = now + faults.get("slow", 0.0)
         for answer in text.encode("ascii").splitlines(keepends=True):
@@ -56,23 +55,23 @@ class ArmAnswers:
                 self._waiting.put(answer, due)
 
     def take(self, now: float) -> list[bytes]:
-        """Returns what is to be sent by the time `now` [s], in pieces that are sent one by one."""
+        """Returns the bytes due by the time `now` [s], in pieces for one send each."""
         if self._faults.is_on("half_open"):
             return []
         pieces = self._waiting.take(now)
         return pieces if self._faults.is_on("torn") else [b"".join(pieces)] if pieces else []
 
     def next_due(self) -> float:
-        """Returns when the next answer is to be sent [s]; infinity if none waits."""
+        """Returns when the next answer is due [s]; infinity without one."""
         return self._waiting.next_due()
 
     def drop(self) -> None:
-        """Forgets what waits, since its connection is gone."""
+        """Drops all waiting answers: their connection is gone."""
         self._waiting.clear()
 
 
 class Encoders:
-    """The joint angles that answers tell, shape (7,) [rad].
+    """The joint angles that the answers report, shape (7,) [rad].
 
     Args:
         faults: those of ARM_FAULTS.
@@ -83,7 +82,7 @@ class Encoders:
         self._frozen: np.ndarray | None = None
 
     def read(self, q: np.ndarray) -> np.ndarray:
-        """Returns what is told where the true angles are `q`; the first after the fault began is what stays."""
+        """Returns the reported angles for the true angles `q`; a frozen encoder keeps the first ones."""
         faults = self._faults.active()
         if "frozen" not in faults or self._frozen is None:
             self._frozen = q

@@ -1,4 +1,4 @@
-"""Faults of the simulated camera, and what they do to its pictures."""
+"""Faults of the simulated camera, and their effect on its images."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from rig_simulation.devices.camera.rgbd_camera import RgbdImages
 from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
 
 CAMERA_FAULTS = (
-    Fault("vanished", "unplugged: nothing is published any more"),
-    Fault("frozen", "the driver hangs: the last pictures come again and again with their old stamps"),
-    Fault("stuck", "the sensor hangs: the last pictures come again and again with new stamps"),
+    Fault("vanished", "unplugged: nothing is published"),
+    Fault("frozen", "the driver hangs: the last images repeat with their old stamps"),
+    Fault("stuck", "the sensor hangs: the last images repeat with new stamps"),
     Fault("depth_empty", "no pixel has a depth"),
-    Fault("slow", "pictures come seldom", FaultValue("pictures a second [Hz]", 2.0, 0.1, 30.0)),
+    Fault("slow", "the frame rate is low", FaultValue("frame rate [Hz]", 2.0, 0.1, 30.0)),
     Fault(
         "garbled",
-        "pictures are torn, have rows too short or of another width, or are not of the size that camera_info says",
-        fraction_of("pictures"),
+        "images are truncated, or their row length, width or height contradicts the data or camera_info",
+        fraction_of("images"),
     ),
-    Fault("restarted", "the driver ends and its topics are gone; switched off it starts again"),
+    Fault("restarted", "the driver stops and its topics disappear; it starts again when the fault ends"),
 )
 
 
 @dataclasses.dataclass(frozen=True)
 class Exposure:
-    """Pictures with the moment that they show, a stamp of the node's clock."""
+    """Images with their time stamp, of the node's clock."""
 
-    pictures: RgbdImages
+    images: RgbdImages
     stamp: Any
 
 
 class ImageStream:
-    """What becomes of the pictures on their way out. Time is handed in.
+    """Drops, repeats and changes images on their way out. Time is handed in.
 
     Args:
         faults: those of CAMERA_FAULTS.
@@ -49,11 +49,11 @@ class ImageStream:
         self._last_time = float("-inf")
 
     def next(self, expose: Callable[[], Exposure], stamp: Any, now: float) -> Exposure | None:
-        """Returns what is published next, or None.
+        """Returns the exposure to publish now, or None.
 
         Args:
-            expose: takes new pictures; not called where a fault prevents it.
-            stamp: the present moment, for old pictures that pretend to be new.
+            expose: takes new images; not called when a fault prevents it.
+            stamp: the present time, for old images that pretend to be new.
             now: time [s].
         """
         active = self._faults.active()
@@ -66,20 +66,22 @@ class ImageStream:
             return dataclasses.replace(self._last, stamp=stamp)
         exposure = expose()
         if "depth_empty" in active:
-            exposure = dataclasses.replace(exposure, pictures=_without_depth(exposure.pictures))
+            images = exposure.images
+            empty = {name: _empty(getattr(images, name)) for name in ("depth", "registered")}
+            exposure = dataclasses.replace(exposure, images=dataclasses.replace(images, **empty))
         self._last = exposure
         return exposure
 
     def garbled(self, height: int, width: int, step: int, data: bytes) -> dict[str, Any]:
-        """Returns the fields of a picture's message that are to be other ones; none without the fault.
+        """Returns the fields of an image message to overwrite; empty without the fault.
 
         Args:
-            height, width: of the picture [px].
+            height, width: of the image [px].
             step: length of a row in bytes.
             data: all rows.
         """
-        share = self._faults.value("garbled")
-        if share is None or self._random.random() >= share:
+        fraction = self._faults.value("garbled")
+        if fraction is None or self._random.random() >= fraction:
             return {}
         half = height // 2
         ways: tuple[dict[str, Any], ...] = (
@@ -90,10 +92,6 @@ class ImageStream:
             {"height": half, "data": data[: half * step]},
         )
         return self._random.choice(ways)
-
-
-def _without_depth(pictures: RgbdImages) -> RgbdImages:
-    return dataclasses.replace(pictures, depth=_empty(pictures.depth), registered=_empty(pictures.registered))
 
 
 def _empty(depth: np.ndarray | None) -> np.ndarray | None:

@@ -1,8 +1,9 @@
-"""Messages that wait until they are due, in their order."""
+"""A queue of messages that wait until they are due, and bytes as a broken cable would send them."""
 
 from __future__ import annotations
 
 import math
+import random
 from collections import deque
 from typing import Generic, TypeVar
 
@@ -10,27 +11,31 @@ Message = TypeVar("Message")
 
 
 class DelayLine(Generic[Message]):
-    """A queue with a time for each message; none overtakes another, as in one cable. Time is handed in."""
+    """A queue with a due time for each message; no message overtakes another, as in one cable. Time is handed in."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[float, Message]] = deque()
 
     def put(self, message: Message, due: float) -> None:
-        """Takes a message that is due at a time [s], or when those before it have gone."""
-        before = self._waiting[-1][0] if self._waiting else -math.inf
-        self._waiting.append((max(due, before), message))
+        """Takes a message that is due at a time [s], or as soon as those before it have left."""
+        self._waiting.append((max(due, self._waiting[-1][0] if self._waiting else -math.inf), message))
 
     def take(self, now: float) -> list[Message]:
         """Returns the messages that are due by the time `now` [s]."""
         due = []
-        while self._waiting and self._waiting[0][0] <= now:
+        while self.next_due() <= now:
             due.append(self._waiting.popleft()[1])
         return due
 
     def next_due(self) -> float:
-        """Returns when the next message is due [s]; infinity if none waits."""
+        """Returns when the next message is due [s]; infinity for an empty queue."""
         return self._waiting[0][0] if self._waiting else math.inf
 
     def clear(self) -> None:
-        """Forgets what waits."""
+        """Drops all messages."""
         self._waiting.clear()
+
+
+def garbled(data: bytes, rng: random.Random) -> bytes:
+    """Returns the same number of bytes, each of them changed."""
+    return bytes((byte + rng.randrange(1, 256)) % 256 for byte in data)

@@ -1,4 +1,4 @@
-"""Faults of the simulated ReFlex hand: on its UDP wire, in its power supply, its servos and its sensors."""
+"""Faults of the simulated ReFlex hand: on its UDP wire, in its power supply, servos and sensors."""
 
 from __future__ import annotations
 
@@ -7,26 +7,25 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
-from rig_simulation.faults.delay_line import DelayLine
-from rig_simulation.faults.garbage import garbled
+from rig_simulation.faults.delay_line import DelayLine, garbled
 from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
 
 FINGER = FaultValue("finger, 1 to 3", 1.0, 1.0, 3.0, whole=True)
 MOTOR = FaultValue("motor, 1 to 4: f1, f2, f3, preshape", 1.0, 1.0, 4.0, whole=True)
 HAND_FAULTS = (
-    Fault("cut", "cable out: no packets, and commands are lost"),
+    Fault("cut", "cable unplugged: no packets, and commands are lost"),
     Fault("silent", "packets are lost, commands are followed", fraction_of("packets")),
-    Fault("deaf", "commands are lost, packets come: half of the cable is out", fraction_of("commands")),
-    Fault("slow", "packets come late", FaultValue("delay [s]", 0.2, 0.001, 60.0)),
+    Fault("deaf", "commands are lost, packets arrive: half of the cable is broken", fraction_of("commands")),
+    Fault("slow", "packets arrive late", FaultValue("delay [s]", 0.2, 0.001, 60.0)),
     Fault("garbled", "packets are garbage, too short, too long, or of another format", fraction_of("packets")),
-    Fault("reordered", "of every two packets the second comes first"),
-    Fault("doubled", "every packet comes twice"),
-    Fault("frozen", "the same packet comes again and again"),
-    Fault("restarted", "the power is off; switched off it is back: servos without torque that forgot their turns"),
-    Fault("encoder_stuck", "the knuckle encoder of a finger stands still", FINGER),
-    Fault("servo_lost", "a servo does not answer the hand: its position is 0", MOTOR),
+    Fault("reordered", "of every two packets the second arrives first"),
+    Fault("doubled", "every packet arrives twice"),
+    Fault("frozen", "the same packet arrives again and again"),
+    Fault("restarted", "the power is off; when the fault ends, the servos have no torque and have lost their turns"),
+    Fault("encoder_stuck", "the knuckle encoder of a finger sticks", FINGER),
+    Fault("servo_lost", "a servo does not answer the firmware: its position is 0", MOTOR),
     Fault("overloaded", "a motor reports its full load", MOTOR),
-    Fault("touch_stuck", "all cells of a finger report pressure", FINGER),
+    Fault("touch_stuck", "all taxels of a finger report pressure", FINGER),
 )
 FULL_LOAD = 1000
 STUCK_PRESSURE = 100
@@ -34,7 +33,7 @@ OTHER_FORMAT = 2
 
 
 class FaultyHand(Protocol):
-    """What faults do inside of the hand."""
+    """The hand as its internal faults need it."""
 
     def power_cycle(self) -> None: ...
     def stick_encoder(self, finger: int, on: bool) -> None: ...
@@ -52,11 +51,11 @@ EFFECTS: Mapping[str, Callable[[FaultyHand, int, bool], None]] = MappingProxyTyp
         "touch_stuck": lambda hand, finger, on: hand.press(finger, STUCK_PRESSURE if on else 0),
     }
 )
-"""What a fault inside of the hand does when it begins and when it ends, with the index of its finger or motor."""
+"""Effect of an internal fault when it begins and ends, with the index of its finger or motor."""
 
 
 class HandWire:
-    """What becomes of packets and commands on their way. Time is handed in.
+    """Delays, drops and garbles packets and commands on their way. Time is handed in.
 
     Args:
         faults: those of HAND_FAULTS.
@@ -71,7 +70,7 @@ class HandWire:
         self._inside: dict[str, float] = {}
 
     def follow(self, hand: FaultyHand) -> None:
-        """Lets faults inside of the hand begin and end."""
+        """Starts and ends the internal faults of the hand."""
         active = self._faults.active()
         for name, effect in EFFECTS.items():
             before, now = self._inside.get(name), active.get(name)
@@ -82,7 +81,7 @@ class HandWire:
         self._inside = active
 
     def outgoing(self, packet: bytes, now: float) -> list[bytes]:
-        """Takes the packet of the time `now` [s] and returns those that are to be sent now, in their order."""
+        """Takes the packet of the time `now` [s]; returns the packets to send now, in order."""
         faults = self._faults.active()
         self._frozen = (self._frozen or packet) if "frozen" in faults else None
         if not self._lost(faults, "silent"):
@@ -111,7 +110,7 @@ class HandWire:
 
 
 def broken(packet: bytes, rng: random.Random) -> bytes:
-    """Returns a datagram that is no state packet, in one of several ways."""
+    """Returns an invalid state packet, broken in one of several ways."""
     ways: list[Callable[[], bytes]] = [
         lambda: garbled(packet, rng),
         lambda: packet[: rng.randrange(1, len(packet))],

@@ -1,4 +1,4 @@
-"""Faults of the simulated Leap service, and what those of its frames do to the stream."""
+"""Faults of the simulated Leap service, and their effect on its stream of frames."""
 
 from __future__ import annotations
 
@@ -7,51 +7,49 @@ import random
 from collections.abc import Callable
 
 from rig_simulation.devices.leap import wire
-from rig_simulation.faults.delay_line import DelayLine
-from rig_simulation.faults.garbage import garbled
+from rig_simulation.faults.delay_line import DelayLine, garbled
 from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
 
+RIGHT_MM = "offset to the right [mm]"
 LEAP_FAULTS = (
     Fault("cut", "connections are reset, and so is every new one"),
-    Fault("half_open", "cable out: nothing is read or sent, not even pongs; connections stay"),
-    Fault("silent", "connections stay, but no frames come", fraction_of("frames")),
-    Fault("slow", "every frame comes late", FaultValue("delay [s]", 0.3, 0.001, 60.0)),
+    Fault("half_open", "cable unplugged: nothing is read or sent, not even pongs; connections stay"),
+    Fault("silent", "connections stay, but no frames arrive", fraction_of("frames")),
+    Fault("slow", "every frame arrives late", FaultValue("delay [s]", 0.3, 0.001, 60.0)),
     Fault(
         "bursts",
-        "frames are held back and then come all at once",
-        FaultValue("time between two bursts [s]", 0.1, 0.01, 10.0),
+        "frames are held back, then arrive all at once",
+        FaultValue("their period [s]", 0.1, 0.01, 10.0),
     ),
-    Fault("low_rate", "most frames are left out", FaultValue("frames that are left [Hz]", 10.0, 0.1, 100.0)),
-    Fault("garbled", "frames are torn, no JSON, without hands' keys, or hold NaN", fraction_of("frames")),
-    Fault("restarted", "the service ends and its port is closed; switched off it starts with ids and clock anew"),
-    Fault("unplugged", "the device is not there, which clients are told; no frames"),
-    Fault("frozen", "the same frame comes again and again"),
-    Fault("hand_lost", "frames hold no hand"),
-    Fault("hand_swapped", "the hand counts as the other one, left or right, with a new id"),
+    Fault("low_rate", "most frames are dropped", FaultValue("remaining frame rate [Hz]", 10.0, 0.1, 100.0)),
+    Fault("garbled", "frames are truncated, not JSON, without a list of hands, or contain NaN", fraction_of("frames")),
+    Fault("restarted", "the service stops and its port closes; when the fault ends, ids and clock start again"),
+    Fault("unplugged", "the sensor is unplugged, clients get its event; no frames"),
+    Fault("frozen", "the same frame arrives again and again"),
+    Fault("hand_lost", "frames contain no hand"),
+    Fault("hand_swapped", "the service takes the hand for the other one, left or right, with a new id"),
     Fault(
         "hand_moved",
-        "the hand is lost and found elsewhere with a new id",
-        FaultValue("to the right [mm]", 100.0, -500.0, 500.0),
+        "the hand is detected elsewhere with a new id",
+        FaultValue(RIGHT_MM, 100.0, -500.0, 500.0),
     ),
-    Fault(
-        "second_hand", "a second hand stands beside the first", FaultValue("to the right [mm]", 250.0, -500.0, 500.0)
-    ),
+    Fault("second_hand", "a second hand appears beside the first", FaultValue(RIGHT_MM, 250.0, -500.0, 500.0)),
     Fault(
         "outliers",
-        "one hand in forty is elsewhere for a single frame",
-        FaultValue("higher by [mm]", 200.0, -1000.0, 1000.0),
+        "the hand jumps in one of forty frames",
+        FaultValue("upward offset [mm]", 200.0, -1000.0, 1000.0),
     ),
-    Fault("low_confidence", "the hand is badly seen", FaultValue("its confidence", 0.02, 0.0, 1.0)),
+    Fault("low_confidence", "the hand is poorly visible", FaultValue("confidence", 0.02, 0.0, 1.0)),
 )
 OF_HANDS = {"hand_lost", "hand_swapped", "hand_moved", "second_hand", "outliers", "low_confidence"}
 NEW_ID, SECOND_ID = 1000, 500
-"""How far ids of hands are moved: the service never gives an id twice."""
+"""Offsets of hand ids: the service never uses an id twice."""
 
 OUTLIER_PERIOD = 40
 
 
 class FrameStream:
-    """What becomes of the frames on their way out. Time is handed in.
+    """Delays, drops and changes the frames on their way out. Time is handed in.
 
     Args:
         faults: those of LEAP_FAULTS.
@@ -66,7 +64,7 @@ class FrameStream:
         self._hands = HandFaults()
 
     def pass_on(self, frame: str, now: float) -> list[str]:
-        """Takes the frame of the time `now` [s] and returns those that are to be sent now, oldest first."""
+        """Takes the frame of the time `now` [s]; returns the frames to send now, oldest first."""
         faults = self._faults.active()
         if "silent" in faults and self._random.random() < faults["silent"]:
             return []
@@ -88,7 +86,7 @@ class FrameStream:
 
 
 class HandFaults:
-    """Changes the hands of frames; remembers how often ids were to be new, and counts frames for outliers."""
+    """Changes the hands of frames; counts new ids, and frames between outliers."""
 
     def __init__(self) -> None:
         self._renamed = 0
@@ -96,7 +94,7 @@ class HandFaults:
         self._frames = 0
 
     def change(self, frame: str, faults: dict[str, float]) -> str:
-        """Returns the frame with the faults of OF_HANDS among these in it."""
+        """Returns the frame with the active faults of OF_HANDS applied."""
         moved = {"hand_swapped", "hand_moved"} & faults.keys()
         self._renamed += moved != self._moved
         self._moved = moved
@@ -121,7 +119,7 @@ class HandFaults:
 
 
 def broken(frame: str, rng: random.Random) -> str:
-    """Returns a message that is no frame, in one of several ways."""
+    """Returns an invalid frame, broken in one of several ways."""
     message = json.loads(frame)
     ways: list[Callable[[], str]] = [
         lambda: frame[: rng.randrange(len(frame))],
@@ -145,7 +143,7 @@ def _with_ids(message: dict, added: int) -> dict:
 
 
 def _mirrored(message: dict) -> dict:
-    """Returns the hands as the other side's: bases of left hands are left-handed."""
+    """Returns the hands as those of the other side: bases of left hands are left-handed."""
     other = {"left": "right", "right": "left"}
 
     def turned(basis: list) -> list:

@@ -1,4 +1,4 @@
-"""All faults of all simulated devices, and the table of docs/faults.md that shows them."""
+"""All faults of all simulated devices, and their table in docs/faults.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a tool that points down has to turn so that its fingers close on the sides of an object.
+"""The turn of a downward tool after which its fingers close on the sides of an object.
 
 Angles in rad, anticlockwise seen from above; lengths in m. A line through two fingers is the same after half a turn.
 """
@@ -12,14 +12,14 @@ import numpy as np
 from rig_simulation.world.scene import Cuboid, SceneObject
 
 WIDEST = 0.1
-"""A side that is longer does not fit between the fingers."""
+"""Longest side that fits between the fingers."""
 
 
 def heading(R_base_tool: np.ndarray) -> float:
-    """Returns the direction of the tool's x axis seen from above, along which the fingers close.
+    """Returns the direction of the tool's x axis from above, along which the fingers close.
 
     Args:
-        R_base_tool: attitude of the tool, shape (3, 3).
+        R_base_tool: orientation of the tool, shape (3, 3).
     """
     return math.atan2(R_base_tool[1, 0], R_base_tool[0, 0])
 
@@ -34,7 +34,7 @@ def turn_to(shape: SceneObject, R_base_object: np.ndarray, fingers: float) -> fl
 
     Args:
         shape: the object, which stands upright.
-        R_base_object: its attitude, shape (3, 3).
+        R_base_object: its orientation, shape (3, 3).
         fingers: direction along which they close.
     """
     if not isinstance(shape, Cuboid):

@@ -1,8 +1,8 @@
-"""A person lets the arm go above a proposed grasp, takes over there, corrects by hand, and picks the object up.
+"""The operator lets the arm move above a proposed grasp, takes over, corrects by hand, and picks the object up.
 
-The person looks at the proposals, asks for the best one to be executed as soon as it lies on an object, brings the hand
-in when the arm stands above it, picks up and puts down as in pick_and_place.py, and leaves. What failed is tried again.
-Positions in metres in `kuka/base_frame`, angles in radians, times in seconds.
+The operator waits for a proposal on an object, requests its execution, brings the hand in when the arm is above it,
+picks up and puts down as in pick_and_place.py, and leaves; a failed attempt is repeated. Positions in metres in
+`kuka/base_frame`, angles in radians, times in seconds.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from rig_simulation.operator.alignment import wrapped
 from rig_simulation.operator.pick_and_place import Move, PickAndPlace, PickView, Plan
 
 EXECUTE, CANCEL, SHOW, HIDE = "execute", "cancel", "show", "hide"
-"""What the person asks for besides moves: of the execution, and of the own hand."""
+"""Requests besides moves: to the execution, and for the operator's hand."""
 IDLE, WAITING_FOR_HAND, OVER = "idle", "waiting_for_hand", "over"
-"""States of the execution that matter here."""
+"""States of the execution, as far as the operator needs them."""
 
 
 @dataclass(frozen=True)
 class OperatorHabits:
-    """How the person works with proposals.
+    """Parameters of the work with proposals.
 
     Attributes:
-        rounds: how many grasps there are to be.
-        attempts: how often one is tried.
-        look: how long the arm has been at home before a proposal is trusted, and the time between two tries [s].
-        reach: farthest a proposal may lie from the middle of an object's top, level [m].
-        least_lift: an object that is not lifted so far was not lifted [m].
-        lost: how long the arm may follow no more before the person gives up a try [s].
+        rounds: number of grasps.
+        attempts: attempts at each grasp.
+        look: time at home before a proposal is trusted, and between two requests [s].
+        reach: largest horizontal distance of a proposal from the middle of an object's top [m].
+        least_lift: smallest height of a successful lift [m].
+        lost: time without following after which the operator gives up an attempt [s].
         patience: longest time for one step [s].
     """
 
@@ -49,12 +49,12 @@ class OperatorHabits:
 
 @dataclass(frozen=True)
 class ObservedObject:
-    """An object.
+    """An observed object.
 
     Attributes:
         top: centre of its upper side, shape (3,) [m].
         clearance: height of its lowest point above the table [m].
-        turn: how far the tool has to turn for it, see View.
+        turn: required turn of the tool, see PickView.
     """
 
     top: np.ndarray
@@ -64,20 +64,20 @@ class ObservedObject:
 
 @dataclass(frozen=True)
 class ProposedGrasp:
-    """The best grasp that is proposed.
+    """The best proposed grasp.
 
     Attributes:
         id: its number.
-        place: surface between the fingers, shape (3,) [m].
+        position: surface point between the fingers, shape (3,) [m].
     """
 
     id: int
-    place: np.ndarray
+    position: np.ndarray
 
 
 @dataclass(frozen=True)
 class GraspReport:
-    """What the execution says became of a grasp."""
+    """The outcome of a grasp, as the execution reports it."""
 
     episode: int
     held: bool
@@ -86,19 +86,19 @@ class GraspReport:
 
 @dataclass(frozen=True)
 class AssistedView:
-    """What the person sees.
+    """The operator's observation.
 
     Attributes:
-        grip: point of the tool that grips, shape (3,) [m].
+        grip: gripping point of the tool, shape (3,) [m].
         heading: of the tool [rad].
         following: whether the arm follows the hand.
-        at_home: whether the arm stands at home.
+        at_home: whether the arm is at home.
         objects: by name.
-        proposal: the newest best one that the arm reaches; None: there is none.
-        complaint: why there is none.
+        proposal: the newest best proposal that the arm reaches, or None.
+        complaint: why there is no proposal.
         execution: state of the execution.
-        reason: why it is in that state.
-        outcome: the newest one.
+        reason: of that state.
+        outcome: the newest outcome.
     """
 
     grip: np.ndarray
@@ -115,20 +115,20 @@ class AssistedView:
 
 @dataclass(frozen=True)
 class Round:
-    """What came of one grasp.
+    """The record of one grasp.
 
     Attributes:
         number: from 1 on.
-        object: its name, empty while none was chosen.
-        proposals: how many different best proposals were seen.
-        executed: how often the execution went above one.
-        refused: why the execution refused, one sentence each time.
-        failed: why a try failed, one sentence each.
-        correction: how far the person moved the grip level between taking over and closing the fingers [m].
-        turn: how far the tool was turned meanwhile [rad].
-        lifted: height above the table at which it was held up [m].
-        held: whether the execution says so; None before it says anything.
-        reason: what it says.
+        object: its name; empty before the choice.
+        proposals: number of different best proposals.
+        executed: number of executions.
+        refused: reasons of refused executions.
+        failed: reasons of failed attempts.
+        correction: horizontal motion of the grip between taking over and closing the fingers [m].
+        turn: turn of the tool meanwhile [rad].
+        lifted: greatest height above the table [m].
+        held: whether the execution reports a held object; None before its report.
+        reason: of its report.
     """
 
     number: int
@@ -146,7 +146,7 @@ class Round:
 
 @dataclass(frozen=True)
 class AssistedStep:
-    """What a step brought: a request or a move to make, or nothing; `failure` says why the person gave up."""
+    """Result of a cycle: a request, a move of the hand, or nothing; `failure`: why the operator gave up."""
 
     step: str
     round: Round
@@ -156,13 +156,13 @@ class AssistedStep:
 
     @property
     def over(self) -> bool:
-        """Whether nothing is left to do."""
+        """Whether the work is over."""
         return self.step == "done" or bool(self.failure)
 
 
 @dataclass
-class _Try:
-    """One try of a round: the hand's work and where it began."""
+class _Attempt:
+    """One attempt of a round: the work by hand, and the pose of the tool at its start."""
 
     work: PickAndPlace
     grip: np.ndarray
@@ -172,11 +172,11 @@ class _Try:
 
 
 class AssistedGrasp:
-    """The person at work; `step` is called some ten times a second, and after EXECUTE `answer` with what was said.
+    """The operator at work; call `step` about ten times a second, and after EXECUTE `answer` with the reply.
 
     Args:
-        habits: how the person works with proposals.
-        plan: how the person works by hand.
+        habits: parameters of the work with proposals.
+        plan: parameters of the work by hand.
         center_line: direction of the workspace, shape (3,), z = 0.
     """
 
@@ -187,13 +187,13 @@ class AssistedGrasp:
         self._seen: set[int] = set()
         self._home_heading = 0.0
         self._episode: int | None = None
-        self._try: _Try | None = None
+        self._attempt: _Attempt | None = None
         self._step = "look"
         self._since: float | None = None
         self._ready_since: float | None = None
 
     def answer(self, success: bool, message: str, now: float) -> None:
-        """Takes the answer to EXECUTE."""
+        """Takes the reply to EXECUTE."""
         if success:
             self._change(executed=self._round.executed + 1)
             self._go("approach", now)
@@ -202,18 +202,18 @@ class AssistedGrasp:
             self._ready_since = now
 
     def step(self, scene: AssistedView, now: float) -> AssistedStep:
-        """Looks, and says what to do now."""
+        """Takes an observation at the time `now` [s]; returns what to do."""
         if self._since is None:
             self._since = now
         if self._step == "done":
             return self._result()
-        if self._try is None and now - self._since > self._habits.patience:
+        if self._attempt is None and now - self._since > self._habits.patience:
             request = CANCEL if self._step == "approach" else ""
             return self._result(request=request, failure=self._complaint(scene))
         return getattr(self, f"_{self._step}")(scene, now)
 
     def _look(self, scene: AssistedView, now: float) -> AssistedStep:
-        """Waits at home for a proposal that lies on an object."""
+        """Waits at home for a proposal on an object."""
         if not scene.at_home or scene.following:
             self._ready_since = None
             return self._result()
@@ -233,26 +233,26 @@ class AssistedGrasp:
         return self._result(request=EXECUTE)
 
     def _approach(self, scene: AssistedView, now: float) -> AssistedStep:
-        """Waits until the arm stands above the proposal, and brings the hand in."""
+        """Waits until the arm is above the proposal, then brings the hand in."""
         assert self._since is not None  # `step` sets it
         if scene.execution in (IDLE, OVER) and now - self._since > self._habits.look:
-            return self._again(f"it ended before the hand came in: {scene.reason}", now)
+            return self._again(f"the execution stopped before the hand came in: {scene.reason}", now)
         if scene.execution != WAITING_FOR_HAND:
             return self._result()
         turned = rotation_about(2, wrapped(scene.heading - self._home_heading))
         work = PickAndPlace(self._plan, turned @ self._center_line)
-        self._try = _Try(work, scene.grip, scene.heading)
+        self._attempt = _Attempt(work, scene.grip, scene.heading)
         self._go("work", now)
         return self._result(request=SHOW)
 
     def _work(self, scene: AssistedView, now: float) -> AssistedStep:
         """Takes over, corrects, picks up, puts down."""
-        seen, attempt = scene.objects[self._round.object], self._try
+        seen, attempt = scene.objects[self._round.object], self._attempt
         assert attempt is not None  # `_approach` begins one
         if scene.following:
             attempt.followed = now
         elif attempt.followed is not None and now - attempt.followed > self._habits.lost:
-            return self._again(f"the arm followed the hand no more: {scene.reason}", now, HIDE)
+            return self._again(f"the arm stopped following the hand: {scene.reason}", now, HIDE)
         result = attempt.work.step(PickView(scene.grip, seen.top, seen.clearance, scene.following, seen.turn), now)
         if result.step == "close" and attempt.name != "close":
             shift = float(np.linalg.norm((scene.grip - attempt.grip)[:2]))
@@ -263,7 +263,7 @@ class AssistedGrasp:
         if result.failure:
             return self._again(result.failure, now, HIDE)
         if result.over:
-            self._try = None
+            self._attempt = None
             self._go("leave", now)
             return self._result(request=HIDE)
         return self._result(move=result.move)
@@ -275,9 +275,9 @@ class AssistedGrasp:
             return self._result()
         self._change(held=outcome.held, reason=outcome.reason)
         if not outcome.held:
-            return self._again(f"it was not held: {outcome.reason}", now)
+            return self._again(f"the object was not held: {outcome.reason}", now)
         if self._round.lifted < self._habits.least_lift:
-            return self._again(f"it was lifted by {1e3 * self._round.lifted:.0f} mm only", now)
+            return self._again(f"the object was lifted by only {1e3 * self._round.lifted:.0f} mm", now)
         if self._round.number == self._habits.rounds:
             self._go("done", now)
             return self._result()
@@ -287,29 +287,29 @@ class AssistedGrasp:
         return ended
 
     def _again(self, why: str, now: float, request: str = "") -> AssistedStep:
-        """Notes why a try failed; the next one begins, or the person gives up."""
+        """Records a failed attempt; then the next one begins, or the operator gives up."""
         why = why.rstrip(".")
         self._change(failed=(*self._round.failed, why))
         if len(self._round.failed) >= self._habits.attempts:
-            result = self._result(request=request, failure=f"after {self._habits.attempts} tries: {why}")
+            result = self._result(request=request, failure=f"after {self._habits.attempts} attempts: {why}")
         else:
             result = self._result(request=request)
             self._go("look", now)
-        self._try = None
+        self._attempt = None
         return result
 
     def _nearest(self, scene: AssistedView, proposal: ProposedGrasp) -> tuple[str, float]:
-        """Returns the object whose top is nearest to the proposal, and how far that is [m], seen from above."""
-        place = proposal.place[:2]
-        away = {name: float(np.linalg.norm(seen.top[:2] - place)) for name, seen in scene.objects.items()}
+        """Returns the object nearest to the proposal, and its horizontal distance [m]."""
+        position = proposal.position[:2]
+        away = {name: float(np.linalg.norm(seen.top[:2] - position)) for name, seen in scene.objects.items()}
         return min(away.items(), key=lambda item: item[1])
 
     def _complaint(self, scene: AssistedView) -> str:
-        waited = f"waited {self._habits.patience:g} s in vain (step {self._step!r})"
+        waited = f"step {self._step!r} took longer than {self._habits.patience:g} s"
         if self._step != "look":
             return f"{waited}: the execution is {scene.execution}: {scene.reason}"
         if not scene.at_home:
-            return f"{waited}: the arm did not come home"
+            return f"{waited}: the arm did not move home"
         if scene.proposal is None:
             return f"{waited}: no grasp is proposed: {scene.complaint}"
         if self._round.refused:
@@ -324,5 +324,5 @@ class AssistedGrasp:
         self._step, self._since, self._ready_since = step, now, None
 
     def _result(self, **what: Any) -> AssistedStep:
-        name = self._try.name if self._try is not None else self._step
+        name = self._attempt.name if self._attempt is not None else self._step
         return AssistedStep(name, self._round, **what)

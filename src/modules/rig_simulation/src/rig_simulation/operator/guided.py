@@ -1,7 +1,7 @@
-"""A person who is told where to hold the hand: it comes into view, reaches from pose to pose, and leaves.
+"""An operator under remote control: the hand comes into view, moves from pose to pose, and leaves.
 
-Reaching follows the minimum-jerk law of human arm movements (Flash and Hogan 1985). What the service reports of the
-hand has the noise and the signs of entry and exit of a real one.
+Moves follow the minimum-jerk law of human arm movements (Flash and Hogan 1985). The reports of the hand have the noise
+of a real hand, and its behaviour at entry and exit.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ LARGEST_ANGLE = np.radians(90.0)
 
 @dataclass(frozen=True)
 class HandTarget:
-    """Where the hand is to be, and when.
+    """A target of the hand.
 
     Attributes:
-        right, up, back: of the palm from the centre of the work [m], from the user's view.
+        right, up, back: palm from the centre of the workspace [m], from the operator's view.
         pitch, yaw, roll: [rad].
         curl: 0 open, 1 fist.
-        seconds: how long the movement takes.
+        seconds: duration of the move.
     """
 
     right: float = 0.0
@@ -53,24 +53,24 @@ class HandTarget:
         for name, (low, high, unit) in limits.items():
             value = getattr(self, name)
             if not (isinstance(value, (int, float)) and low <= value <= high):
-                raise ValueError(f"{name} of a reach is {value!r} and must lie in {low:g} to {high:g} {unit}".rstrip())
+                raise ValueError(f"The field {name} is {value!r}, but must lie in {low:g} to {high:g} {unit}.")
 
     @property
     def state(self) -> np.ndarray:
-        """The same as a state of motion.py, shape (7,): mm and rad."""
+        """The target as a state of motion.py, shape (7,) [mm, rad]."""
         palm = 1e3 * np.array([self.right, self.up, self.back])
         return np.array([*palm, self.pitch, self.yaw, self.roll, self.curl])
 
 
 class GuidedOperator:
-    """A source whose hand goes where the calls below send it; they may come from another thread.
+    """A source whose hand moves as its methods request, from any thread.
 
     Args:
-        person: size and side of the hand, centre of the work.
+        scripted: size and side of the hand, centre of the workspace.
     """
 
-    def __init__(self, person: ScriptedOperator) -> None:
-        self._person = person
+    def __init__(self, scripted: ScriptedOperator) -> None:
+        self._scripted = scripted
         self._lock = threading.Lock()
         self._state: np.ndarray | None = None
         self._shown = 0
@@ -82,34 +82,34 @@ class GuidedOperator:
         """Brings a hand into view at a `HandTarget`, with a new id, in place of the one before.
 
         Raises:
-            ValueError: the reach has unknown names or is out of its range.
+            ValueError: a field is unknown or out of range.
         """
-        state = _reach(at).state
+        state = _target(at).state
         with self._lock:
             self._state, self._path, self._elapsed = state, (state, state, 0.0), 0.0
             self._shown += 1
             self._leaves_in = None
 
     def reach(self, **to: float) -> None:
-        """Moves the hand to a `HandTarget`; a movement under way is left where it is.
+        """Moves the hand from its present pose to a `HandTarget`.
 
         Raises:
-            ValueError: no hand is in view, or the reach has unknown names or is out of its range.
+            ValueError: no hand is in view, or a field is unknown or out of range.
         """
-        wish = _reach(to)
+        target = _target(to)
         with self._lock:
             if self._state is None:
-                raise ValueError("no hand is in view: show it first")
-            self._path, self._elapsed = (self._state, wish.state, wish.seconds), 0.0
+                raise ValueError("No hand is in view; use show first.")
+            self._path, self._elapsed = (self._state, target.state, target.seconds), 0.0
 
     def hide(self) -> None:
-        """Takes the hand out of view; its confidence falls before."""
+        """Takes the hand out of view, after its confidence has fallen."""
         with self._lock:
             if self._state is not None:
                 self._leaves_in = SETTLE_S
 
     def hand(self) -> dict:
-        """Returns whether a hand is in view, whether it moves, and where it is: right, up, back [m], curl."""
+        """Returns whether a hand is in view, whether it moves, and its right, up, back [m] and curl."""
         with self._lock:
             if self._state is None:
                 return {"in_view": False, "moving": False}
@@ -119,8 +119,8 @@ class GuidedOperator:
             return {"in_view": True, "moving": moving, "right": right, "up": up, "back": back, "curl": curl}
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
-        """Yields frames for ever: empty ones while no hand is in view."""
-        model = HandModel(self._person.side, self._person.scale, ends_at_tip=self._person.fields == "new")
+        """Yields frames without end, empty ones while no hand is in view."""
+        model = HandModel(self._scripted.side, self._scripted.scale, ends_at_tip=self._scripted.fields == "new")
         tracker, shown, age = None, 0, 0.0
         order = rng.permutation(5).tolist()
         while True:
@@ -131,14 +131,14 @@ class GuidedOperator:
                 if tracker is None or count != shown:
                     tracker, shown, age = Tracker(model, first_id + count - 1, rng), count, 0.0
                 curl = float(state[motion.CURL])
-                hands = [tracker.report(self._person.pose(state), curl, speed, age, left)]
+                hands = [tracker.report(self._scripted.pose(state), curl, speed, age, left)]
                 age += interval
             else:
                 tracker = None
-            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self._person.fields, order)
+            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self._scripted.fields, order)
 
     def _advance(self, dt: float) -> tuple[np.ndarray | None, float, float, int]:
-        """Lets dt [s] pass; returns the state, the palm's speed [mm/s], the time left in view [s], the hands so far."""
+        """Advances by dt [s]; returns state, speed of the palm [mm/s], time left in view [s], hands so far."""
         with self._lock:
             if self._leaves_in is not None:
                 self._leaves_in -= dt
@@ -149,14 +149,16 @@ class GuidedOperator:
             before = self._state
             start, end, seconds = self._path
             self._elapsed = min(self._elapsed + dt, seconds)
-            part = self._elapsed / seconds if seconds > 0.0 else 1.0
-            self._state = start + motion.min_jerk(part) * (end - start)
+            fraction = self._elapsed / seconds if seconds > 0.0 else 1.0
+            self._state = start + motion.min_jerk(fraction) * (end - start)
             speed = float(np.linalg.norm(self._state[:3] - before[:3])) / dt
             return self._state, speed, 1e3 if self._leaves_in is None else self._leaves_in, self._shown
 
 
-def _reach(fields: dict) -> HandTarget:
+def _target(fields: dict) -> HandTarget:
     unknown = sorted(set(fields) - set(HandTarget.__dataclass_fields__))
     if unknown:
-        raise ValueError(f"a reach has no {', '.join(unknown)}; it has {', '.join(HandTarget.__dataclass_fields__)}")
+        raise ValueError(
+            f"Unknown field {', '.join(unknown)}; the fields are {', '.join(HandTarget.__dataclass_fields__)}."
+        )
     return HandTarget(**fields)

@@ -1,8 +1,8 @@
-"""The hand that the Leap service fits to its images: one template, scaled, with a rigid palm and hinged fingers.
+"""The hand model of the Leap service: one scaled template with a rigid palm and hinged fingers.
 
-Everything is in millimetres and in Leap axes (x to the user's right, y up, z towards the user) unless it says palm
-axes: x to the pinky's side, y out of the back of the hand, z to the wrist. Palm axes of a left hand are mirrored, so
-that one template serves both hands; so are the bases of its bones, as on the service's wire.
+Millimetres in Leap axes (x to the user's right, y up, z towards the user), or in palm axes where stated: x to the
+pinky's side, y out of the back of the hand, z to the wrist. Palm axes of a left hand are mirrored, so one template
+serves both hands; so are the bases of its bones, as on the wire of the service.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from common.rotations import rotation_about
 PALM_WIDTH_MM = 84.25
 ARM_LENGTH_MM, ARM_WIDTH_MM = 250.0, 59.0
 TIP_ON_DISTAL = 0.77
-"""Where on the last bone service 2 puts the centre of the finger tip; newer services end the bone there."""
+"""Position of the finger tip's centre on the last bone in service 2; newer services end the bone there."""
 
 BONE_LENGTHS_MM = np.array(
     [
@@ -38,7 +38,7 @@ KNUCKLES_MM = np.array(
 )
 WRIST_MM = np.array([7.06, 4.0, 50.0])
 THUMB_TWIST = np.radians(45.0)
-"""How far the thumb's hinges are turned about its bones: it bends across the palm, not down."""
+"""Turn of the thumb's hinges about its bones: it bends across the palm, not down."""
 
 FLEXION_SUM_EXTENDED = np.radians(85.0)
 OPEN = np.radians([[-5, 4, 4], [2, 5, 4], [1, 5, 4], [2, 5, 4], [3, 6, 5]])
@@ -49,7 +49,7 @@ FIST_SPREAD = np.radians([-8.0, 0.0, 0.0, 1.0, 2.0])
 
 @dataclass(frozen=True)
 class HandPose:
-    """Where a hand is and how its fingers are bent.
+    """Pose of a hand and flexion of its fingers.
 
     Attributes:
         palm: centre of the palm, shape (3,) [mm].
@@ -70,7 +70,7 @@ class HandPose:
 
 @dataclass(frozen=True)
 class HandGeometry:
-    """Where the bones of a hand are.
+    """Geometry of the bones of a hand.
 
     Attributes:
         palm: shape (3,) [mm]; direction, normal: unit vectors, shape (3,).
@@ -108,7 +108,7 @@ class HandModel:
 
     def __init__(self, side: str = "right", scale: float = 1.05, ends_at_tip: bool = False) -> None:
         if side not in ("right", "left"):
-            raise ValueError(f"a hand is right or left, not {side!r}")
+            raise ValueError(f"The side is {side!r}, but must be right or left.")
         self.side, self.scale, self.ends_at_tip = side, scale, ends_at_tip
         self.lengths = BONE_LENGTHS_MM * scale
         if ends_at_tip:
@@ -136,19 +136,19 @@ class HandModel:
         return PALM_WIDTH_MM * self.scale
 
     def place(self, pose: HandPose) -> HandGeometry:
-        """Returns where the bones are when the hand has this pose."""
-        # The service's yaw, pitch and roll are projections: two vectors are made from which they come out as set.
+        """Returns the geometry of the bones in a pose of the hand."""
+        # Yaw, pitch and roll of the service are projections of these two vectors.
         direction = _unit(np.array([np.tan(pose.yaw), np.tan(pose.pitch), -1.0]))
         normal = _unit(np.array([np.sin(pose.roll), -np.cos(pose.roll), _tilt(direction, pose.roll)]))
         # Columns: palm axes in Leap axes.
         axes = np.stack([np.cross(normal, direction), -normal, -direction], axis=1)
         if self.side == "left":
             axes[:, 0] *= -1.0
-        attitudes = self._attitudes(pose)
+        orientations = self._orientations(pose)
         joints = np.empty((5, 5, 3))
         joints[:, 0], joints[:, 1] = self._carps, self._knuckles
         for bone in (1, 2, 3):
-            joints[:, bone + 1] = joints[:, bone] - self.lengths[:, bone, None] * attitudes[:, bone, :, 2]
+            joints[:, bone + 1] = joints[:, bone] - self.lengths[:, bone, None] * orientations[:, bone, :, 2]
         tip = 1.0 if self.ends_at_tip else TIP_ON_DISTAL
         tips = joints[:, 3] + tip * (joints[:, 4] - joints[:, 3])
         palm = np.asarray(pose.palm, dtype=float)
@@ -158,41 +158,41 @@ class HandModel:
             direction=direction,
             normal=normal,
             joints=palm + joints @ axes.T,
-            bases=(axes @ attitudes).swapaxes(-1, -2),
+            bases=(axes @ orientations).swapaxes(-1, -2),
             tips=palm + tips @ axes.T,
             elbow=wrist + ARM_LENGTH_MM * self.scale * axes[:, 2],
             wrist=wrist,
             arm_basis=axes.T,
         )
 
-    def _attitudes(self, pose: HandPose) -> np.ndarray:
-        """Returns the attitudes of the bones in palm axes, axes as columns, shape (5, 4, 3, 3)."""
-        attitudes = np.empty((5, 4, 3, 3))
-        attitudes[:, 0] = self._metacarpals
+    def _orientations(self, pose: HandPose) -> np.ndarray:
+        """Returns the orientations of the bones in palm axes, axes as columns, shape (5, 4, 3, 3)."""
+        orientations = np.empty((5, 4, 3, 3))
+        orientations[:, 0] = self._metacarpals
         for finger in range(5):
-            attitude = rotation_about(1, -pose.spread[finger])
+            orientation = rotation_about(1, -pose.spread[finger])
             if finger == 0:
-                attitude = attitude @ rotation_about(2, THUMB_TWIST)
+                orientation = orientation @ rotation_about(2, THUMB_TWIST)
             for hinge in range(3):
-                attitude = attitude @ rotation_about(0, -pose.flexion[finger, hinge])
-                attitudes[finger, hinge + 1] = attitude
-        return attitudes
+                orientation = orientation @ rotation_about(0, -pose.flexion[finger, hinge])
+                orientations[finger, hinge + 1] = orientation
+        return orientations
 
 
 def grab_strength(flexion: np.ndarray) -> float:
-    """Returns how much of a fist the hand is, 0 to 1, from the flexion of its hinges, shape (5, 3) [rad]."""
+    """Returns the grab strength from 0 to 1 (fist), from the flexion of the hinges, shape (5, 3) [rad]."""
     mean = np.degrees(flexion[1:].sum(axis=1).mean())
     return float(np.clip((mean - 60.0) / 95.0, 0.0, 1.0))
 
 
 def pinch_strength(tips: np.ndarray) -> float:
-    """Returns how near the thumb is to another finger, 0 to 1, from the finger tips, shape (5, 3) [mm]."""
+    """Returns the pinch strength from 0 to 1, from the finger tips, shape (5, 3) [mm]."""
     distance = np.linalg.norm(tips[1:] - tips[0], axis=1).min()
     return float(np.clip((65.5 - distance) / 43.7, 0.0, 1.0))
 
 
 def extended(flexion: np.ndarray) -> list[bool]:
-    """Returns for each finger whether it points straight, from the flexion of its hinges, shape (5, 3) [rad]."""
+    """Returns for each finger whether it is extended, from the flexion of the hinges, shape (5, 3) [rad]."""
     return (flexion.sum(axis=1) < FLEXION_SUM_EXTENDED).tolist()
 
 
@@ -202,7 +202,7 @@ def _tilt(direction: np.ndarray, roll: float) -> float:
 
 
 def _across(back: np.ndarray) -> np.ndarray:
-    """Returns the attitude of a metacarpal from the vector of its end to its start; identity if it has no length."""
+    """Returns the orientation of a metacarpal from the vector of its end to its start; identity if it has no length."""
     if not back.any():
         return np.eye(3)
     z = _unit(back)

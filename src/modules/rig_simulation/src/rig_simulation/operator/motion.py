@@ -1,9 +1,8 @@
-"""What a person does over the Leap: comes in flat, holds still, draws a figure, grips, tilts the hand, and leaves.
+"""A scripted visit above the Leap: the hand comes in flat, holds still, draws a figure, grips, tilts, and leaves.
 
-A visit is a row of segments. Each starts and ends at rest, so that position, speed and acceleration have no steps:
-moves from pose to pose follow the minimum-jerk law of human reaching (Flash and Hogan 1985), figures are run through
-with a smooth start and end. A state is the row x, y, z [mm] from the centre of the work, pitch, yaw, roll [rad], curl
-(0 open, 1 fist).
+A visit is a sequence of segments that start and end at rest: moves from pose to pose follow the minimum-jerk law of
+human reaching (Flash and Hogan 1985), figures have a smooth start and end. A state is x, y, z [mm] from the centre of
+the workspace, pitch, yaw, roll [rad], and curl (0 open, 1 fist).
 """
 
 from __future__ import annotations
@@ -14,16 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 MIN_JERK_PEAK = 1.875
-"""Highest speed of a minimum-jerk move against its mean speed."""
+"""Ratio of the highest to the mean speed of a minimum-jerk move."""
 
 RAMP = 0.15
-"""Part of a figure's time in which it is sped up, and again slowed down."""
+"""Fraction of a figure's time for its acceleration, and for its deceleration."""
 
 HOLD_S = 2.5
-"""How long the hand waits over the centre for the arm to come to it."""
+"""Time for which the hand waits at the centre until the arm follows."""
 
 EDGE_MM = 200.0
-"""Where the hand comes into view and goes out of it, before the centre on the user's side."""
+"""Distance from the centre, on the operator's side, at which the hand enters and leaves the view."""
 
 FAR_MM = 320.0
 SHORTEST_MOVE_S = 0.6
@@ -36,15 +35,15 @@ STATE_SIZE = 7
 
 @dataclass(frozen=True)
 class Script:
-    """What the person is to do.
+    """The script of the operator.
 
     Attributes:
         figure: one of FIGURES.
         size: width of the figure [mm].
         speed: highest speed of the palm [mm/s].
         plane: of the figure, a key of PLANES.
-        laps: how often the figure is drawn.
-        away: how long the hand stays out of view after each visit [s].
+        laps: number of rounds of the figure.
+        away: time out of view after each visit [s].
     """
 
     figure: str = "circle"
@@ -57,7 +56,7 @@ class Script:
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of a visit: its duration [s] and its state as a function of the elapsed part of it, 0 to 1."""
+    """A segment of a visit: its duration [s], and its state as a function of the elapsed fraction, 0 to 1."""
 
     duration: float
     state: Callable[[float], np.ndarray]
@@ -67,13 +66,15 @@ class Visit:
     """One visit of the hand.
 
     Args:
-        script: what the person is to do.
-        rng: makes each visit a little different, as no person repeats himself.
+        script: of the operator.
+        rng: makes each visit slightly different.
     """
 
     def __init__(self, script: Script, rng: np.random.Generator) -> None:
         if script.figure not in FIGURES or script.plane not in PLANES:
-            raise ValueError(f"there is no figure {script.figure!r} in a plane {script.plane!r}")
+            raise ValueError(
+                f"The figure is {script.figure!r} in the plane {script.plane!r}, but must be {FIGURES}, {[*PLANES]}."
+            )
         self._script = script
         self._segments: list[Segment] = []
         self._here = np.array(
@@ -84,8 +85,8 @@ class Visit:
         self._ends = np.cumsum([segment.duration for segment in self._segments])
         self.duration = float(self._ends[-1])
         times = np.arange(0.0, self.duration, 0.005)
-        seen = times[[self.state(t)[Z] < EDGE_MM for t in times]]
-        self.appears, self.vanishes = float(seen[0]), float(seen[-1])
+        visible = times[[self.state(t)[Z] < EDGE_MM for t in times]]
+        self.appears, self.vanishes = float(visible[0]), float(visible[-1])
 
     def state(self, t: float) -> np.ndarray:
         """Returns the state at `t` seconds after the start of the visit, shape (7,)."""
@@ -119,10 +120,10 @@ class Visit:
 
     def _move(self, there: np.ndarray, duration: float = 0.0, speed: float = 0.0) -> None:
         here = self._here
-        way = np.linalg.norm(there[:3] - here[:3]) / (speed or self._script.speed)
+        travel = np.linalg.norm(there[:3] - here[:3]) / (speed or self._script.speed)
         turn = np.abs(there[3:6] - here[3:6]).max() / TILT_SPEED
-        duration = duration or max(SHORTEST_MOVE_S, MIN_JERK_PEAK * max(way, turn))
-        self._segments.append(Segment(duration, lambda part: here + min_jerk(part) * (there - here)))
+        duration = duration or max(SHORTEST_MOVE_S, MIN_JERK_PEAK * max(travel, turn))
+        self._segments.append(Segment(duration, lambda fraction: here + min_jerk(fraction) * (there - here)))
         self._here = there
 
     def _figure(self, rest: np.ndarray) -> None:
@@ -142,7 +143,7 @@ class Visit:
         duration = fastest * total / (script.speed * (1.0 - RAMP))
         self._move(_shifted(rest, half * np.array(path(0.0)) @ plane))
         self._segments.append(
-            Segment(duration, lambda part: _shifted(rest, half * np.array(path(total * _run(part))) @ plane))
+            Segment(duration, lambda fraction: _shifted(rest, half * np.array(path(total * _run(fraction))) @ plane))
         )
         self._here = _shifted(rest, half * np.array(path(total)) @ plane)
 
@@ -155,18 +156,18 @@ def _eight(angle: float) -> tuple[float, float]:
     return np.sin(angle), np.sin(angle) * np.cos(angle)
 
 
-def min_jerk(part: float) -> float:
-    """Returns the part of the way after `part` of the time of a reach: at rest at both ends, smooth between."""
-    return part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+def min_jerk(fraction: float) -> float:
+    """Returns the fraction of the path after a fraction of the time: at rest at both ends, minimum jerk between."""
+    return fraction**3 * (10.0 - 15.0 * fraction + 6.0 * fraction**2)
 
 
-def _run(part: float) -> float:
-    """Returns the part of the way after `part` of the time: smoothly up to speed, steadily, smoothly down."""
-    if part > 0.5:
-        return 1.0 - _run(1.0 - part)
-    q = min(part / RAMP, 1.0)
+def _run(fraction: float) -> float:
+    """Returns the fraction of the path after a fraction of the time: smooth start, steady speed, smooth end."""
+    if fraction > 0.5:
+        return 1.0 - _run(1.0 - fraction)
+    q = min(fraction / RAMP, 1.0)
     ramped = RAMP * (q**3 - 0.5 * q**4)
-    return (ramped + max(0.0, part - RAMP)) / (1.0 - RAMP)
+    return (ramped + max(0.0, fraction - RAMP)) / (1.0 - RAMP)
 
 
 def _with(state: np.ndarray, axis: int, value: float) -> np.ndarray:

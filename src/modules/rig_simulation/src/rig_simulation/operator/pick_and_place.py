@@ -1,8 +1,7 @@
-"""A person picks an object up and puts it down again: a state machine from what is seen to where the hand goes.
+"""The operator picks an object up and puts it down: a state machine from observations to moves of the hand.
 
-The person looks at the tool and at the object and moves and turns the hand by the difference, as often as it takes;
-nothing is known of the controller but that the tool follows the hand. Positions in metres in `kuka/base_frame`, times
-in seconds.
+The operator compares the tool with the object and moves the hand by the difference until they match; all that is known
+of the controller is that the tool follows the hand. Positions in metres in `kuka/base_frame`, times in seconds.
 """
 
 from __future__ import annotations
@@ -15,26 +14,26 @@ from rig_simulation.operator.motion import MIN_JERK_PEAK
 
 UP = np.array([0.0, 0.0, 1.0])
 SHORTEST_MOVE_S, SETTLE_S = 0.4, 0.3
-FINGER_SHARE = 0.6
-"""Part of the fingers' time in which the person's own fingers move."""
+FINGER_FRACTION = 0.6
+"""The operator's fingers move for this fraction of the robot fingers' time."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How the person works.
+    """Parameters of the work.
 
     Attributes:
         clearance: of the grip above the object before it is grasped [m].
         grasp_height: of the grip above the object's top while it is grasped [m].
         lift: how high it is lifted [m].
-        speed: highest of the palm [m/s].
-        turn_speed: highest of the hand about the vertical [rad/s].
-        tolerance: distance of the tool from where it should be that is good enough [m].
-        turn_tolerance: angle of the tool about the vertical that is good enough [rad].
-        most_turn: how far the hand is turned at most, as the arm follows no further [rad].
-        at_rest: speed below which the tool stands [m/s].
-        closing, opening: how long the fingers are given [s].
-        hold: how long the object is held up [s].
+        speed: highest speed of the palm [m/s].
+        turn_speed: highest angular speed of the hand about the vertical [rad/s].
+        tolerance: accepted distance of the tool from its target [m].
+        turn_tolerance: accepted angle of the tool about the vertical [rad].
+        most_turn: largest turn of the hand; the arm follows no further [rad].
+        at_rest: speed below which the tool counts as at rest [m/s].
+        closing, opening: time for the fingers [s].
+        hold: time for which the object is held up [s].
         patience: longest time for one step [s].
     """
 
@@ -55,14 +54,14 @@ class Plan:
 
 @dataclass(frozen=True)
 class PickView:
-    """What the person sees.
+    """The operator's observation.
 
     Attributes:
-        grip: point of the tool that grips, shape (3,) [m].
+        grip: gripping point of the tool, shape (3,) [m].
         top: centre of the object's upper side, shape (3,) [m].
         clearance: height of the object's lowest point above the table [m].
         following: whether the arm follows the hand.
-        turn: how far the tool has to turn so that the fingers fit the object, anticlockwise from above [rad].
+        turn: turn of the tool after which the fingers fit the object, anticlockwise from above [rad].
     """
 
     grip: np.ndarray
@@ -74,7 +73,7 @@ class PickView:
 
 @dataclass(frozen=True)
 class Move:
-    """Where the hand goes: right, up and back from where it came in [m], yaw to the right [rad], curl 0 to 1, in s."""
+    """Target of the hand: right, up and back from its entry [m], yaw to the right [rad], curl 0 to 1, time [s]."""
 
     palm: np.ndarray
     yaw: float
@@ -83,14 +82,14 @@ class Move:
 
     @property
     def fields(self) -> dict[str, float]:
-        """The same as the request `reach` of the simulated Leap service."""
+        """Fields of the request `reach` of the simulated Leap service."""
         right, up, back = self.palm.tolist()
         return {"right": right, "up": up, "back": back, "yaw": self.yaw, "curl": self.curl, "seconds": self.seconds}
 
 
 @dataclass(frozen=True)
 class PickStep:
-    """What a step brought: a move to make or None; `step` names the present step; `failure` says why it gave up."""
+    """Result of a cycle: the name of the step, a move of the hand or None, and why the operator gave up."""
 
     step: str
     move: Move | None = None
@@ -98,7 +97,7 @@ class PickStep:
 
     @property
     def over(self) -> bool:
-        """Whether nothing is left to do."""
+        """Whether the work is over."""
         return self.step == "done" or bool(self.failure)
 
 
@@ -106,11 +105,11 @@ STEPS = ("wait", "above", "down", "close", "lift", "hold", "lower", "open", "awa
 
 
 class PickAndPlace:
-    """The person at work; `step` is called some ten times a second.
+    """The operator at work; call `step` about ten times a second.
 
     Args:
-        plan: how the person works.
-        center_line: direction of the workspace, shape (3,), z = 0: the hand comes in pointing along it.
+        plan: parameters of the work.
+        center_line: direction of the workspace, shape (3,), z = 0; the hand points along it when it comes in.
     """
 
     def __init__(self, plan: Plan, center_line: np.ndarray) -> None:
@@ -125,7 +124,7 @@ class PickAndPlace:
         self._before: tuple[float, np.ndarray] | None = None
 
     def step(self, view: PickView, now: float) -> PickStep:
-        """Looks, and says what to do now."""
+        """Takes an observation at the time `now` [s]; returns what to do."""
         at_rest = self._at_rest(view.grip, now)
         if STEPS[self._step] == "done":
             return PickStep("done")
@@ -135,10 +134,10 @@ class PickAndPlace:
             return PickStep(STEPS[self._step], failure=self._complaint(view))
         if now < self._busy_until or not at_rest or not view.following:
             return PickStep(STEPS[self._step])
-        return self._look(view, now)
+        return self._correct_or_continue(view, now)
 
-    def _look(self, view: PickView, now: float) -> PickStep:
-        """The last movement is over and the tool stands: corrects it, or goes on to the next step."""
+    def _correct_or_continue(self, view: PickView, now: float) -> PickStep:
+        """Corrects the last move, or begins the next step; the tool is at rest."""
         name = STEPS[self._step]
         if self._target is not None:
             error, turn = self._target - view.grip, self._turn(name, view)
@@ -150,48 +149,45 @@ class PickAndPlace:
 
     def _begin(self, name: str, view: PickView, now: float) -> PickStep:
         plan = self._plan
-        if name == "above":
-            self._target = view.top + plan.clearance * UP
-        elif name == "down":
-            self._target = view.top + plan.grasp_height * UP
-        elif name == "close":
+        if name == "close":
             return PickStep(name, self._bend(1.0, plan.closing, now))
-        elif name == "lift":
-            self._target = view.grip + plan.lift * UP
-        elif name == "hold":
-            self._busy_until = now + plan.hold
-            return PickStep(name)
-        elif name == "lower":
-            self._target = view.grip - view.clearance * UP
-        elif name == "open":
+        if name == "open":
             return PickStep(name, self._bend(0.0, plan.opening, now))
-        elif name == "away":
-            self._target = view.grip + plan.clearance * UP
-        else:
+        if name == "hold":
+            self._busy_until = now + plan.hold
+        targets = {
+            "above": view.top + plan.clearance * UP,
+            "down": view.top + plan.grasp_height * UP,
+            "lift": view.grip + plan.lift * UP,
+            "lower": view.grip - view.clearance * UP,
+            "away": view.grip + plan.clearance * UP,
+        }
+        self._target = targets.get(name)
+        if self._target is None:
             return PickStep(name)
         return PickStep(name, self._shift(self._target - view.grip, now, self._turn(name, view)))
 
     def _turn(self, name: str, view: PickView) -> float:
-        """Returns the turn that is still to be made [rad]: over the object, and no further than the arm follows."""
+        """Returns the remaining turn [rad]: only above the object, and no further than the arm follows."""
         if name != "above":
             return 0.0
         most = self._plan.most_turn
         return float(np.clip(view.turn, self._yaw - most, self._yaw + most))
 
-    def _shift(self, way: np.ndarray, now: float, turn: float) -> Move:
-        """Returns the hand's move that shifts the tool by `way`, shape (3,) [m], in the base and turns it [rad]."""
-        self._palm = self._palm + self._R_leap_base @ way
+    def _shift(self, shift: np.ndarray, now: float, turn: float) -> Move:
+        """Returns the move that shifts the tool by `shift`, shape (3,) [m], in the base and turns it [rad]."""
+        self._palm = self._palm + self._R_leap_base @ shift
         self._yaw -= turn
-        fastest = max(float(np.linalg.norm(way) / self._plan.speed), abs(turn) / self._plan.turn_speed)
+        fastest = max(float(np.linalg.norm(shift) / self._plan.speed), abs(turn) / self._plan.turn_speed)
         seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * fastest)
         self._busy_until = now + seconds + SETTLE_S
         return Move(self._palm, self._yaw, self._curl, seconds)
 
     def _bend(self, curl: float, seconds: float, now: float) -> Move:
-        """Returns the fingers' move; the robot's fingers, which are slower, are given `seconds` in all."""
+        """Returns the move of the fingers; the robot's fingers, which are slower, get `seconds` in all."""
         self._curl = curl
         self._busy_until = now + seconds
-        return Move(self._palm, self._yaw, curl, FINGER_SHARE * seconds)
+        return Move(self._palm, self._yaw, curl, FINGER_FRACTION * seconds)
 
     def _at_rest(self, grip: np.ndarray, now: float) -> bool:
         before, self._before = self._before, (now, grip)
@@ -205,5 +201,5 @@ class PickAndPlace:
             return f"the arm did not follow within {self._plan.patience:g} s (step {name!r})"
         if self._target is not None:
             off = 1e3 * np.linalg.norm(self._target - view.grip)
-            return f"the tool stayed {off:.0f} mm away from where step {name!r} wants it"
-        return f"step {name!r} did not end within {self._plan.patience:g} s"
+            return f"the tool stayed {off:.0f} mm off the target of step {name!r}"
+        return f"step {name!r} took longer than {self._plan.patience:g} s"

@@ -1,7 +1,7 @@
-"""Where frames come from: nobody, a person who follows a script, or a recording.
+"""Sources of frames: no hand, an operator who follows a script, or a recording.
 
-A source yields (interval, frame): the time since the frame before [s], and a frame that still needs the service's own
-`id` and `timestamp`. Hand ids are counted by the service, so a source is told the first one that is free.
+A source yields (interval, frame): the time since the last frame [s], and a frame without the `id` and `timestamp` of
+the service. The service counts hand ids, so a source gets the first free one.
 """
 
 from __future__ import annotations
@@ -23,31 +23,39 @@ from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 PERIOD_S = 1.0 / 115.3
 JITTER_S = 0.08e-3
 LOST_FRAME = 0.005
-"""Probability that the camera loses a frame: the interval is double, the id counts on."""
+"""Probability that the sensor loses a frame: the interval is double, the id continues."""
 
 PAUSE_S = 1.5
 """Empty frames between two rounds of a recording."""
 
 
 class RecordingError(RigError):
-    """A recording that cannot be played."""
+    """An unusable recording.
+
+    Attributes:
+        path: of the recording.
+    """
+
+    def __init__(self, path: Path, problem: str) -> None:
+        self.path = path
+        super().__init__(f"The recording {path} {problem}. Record it again, or choose another file.")
 
 
 def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float, dict]]:
-    """Yields frames without hands for ever, at the rate of the device with its jitter."""
+    """Yields frames without hands and without end, at the rate of the device with its jitter."""
     while True:
         yield next_interval(rng), wire.frame([], 1.0 / PERIOD_S, fields)
 
 
 @dataclass(frozen=True)
 class ScriptedOperator:
-    """Who moves what over the Leap.
+    """An operator who follows a script.
 
     Attributes:
-        script: what the person does.
+        script: the motions.
         side: of the hand, "right" or "left".
         scale: size of the hand against the template.
-        centre: of the work, in Leap axes [mm].
+        centre: of the workspace, in Leap axes [mm].
         fields: field set of the frames.
     """
 
@@ -58,7 +66,7 @@ class ScriptedOperator:
     fields: str = "2.x"
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
-        """Yields visit after visit for ever, each with a hand id of its own and a pause after it."""
+        """Yields visits without end, each with its own hand id and a pause after it."""
         model = HandModel(self.side, self.scale, ends_at_tip=self.fields == "new")
         hand_id = first_id
         while True:
@@ -83,7 +91,7 @@ class ScriptedOperator:
             t += interval
 
     def pose(self, state: np.ndarray) -> HandPose:
-        """Returns where the hand is in a state of motion.py, shape (7,)."""
+        """Returns the pose of the hand in a state of motion.py, shape (7,)."""
         flexion, spread = fingers_for(state[motion.CURL])
         pitch, yaw, roll = state[[motion.PITCH, motion.YAW, motion.ROLL]]
         mirror = -1.0 if self.side == "left" else 1.0
@@ -96,12 +104,12 @@ class Recording:
 
     Args:
         path: the file.
-        rate: how much faster than recorded it is played.
+        rate: playback speed.
         offset: added to every position [mm].
-        loop: whether it starts again, after a pause, with new hand ids.
+        loop: whether it repeats, after a pause, with new hand ids.
 
     Raises:
-        RecordingError: the file is not there, or a line of it is no frame.
+        RecordingError: the file cannot be read, or a line is not a frame.
     """
 
     def __init__(self, path: Path, rate: float = 1.0, offset: Sequence[float] = (0, 0, 0), loop: bool = False) -> None:
@@ -110,14 +118,14 @@ class Recording:
         frames = [self._check(path, number, line) for number, line in enumerate(self._lines, 1)]
         self._times = [frame["timestamp"] for frame in frames]
         if any(b < a for a, b in zip(self._times, self._times[1:])):
-            raise RecordingError(f"The time stamps of the recording {path} go back.")
+            raise RecordingError(path, "has decreasing time stamps")
         self._highest_hand = max((hand["id"] for frame in frames for hand in frame["hands"]), default=0)
 
     def __len__(self) -> int:
         return len(self._lines)
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
-        """Yields the recorded frames; after them empty ones, for a while or for ever."""
+        """Yields the recorded frames, then empty ones until it repeats, or without end."""
         shift = 0 if first_id <= 1 else first_id
         while True:
             interval = PERIOD_S
@@ -154,7 +162,7 @@ class Recording:
                 return frame
         except (ValueError, KeyError, TypeError):
             pass
-        raise RecordingError(f"Line {number} of the recording {path} is no frame of the Leap service.")
+        raise RecordingError(path, f"has no frame of the Leap service in line {number}")
 
 
 def _read(path: Path) -> list[str]:
@@ -163,13 +171,13 @@ def _read(path: Path) -> list[str]:
         with opener(path, "rt", encoding="utf-8") as file:
             lines = [line for line in file.read().splitlines() if line.strip()]
     except (OSError, EOFError, UnicodeDecodeError) as error:
-        raise RecordingError(f"The recording {path} cannot be read: {error}.") from error
+        raise RecordingError(path, f"cannot be read: {error}") from error
     if not lines:
-        raise RecordingError(f"The recording {path} holds no frames.")
+        raise RecordingError(path, "contains no frames")
     return lines
 
 
 def next_interval(rng: np.random.Generator) -> float:
-    """Returns the time to the next frame [s]: the device's period with its jitter, twice as long if one is lost."""
+    """Returns the time to the next frame [s]: the period of the device with its jitter, doubled for a lost frame."""
     frames = 2 if rng.random() < LOST_FRAME else 1
     return frames * PERIOD_S + JITTER_S * float(np.clip(rng.standard_normal(), -3.0, 3.0))

@@ -95,7 +95,7 @@ class CameraNode:
         if exposure is None:
             return
         started = time.perf_counter()
-        pictures = exposure.pictures
+        pictures = exposure.images
         for name, picture in zip(FRAMES, (pictures.colour, pictures.depth, pictures.registered)):
             if picture is not None:
                 topics.publish(name, picture, exposure.stamp)

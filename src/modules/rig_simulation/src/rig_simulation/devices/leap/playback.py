@@ -1,6 +1,6 @@
-"""The service's own clock and counters: frames of the present source get rising ids and time stamps.
+"""The clock and counters of the service: frames of the source get rising ids and time stamps.
 
-Playing starts the source anew; paused, and before, the frames are empty. What the source yields keeps its rhythm.
+Playing starts the source from its beginning; paused, and before, the frames are empty.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ START_US = 1_000_000
 
 
 class Source(Protocol):
-    """What can be played: see sources.py."""
+    """A source of frames: see operator/sources.py."""
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
         """Yields (interval, frame)."""
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedFrame:
     """A frame that is due `time` seconds after the service started."""
 
     time: float
@@ -33,13 +33,13 @@ class Played:
 
 
 class Playback:
-    """Plays a source, or nobody.
+    """Plays a source, or empty frames.
 
     Args:
-        source: what is played.
+        source: of the frames.
         seed: of the noise; the same seed and calls give the same frames.
         fields: field set of the empty frames.
-        playing: whether it plays from the beginning.
+        playing: whether it plays from the start.
     """
 
     def __init__(self, source: Source, seed: int = 0, fields: str = "2.x", playing: bool = True) -> None:
@@ -60,14 +60,14 @@ class Playback:
         self.playing, self.position = True, 0
 
     def pause(self) -> None:
-        """Goes on with empty frames."""
+        """Continues with empty frames."""
         self._frames, self.playing = self._idle, False
 
     def restart(self) -> None:
-        """Counts ids and time from the beginning, as a service that was started again; the source goes on."""
+        """Restarts ids and time, like a restarted service; the source continues."""
         self._time, self._id = 0.0, 0
 
-    def next(self) -> Played:
+    def next(self) -> PlayedFrame:
         """Returns the next frame."""
         interval, message = next(self._frames)
         self._time += interval
@@ -76,4 +76,4 @@ class Playback:
         for hand in message["hands"]:
             self._next_hand = max(self._next_hand, hand["id"] + 1)
         stamp = START_US + round(self._time * 1e6)
-        return Played(self._time, wire.text({**message, "id": self._id, "timestamp": stamp}))
+        return PlayedFrame(self._time, wire.text({**message, "id": self._id, "timestamp": stamp}))

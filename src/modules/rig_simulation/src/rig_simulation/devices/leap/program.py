@@ -1,16 +1,14 @@
-"""The program `leapd.py`: arguments in, one ready line out, then the service until it is interrupted."""
+"""The program `leapd.py`: options, one line when it is ready, then the service until it is interrupted."""
 
 from __future__ import annotations
 
 import argparse
-import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from common.errors import RigError
-from rig_simulation.command_line import finite, parse_options, port, positive
+from rig_simulation.command_line import failed, finite, parse_options, port, positive, stop_on_signals
 from rig_simulation.devices.leap import wire
 from rig_simulation.devices.leap.playback import Playback, Source
 from rig_simulation.devices.leap.server import LeapService
@@ -26,33 +24,31 @@ NAME = "leapd"
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulated service; returns the exit code."""
     options = parse(arguments)
-    source: Source
-    calls: dict[str, Callable[..., Any]] = {}
     try:
-        if options.recording is not None:
-            source = Recording(options.recording, options.rate, options.offset, options.loop)
-        else:
-            script = motion.Script(options.figure, options.size, options.speed, options.plane, away=options.away)
-            source = person = ScriptedOperator(
-                script, options.hand, options.scale, tuple(options.centre), options.fields
-            )
-            if options.guided:
-                source = guided = GuidedOperator(person)
-                calls = {name: getattr(guided, name) for name in ("show", "reach", "hide", "hand")}
+        source, requests = _source(options)
         playback = Playback(source, options.seed, options.fields, playing=not options.paused)
-        service = LeapService(
-            playback, options.host, options.port, options.control_port, options.fields, options.lenient, calls
-        )
+        ports = options.host, options.port, options.control_port
+        service = LeapService(playback, *ports, options.fields, options.lenient, requests)
     except RigError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
+        return failed(NAME, error)
     switch_all(service.faults, options.fault)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: service.stop())
+    stop_on_signals(service.stop)
     control = f"{service.host}:{service.control_port}"
     print(f"{NAME}: listening on {service.host}:{service.port}, control port {control}", flush=True)
     service.run()
     return 0
+
+
+def _source(options: argparse.Namespace) -> tuple[Source, dict[str, Callable[..., Any]]]:
+    """Returns the source of the frames, and its own requests of the control port."""
+    if options.recording is not None:
+        return Recording(options.recording, options.rate, options.offset, options.loop), {}
+    script = motion.Script(options.figure, options.size, options.speed, options.plane, away=options.away)
+    scripted = ScriptedOperator(script, options.hand, options.scale, tuple(options.centre), options.fields)
+    if not options.guided:
+        return scripted, {}
+    guided = GuidedOperator(scripted)
+    return guided, {name: getattr(guided, name) for name in ("show", "reach", "hide", "hand")}
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -62,60 +58,27 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--host", default="127.0.0.1", help="loopback address to listen on")
     add("--port", type=port, default=6437, help="WebSocket port; 0 takes any free port")
     add("--control-port", type=port, default=16437, help="port for tests; 0 takes any free port")
-    add("--paused", action="store_true", help="send empty frames until told to play on the control port")
+    add("--paused", action="store_true", help="send empty frames until the control port starts the source")
     add("--lenient", action="store_true", help="serve clients that did not ask for frames")
-    add("--seed", type=int, default=0, help="of the noise and of the person's variations")
+    add("--seed", type=int, default=0, help="seed of the noise and of the operator's variations")
     add("--fields", choices=wire.FIELD_SETS, default="2.x", help="field set of the frames")
     add_option(parser, LEAP_FAULTS)
-    recording = parser.add_argument_group("a recording")
-    add = recording.add_argument
+    xyz = ("X", "Y", "Z")
+    add = parser.add_argument_group("a recording").add_argument
     add("--recording", type=Path, metavar="FILE", help="one JSON frame a line, .gz or plain")
     add("--loop", action="store_true", help="start it again, after a pause without hands")
-    add(
-        "--rate",
-        type=positive,
-        default=1.0,
-        metavar="FACTOR",
-        help="play it faster or slower than recorded",
-    )
-    add(
-        "--offset",
-        type=finite,
-        nargs=3,
-        default=(0.0, 0.0, 0.0),
-        metavar=("X", "Y", "Z"),
-        help="added to positions, mm",
-    )
-    person = parser.add_argument_group("a scripted person, where no recording is given")
-    add = person.add_argument
-    add(
-        "--guided",
-        action="store_true",
-        help="the hand goes where the control port sends it: show, reach, hide (metres, radians, seconds)",
-    )
-    add("--figure", choices=motion.FIGURES, default="circle", help="what the hand draws")
+    add("--rate", type=positive, default=1.0, metavar="FACTOR", help="playback speed")
+    add("--offset", type=finite, nargs=3, default=(0.0, 0.0, 0.0), metavar=xyz, help="added to positions, mm")
+    add = parser.add_argument_group("a scripted operator, without a recording").add_argument
+    guided = "the hand goes where the control port sends it: show, reach, hide (metres, radians, seconds)"
+    add("--guided", action="store_true", help=guided)
+    add("--figure", choices=motion.FIGURES, default="circle", help="figure that the hand draws")
     add("--size", type=positive, default=150.0, help="width of the figure, mm")
-    add(
-        "--speed",
-        type=positive,
-        default=150.0,
-        help="highest speed of the palm, mm/s; people move at 50 to 250",
-    )
+    add("--speed", type=positive, default=150.0, help="highest speed of the palm, mm/s; people move at 50 to 250")
     add("--plane", choices=sorted(motion.PLANES), default="upright", help="plane of the figure")
     add("--away", type=positive, default=3.0, help="time without a hand between two visits, s")
     add("--hand", choices=("right", "left"), default="right", help="which hand")
-    add(
-        "--scale",
-        type=positive,
-        default=1.05,
-        help="size of the hand against the template; adults: 1.03 to 1.10",
-    )
-    add(
-        "--centre",
-        type=finite,
-        nargs=3,
-        default=(0.0, 350.0, 0.0),
-        metavar=("X", "Y", "Z"),
-        help="where the hand works, mm in Leap axes",
-    )
+    add("--scale", type=positive, default=1.05, help="size of the hand against the template; adults: 1.03 to 1.10")
+    centre = "centre of the hand's workspace, mm in Leap axes"
+    add("--centre", type=finite, nargs=3, default=(0.0, 350.0, 0.0), metavar=xyz, help=centre)
     return parse_options(parser, arguments)

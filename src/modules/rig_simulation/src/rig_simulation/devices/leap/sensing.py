@@ -1,7 +1,7 @@
-"""What the tracking service makes of a hand: noise, confidence, filtered velocities, ids, signs of entry and exit.
+"""The tracking of a hand: noise, confidence, filtered velocities, ids, and the behaviour at entry and exit.
 
-The levels are those measured on recordings of real hands: a still hand is reported within 0.02 to 0.07 mm, ten times
-worse when it moves fast or is hardly recognised. Noise is low-pass: the error of one frame is much like that before.
+The noise levels come from recordings of real hands: a still hand is reported within 0.02 to 0.07 mm, ten times worse
+when it moves fast or is poorly recognised. The noise is low-pass: errors of successive frames are similar.
 """
 
 from __future__ import annotations
@@ -10,14 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig_simulation.operator.hand_model import (
-    HandGeometry,
-    HandModel,
-    HandPose,
-    extended,
-    grab_strength,
-    pinch_strength,
-)
+from rig_simulation.operator.hand_model import HandGeometry, HandModel, HandPose, grab_strength
 
 PALM_NOISE_MM = 0.04
 ANGLE_NOISE = np.radians(0.04)
@@ -25,10 +18,10 @@ FLEXION_NOISE = np.radians(0.1)
 WANDER_MM = 1.2
 WANDER_ANGLE = np.radians(0.5)
 NOISE_MEMORY, WANDER_MEMORY = 0.86, 0.992
-"""How much of a filter's value stays from frame to frame."""
+"""Fraction of a filter's value that remains from frame to frame."""
 
 NOISE_SPEED_MM_S = 40.0
-"""A palm that fast is measured twice as badly as one at rest."""
+"""At this speed of the palm the noise is twice that at rest."""
 
 FIST_CONFIDENCE = 0.72
 SETTLE_S = 0.3
@@ -37,7 +30,7 @@ VELOCITY_MEMORY, STABLE_MEMORY = 0.6, 0.8
 
 
 class LowPassNoise:
-    """Noise of standard deviation 1 with a memory: white noise through two equal first-order filters."""
+    """Low-pass noise of standard deviation 1: white noise through two equal first-order filters."""
 
     def __init__(self, rng: np.random.Generator, size: int, memory: float) -> None:
         self._rng, self._memory = rng, memory
@@ -57,22 +50,29 @@ class ReportedHand:
     """A hand as the service reports it; lengths in mm, velocities in mm/s, as in the messages."""
 
     id: int
-    side: str
+    model: HandModel
     geometry: HandGeometry
+    flexion: np.ndarray
+    confidence: float
+    time_visible: float
     velocity: np.ndarray
     tip_velocities: np.ndarray
     stable_palm: np.ndarray
     stable_tips: np.ndarray
-    confidence: float
-    grab: float
-    pinch: float
-    extended: list[bool]
-    time_visible: float
-    palm_width: float
-    arm_width: float
-    finger_lengths: np.ndarray
-    finger_widths: np.ndarray
-    mean_flexion: float
+
+    @classmethod
+    def at_rest(
+        cls, hand_id: int, model: HandModel, pose: HandPose, confidence: float, time_visible: float
+    ) -> ReportedHand:
+        """Returns the report of a hand in a pose, without velocity."""
+        geometry = model.place(pose)
+        still = np.full(3, FIRST_VELOCITY_MM_S), np.zeros((5, 3)), geometry.palm, geometry.tips
+        return cls(hand_id, model, geometry, pose.flexion, confidence, time_visible, *still)
+
+    @property
+    def grab(self) -> float:
+        """The grab strength."""
+        return grab_strength(self.flexion)
 
 
 class Tracker:
@@ -93,42 +93,25 @@ class Tracker:
         self._last: ReportedHand | None = None
 
     def report(self, pose: HandPose, curl: float, speed: float, age: float, left: float) -> ReportedHand:
-        """Returns what the service says of the hand.
+        """Returns the report of the hand.
 
         Args:
             pose: the true pose.
             curl: 0 open to 1 fist.
             speed: of the palm [mm/s].
-            age: how long the hand has been in view [s].
-            left: how long it will stay in view [s].
+            age: time since it came into view [s].
+            left: time until it leaves the view [s].
         """
         confidence = self._confidence(curl, age, left)
-        geometry = self._model.place(self._seen(pose, (1.0 + speed / NOISE_SPEED_MM_S) * (4.0 - 3.0 * confidence)))
-        hand = ReportedHand(
-            id=self._id,
-            side=self._model.side,
-            geometry=geometry,
-            velocity=np.full(3, FIRST_VELOCITY_MM_S),
-            tip_velocities=np.zeros((5, 3)),
-            stable_palm=geometry.palm,
-            stable_tips=geometry.tips,
-            confidence=confidence,
-            grab=grab_strength(pose.flexion),
-            pinch=pinch_strength(geometry.tips),
-            extended=extended(pose.flexion),
-            time_visible=age,
-            palm_width=self._model.palm_width,
-            arm_width=self._model.arm_width,
-            finger_lengths=self._model.finger_lengths,
-            finger_widths=self._model.finger_widths,
-            mean_flexion=float(pose.flexion[1:].sum(axis=1).mean()),
-        )
+        measured = self._measured(pose, (1.0 + speed / NOISE_SPEED_MM_S) * (4.0 - 3.0 * confidence))
+        hand = ReportedHand.at_rest(self._id, self._model, measured, confidence, age)
+        hand = replace(hand, flexion=pose.flexion)
         if self._last is not None:
             hand = _filtered(hand, self._last, age - self._last.time_visible)
         self._last = hand
         return hand
 
-    def _seen(self, pose: HandPose, level: float) -> HandPose:
+    def _measured(self, pose: HandPose, level: float) -> HandPose:
         noise, wander = level * self._noise.step(), self._wander.step()
         angles = ANGLE_NOISE * noise[3:6] + WANDER_ANGLE * wander[3:]
         return replace(
@@ -150,7 +133,7 @@ class Tracker:
 
 
 def _filtered(hand: ReportedHand, last: ReportedHand, dt: float) -> ReportedHand:
-    """Returns the hand with velocities and stabilised positions, which follow the measured ones with a delay."""
+    """Returns the hand with its velocities and stabilised positions, which lag behind the measured ones."""
     geometry, before = hand.geometry, last.geometry
 
     def velocity(now: np.ndarray, then: np.ndarray, filtered: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The service's WebSocket: several clients, each served when it asked to be, none of them able to slow the others."""
+"""The WebSocket of the service: several clients, served as each requests; a slow client does not delay the others."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from rig_simulation.faults.injection import Faults
 from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 
 LATE_S = 0.05
-"""Frames that are later than this are not sent: the clock does not wait for a busy machine."""
+"""Later frames are dropped: the clock does not wait for a busy machine."""
 LONGEST_LAG_S = 0.5
-"""Time that a machine is behind by more than this is lost: frames come seldom, where none would be in time any more."""
+"""A lag beyond this is dropped: frames then come at a low rate, where otherwise none would be in time."""
 
 CLOSE_TIMEOUT_S = 0.5
 LONGEST_SLEEP_S = 0.2
@@ -38,7 +38,7 @@ RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
 
 class _Client:
-    """One connection: what it asked for, and the newest frames that wait for it; but for faults it is one frame."""
+    """One connection: its requests, and its newest pending frames, without faults a single one."""
 
     def __init__(self, connection: ServerConnection, version: int, lenient: bool) -> None:
         self.connection, self.version = connection, version
@@ -48,7 +48,7 @@ class _Client:
         self.wake = asyncio.Event()
 
     def hear(self, message: str | bytes) -> None:
-        """Takes a message of the client; what it does not know it leaves aside."""
+        """Handles a message of the client; ignores unknown ones."""
         try:
             request = json.loads(message)
         except ValueError:
@@ -58,37 +58,37 @@ class _Client:
                 self.wants[key] = value is True
 
     def offer(self, frames: list[str]) -> int:
-        """Leaves frames for sending in place of those that still wait; returns how many were lost so."""
+        """Replaces the pending frames; returns how many frames that lost."""
         if not frames or not any(self.wants.values()):
             return 0
         lost, self.frames = len(self.frames), frames
         self.wake.set()
         return lost
 
-    def tell(self, event: dict | None) -> None:
-        """Leaves an event for sending."""
+    def notify(self, event: dict | None) -> None:
+        """Queues an event."""
         if event is not None:
             self.events.append(wire.text(event))
             self.wake.set()
 
 
 class LeapService:
-    """Plays frames to whoever connects.
+    """Plays frames to all clients.
 
     Args:
-        playback: where the frames come from.
+        playback: source of the frames.
         host: loopback address to listen on.
         port: 0 takes any free port.
-        control_port: where tests see and do what a client cannot; 0 takes any free port.
-        fields: field set, which decides what the header says.
-        lenient: serve clients that asked for nothing, as the bridge for current services does.
-        calls: further requests of the control port.
+        control_port: of the service; 0 takes any free port.
+        fields: field set, which the header announces.
+        lenient: serve clients without a request, as the bridge for current services does.
+        requests: further requests of the control port.
 
     Attributes:
-        faults: those of LEAP_FAULTS, to be switched at any time.
+        faults: those of LEAP_FAULTS; may be switched at any time.
 
     Raises:
-        DeviceError: a port is not to be had.
+        DeviceError: a port is taken.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class LeapService:
         control_port: int,
         fields: str = "2.x",
         lenient: bool = False,
-        calls: Mapping[str, Callable] = MappingProxyType({}),
+        requests: Mapping[str, Callable] = MappingProxyType({}),
     ) -> None:
         self._playback, self._fields, self._lenient = playback, fields, lenient
         self._clients: set[_Client] = set()
@@ -111,12 +111,14 @@ class LeapService:
         self._socket = listen(host, port, "the Leap service", BACKLOG)
         self.host, self.port = self._socket.getsockname()[:2]
         handlers: dict[str, Callable[..., Any]] = {
-            **calls,
+            **requests,
             "state": self._state,
-            "play": self._play,
-            "pause": self._pause,
+            "play": lambda: self._do(self._playback.play),
+            "pause": lambda: self._do(self._playback.pause),
+            "plug": lambda: self._plug(True),
+            "unplug": lambda: self._plug(False),
+            **self.faults.requests,
         }
-        handlers.update({"plug": lambda: self._plug(True), "unplug": lambda: self._plug(False), **self.faults.requests})
         self._control = ControlPort(handlers, host, control_port)
         self.control_port = self._control.port
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
@@ -126,12 +128,12 @@ class LeapService:
         try:
             self._loop.run_until_complete(self._serve())
         finally:
-            # Requests that are being answered wait for the loop.
+            # Running requests wait for the loop.
             self._loop.run_until_complete(self._loop.run_in_executor(None, self._control.close))
             self._loop.close()
 
     def stop(self) -> None:
-        """Ends `run` within a moment; may be called from a signal handler or another thread."""
+        """Makes `run` return soon; may be called from a signal handler or another thread."""
         self._stopping = True
 
     async def _serve(self) -> None:
@@ -172,7 +174,7 @@ class LeapService:
             return False
         try:
             self._socket = listen(self.host, self.port, "the Leap service", BACKLOG)
-        except DeviceError:  # for a moment the port may belong to another program
+        except DeviceError:  # another program may have taken the port for a moment
             return False
         self._playback.restart()
         return True
@@ -181,7 +183,7 @@ class LeapService:
         changes = self.faults.changes()
         for client in self._clients:
             if "unplugged" in changes:
-                client.tell(wire.device_event(client.version, self._attached, self._attached))
+                client.notify(wire.device_event(client.version, self._attached, self._attached))
             if changes.get("cut") is not None:
                 _reset(client.connection)
             if "half_open" in changes:
@@ -224,7 +226,7 @@ class LeapService:
     async def _send(self, connection: ServerConnection, client: _Client) -> None:
         with contextlib.suppress(ConnectionClosed):
             await connection.send(wire.text(wire.header(client.version, self._fields)))
-            client.tell(wire.device_event(client.version, self._attached, self._attached))
+            client.notify(wire.device_event(client.version, self._attached, self._attached))
             while True:
                 await client.wake.wait()
                 client.wake.clear()
@@ -246,17 +248,11 @@ class LeapService:
             "frames_lost": self._lost,
         }
 
-    def _play(self) -> None:
-        self._do(self._playback.play)
-
-    def _pause(self) -> None:
-        self._do(self._playback.pause)
-
     def _plug(self, attached: bool) -> None:
         self.faults.switch("unplugged", not attached)
 
     def _do(self, action: Callable[[], None]) -> None:
-        """Does something in the thread of the loop, which owns clients and playback, and waits for it."""
+        """Runs an action in the thread of the loop, which owns clients and playback, and waits for it."""
 
         async def act() -> None:
             action()

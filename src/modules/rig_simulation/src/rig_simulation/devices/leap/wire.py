@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rig_simulation.devices.leap.sensing import ReportedHand
+from rig_simulation.operator.hand_model import extended, pinch_strength
 
 FIELD_SETS = ("2.x", "new")
 HIGHEST_VERSION = 6
@@ -21,24 +22,14 @@ DEVICE_ID = "LP00000000001"
 BOX = {"center": [0, 200, 0], "size": [235.247, 235.247, 147.751]}
 MOTION_FACTORS = {"r": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "s": 1, "t": [0, 0, 0]}
 POSITIONS = (
-    "palmPosition",
-    "stabilizedPalmPosition",
-    "sphereCenter",
-    "elbow",
-    "wrist",
-    "carpPosition",
-    "mcpPosition",
-    "pipPosition",
-    "dipPosition",
-    "btipPosition",
-    "tipPosition",
-    "stabilizedTipPosition",
+    *("palmPosition", "stabilizedPalmPosition", "sphereCenter", "elbow", "wrist", "carpPosition", "mcpPosition"),
+    *("pipPosition", "dipPosition", "btipPosition", "tipPosition", "stabilizedTipPosition"),
 )
-"""Fields that a shift of the whole scene shifts."""
+"""Fields that a shift of the whole scene changes."""
 
 
 def version_of(path: str) -> int | None:
-    """Returns the version of the protocol that a path asks for, or None if there is no such version."""
+    """Returns the protocol version that a path requests, or None for an unknown one."""
     if path in ("", "/"):
         return 1
     match = re.fullmatch(r"/v(\d+)\.json", path)
@@ -57,7 +48,7 @@ def header(version: int, fields: str) -> dict:
 
 
 def device_event(version: int, attached: bool, streaming: bool) -> dict | None:
-    """Returns the event that tells a client of the device; None for versions that have none."""
+    """Returns the device event for a client; None for versions without it."""
     if version < 3:
         return None
     if version < 5:
@@ -67,13 +58,13 @@ def device_event(version: int, attached: bool, streaming: bool) -> dict | None:
 
 
 def frame(hands: Sequence[ReportedHand], rate: float, fields: str, order: Sequence[int] = range(5)) -> dict:
-    """Returns a frame without `id` and `timestamp`, which are given to it when it is played.
+    """Returns a frame without `id` and `timestamp`, which the playback adds.
 
     Args:
-        hands: what is in view.
+        hands: the hands in view.
         rate: the service's estimate of the frame rate [Hz].
         fields: one of FIELD_SETS.
-        order: of the fingers of a hand; the service does not sort them.
+        order: of the fingers of a hand, which the service does not sort.
     """
     message = {
         "currentFrameRate": six(rate),
@@ -113,7 +104,7 @@ def _hand(hand: ReportedHand, fields: str) -> dict:
     g = hand.geometry
     message = {
         "armBasis": six(g.arm_basis),
-        "armWidth": six(hand.arm_width),
+        "armWidth": six(hand.model.arm_width),
         "confidence": six(hand.confidence),
         "direction": six(g.direction),
         "elbow": six(g.elbow),
@@ -122,15 +113,19 @@ def _hand(hand: ReportedHand, fields: str) -> dict:
         "palmNormal": six(g.normal),
         "palmPosition": six(g.palm),
         "palmVelocity": six(hand.velocity),
-        "palmWidth": six(hand.palm_width),
-        "pinchStrength": six(hand.pinch),
+        "palmWidth": six(hand.model.palm_width),
+        "pinchStrength": six(pinch_strength(g.tips)),
         "timeVisible": six(hand.time_visible),
-        "type": hand.side,
+        "type": hand.model.side,
         "wrist": six(g.wrist),
     }
     if fields == "new":
         pinch = float(np.linalg.norm(g.tips[0] - g.tips[1]))
-        return {**message, "grabAngle": six(min(hand.mean_flexion, np.pi)), "pinchDistance": six(pinch)}
+        return {
+            **message,
+            "grabAngle": six(min(float(hand.flexion[1:].sum(axis=1).mean()), np.pi)),
+            "pinchDistance": six(pinch),
+        }
     radius = 60.0 - 25.0 * hand.grab
     sphere = {"sphereCenter": six(g.palm + radius * g.normal), "sphereRadius": six(radius)}
     return {**message, **MOTION_FACTORS, **sphere, "stabilizedPalmPosition": six(hand.stable_palm)}
@@ -146,16 +141,16 @@ def _finger(hand: ReportedHand, i: int, fields: str) -> dict:
         "carpPosition": carp,
         "dipPosition": dip,
         "direction": [-v for v in bases[2][2]],
-        "extended": hand.extended[i],
+        "extended": extended(hand.flexion)[i],
         "handId": hand.id,
         "id": 10 * hand.id + i,
-        "length": six(hand.finger_lengths[i]),
+        "length": six(hand.model.finger_lengths[i]),
         "mcpPosition": mcp,
         "pipPosition": pip,
         "timeVisible": six(hand.time_visible),
         "tipPosition": six(g.tips[i]),
         "type": i,
-        "width": six(hand.finger_widths[i]),
+        "width": six(hand.model.finger_widths[i]),
     }
     if fields == "new":
         return message

@@ -1,37 +1,39 @@
-"""The toolbox server's application: one start of it, from its tool to `end`. No sockets; time is handed in.
+"""One run of the toolbox's server application, from its start to the command `end`. No sockets; time is handed in.
 
 The real program has two threads that share one command word. The reader answers goals, joint positions and outputs at
-any time; the main thread answers the rest, one after the other, and wipes the word when it has done so: what reaches it
-while it moves the arm is lost. Here both are rules of one object (reference: kst, 0, 2 and 3).
+any time. The main thread answers the other commands one by one and wipes the word afterwards: commands that arrive
+while it moves the arm are lost. Here both are rules of one object (docs/handbook/wire-protocols.md, "Arm: Sunrise
+Toolbox").
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from rig_simulation.devices.sunrise import java_numbers, motions
+from rig_simulation.devices.sunrise import java_text, motions
 from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.goals import Goals, finite, frame_from_pose, overwritten, pose_from_frame
 from rig_simulation.devices.sunrise.profiles import PlannedMotion
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
 SERVO_START_S = 0.1
-"""From the answer to a start until the mode runs and takes the present joints as goal; goals before that are lost."""
-IMPEDANCE_SHARE = 0.1
+"""From the answer to a start until the mode runs, with the present joints as goal; earlier goals are lost."""
+IMPEDANCE_FRACTION = 0.1
 IMPEDANCE_MAX_TORQUE_NM = 10.0
 MAX_STIFFNESS = (5000.0, 300.0)
 INPUT_PINS = (3, 4, 10, 13, 16)
 OUTPUT_PINS = (1, 2, 11, 12)
 VERSIONS = ("1.7", "2019-03", "2019-05")
-"""Of the toolbox's server, the newest last: 1.7 of 2018, and the two states of its LTS that differ on the wire."""
+"""Versions of the server, newest last: 1.7 of 2018, and the two states of the LTS that differ on the wire."""
 
 
 @dataclasses.dataclass
 class ControllerIO:
-    """What outlives a client: outputs of the flange, and how many servo goals came."""
+    """State that outlives a client: outputs of the flange, and the number of servo goals received."""
 
     outputs: dict[str, bool] = dataclasses.field(default_factory=dict)
     goals: int = 0
@@ -41,22 +43,22 @@ class Application:
     """Answers lines.
 
     Args:
-        arm: moved by this application alone; its tool is taken off.
-        panel: outputs and counters.
-        wiped_window: for so long after an answer of the main thread the next word for it is lost [s].
-        encoders: joint angles as they are told, from the true ones, both shape (7,) [rad].
+        arm: moved by this application alone; its tool is detached.
+        io: outputs and counters.
+        wiped_window: after an answer of the main thread, commands for it are lost for this long [s].
+        encoders: reported joint angles as a function of the true ones, both shape (7,) [rad].
         version: one of VERSIONS.
 
     Attributes:
-        mode: idle, ptp, servo, cartesian_servo, velocity_servo or impedance_servo; a servo mode counts from the answer
-            to its start until the arm stands again.
-        ended: whether `end` came; nothing is answered any more.
+        mode: idle, ptp, servo, cartesian_servo, velocity_servo or impedance_servo; a servo mode lasts from the answer
+            to its start until the arm is at rest again.
+        ended: whether `end` was received; nothing is answered any more.
     """
 
     def __init__(
         self,
         arm: SimulatedArm,
-        panel: ControllerIO,
+        io: ControllerIO,
         wiped_window: float = 0.0,
         encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,
         version: str = VERSIONS[-1],
@@ -64,14 +66,13 @@ class Application:
         self.mode = "idle"
         self.ended = False
         self._arm = arm
-        self._panel = panel
+        self._io = io
         self._wiped_window = wiped_window
         self._encoders = encoders
         self._version = version
         self._replies: list[str] = []
         self._reader_alive = self._main_alive = True
-        self._main_answered = -np.inf
-        self._now = -np.inf
+        self._main_answered = self._now = -np.inf
         self._goals = Goals()
         self._arrived: Callable[[SimulatedArm], bool] = lambda _: True
         self._servo_starts: float | None = None
@@ -86,19 +87,19 @@ class Application:
         return self.mode != "idle"
 
     def receive(self, line: str, now: float) -> str:
-        """Takes one line without its end at the time `now` [s]; returns the text that goes out because of it."""
+        """Takes one line without its end at the time `now` [s]; returns the text to send."""
         self._advance(now)
         if self._reader_alive and not self.ended and line:
             self._answer(line)
         return self._take_replies()
 
     def advance(self, now: float) -> str:
-        """Moves on to the time `now` [s]; returns the text that goes out by then."""
+        """Advances to the time `now` [s]; returns the text to send by then."""
         self._advance(now)
         return self._take_replies()
 
     def abandon(self) -> None:
-        """Ends what moves the arm, because the client is gone; the arm brakes."""
+        """Stops motion and servo mode when the client is gone; the arm brakes."""
         self._arm.break_motion()
         self._stop_servo()
 
@@ -137,26 +138,22 @@ class Application:
             self._begin_servo()
         self._arm.advance(now)
         if self.mode == "ptp" and not self._arm.in_motion:
-            self._finish(DONE if self._arrived(self._arm) else INTERRUPTED)
+            self.mode = "idle"
+            self._replies.append(DONE if self._arrived(self._arm) else INTERRUPTED)
         elif self.mode.endswith("servo") and self._servo_starts is None and not self._arm.in_servo:
             if self.mode == "impedance_servo" and not self._servo_stopping:
                 self._replies.append(DONE)
             self._servo_stopping = True
             if self._arm.resting:
-                self._finish(None)
-
-    def _finish(self, word: str | None) -> None:
-        self.mode = "idle"
-        if word is not None:
-            self._replies.append(word)
+                self.mode = "idle"
 
     def _reader_commands(self) -> list[tuple[str, Callable[[list[str]], None]]]:
-        arm = self._arm
+        arm, newest = self._arm, self._version == VERSIONS[-1]
         feedback = {
-            "ExT_": lambda: f"{java_numbers.vector(arm.external_torques)}\n",
-            "MT_": lambda: f"{java_numbers.vector(arm.measured_torques)}\n",
-            "JP_": self._joints_text,
-            **self._tool_feedback(),
+            "ExT_": lambda: _line(arm.external_torques),
+            "MT_": lambda: _line(arm.measured_torques),
+            "JP_": self._joints,
+            **({"EEfP_": self._tool, "EEfFrelEEF_": self._force} if newest else {"EEfP_": self._force}),
         }
         take_pose = self._refuse_goal if self._version == "1.7" else self._take_pose
         commands = [
@@ -172,31 +169,23 @@ class Application:
             ("cArtixanPositionCirc2_", self._keep_pose("end")),
             ("cArtixanPosition_", self._keep_pose("target")),
             ("stopDirectServoJoints", self._stop),
-            ("getJointsPositions", lambda _: self._replies.append(self._joints_text())),
+            ("getJointsPositions", self._answered(self._joints)),
             ("blueOn", self._output("blue", True)),
             ("blueOff", self._output("blue", False)),
         ]
-        commands += [(f"getPin{n}", lambda _: self._replies.append("1\n\n")) for n in INPUT_PINS]
+        commands += [(f"getPin{n}", self._answered(lambda: "1\n\n")) for n in INPUT_PINS]
         for n in OUTPUT_PINS:
             commands += [(f"pin{n}on", self._output(f"pin{n}", True)), (f"pin{n}off", self._output(f"pin{n}", False))]
         return commands
 
-    def _tool_feedback(self) -> dict[str, Callable[[], str]]:
-        if self._version == VERSIONS[-1]:
-            return {"EEfP_": self._tool_text, "EEfFrelEEF_": self._force_text}
-        return {"EEfP_": self._force_text}
-
     def _main_commands(self) -> list[tuple[str, Callable[[list[str]], None]]]:
-        def answer(text: Callable[[], str]) -> Callable[[list[str]], None]:
-            return lambda _: self._replies.append(text())
-
-        arm = self._arm
+        arm, answer = self._arm, self._answered
         return [
             ("TFtrans", self._attach),
             ("jRelVel_", self._set_speed),
             ("doPTPinJS", lambda _: self._move(motions.joint_motion)),
-            ("doPTPinCSRelBase", lambda _: self._move(motions.line_along_base)),
-            ("doPTPinCSRelEEF", lambda _: self._move(motions.line_along_tool)),
+            ("doPTPinCSRelBase", lambda _: self._move(partial(motions.relative_line, along_tool=False))),
+            ("doPTPinCSRelEEF", lambda _: self._move(partial(motions.relative_line, along_tool=True))),
             ("doPTPinCSCircle1", lambda _: self._move(motions.circle)),
             ("doPTPinCS", lambda _: self._move(motions.line)),
             ("doPTP!inJS", self._guarded_joint_motion),
@@ -206,24 +195,27 @@ class Application:
             ("stDcEEf_", lambda _: self._start_servo("cartesian_servo")),
             ("stVelDcJoint_", lambda _: self._start_servo("velocity_servo")),
             ("startSmartImpedneceJoints", self._start_impedance),
-            ("Torques_ext_J", answer(lambda: f"{java_numbers.vector(arm.external_torques)}\n")),
-            ("Torques_m_J", answer(lambda: f"{java_numbers.vector(arm.measured_torques)}\n")),
-            ("Eef_pos", answer(self._tool_text)),
-            ("Eef_force", answer(self._force_text)),
-            ("Eef_moment", answer(lambda: f"{java_numbers.vector(arm.tool_moment)}\n")),
+            ("Torques_ext_J", answer(lambda: _line(arm.external_torques))),
+            ("Torques_m_J", answer(lambda: _line(arm.measured_torques))),
+            ("Eef_pos", answer(self._tool)),
+            ("Eef_force", answer(self._force)),
+            ("Eef_moment", answer(lambda: _line(arm.tool_moment))),
             ("handGuiding", answer(lambda: DONE)),
             ("preciseHandGuiding1", answer(lambda: DONE)),
             ("preciseHandGuiding2", answer(lambda: DONE)),
         ]
 
-    def _joints_text(self) -> str:
-        return f"{java_numbers.vector(self._encoders(self._arm.q))}\n"
+    def _answered(self, text: Callable[[], str]) -> Callable[[list[str]], None]:
+        return lambda _: self._replies.append(text())
 
-    def _tool_text(self) -> str:
-        return f"{java_numbers.vector(frame_from_pose(self._arm.tool))}\n"
+    def _joints(self) -> str:
+        return _line(self._encoders(self._arm.q))
 
-    def _force_text(self) -> str:
-        return f"{java_numbers.vector(self._arm.tool_force)}\n"
+    def _tool(self) -> str:
+        return _line(frame_from_pose(self._arm.tool))
+
+    def _force(self) -> str:
+        return _line(self._arm.tool_force)
 
     def _goal(self, take: Callable[[list[str]], bool], answer: Callable[[], str]) -> Callable[[list[str]], None]:
         def command(words: list[str]) -> None:
@@ -232,7 +224,7 @@ class Application:
                 self._reader_alive = False
                 return
             if self._arm.in_servo:
-                self._panel.goals += 1
+                self._io.goals += 1
             self._replies.append(reply)
 
         return command
@@ -248,38 +240,41 @@ class Application:
         return True
 
     def _take_speeds(self, words: list[str]) -> bool:
-        if len(words) > 7:
-            return False
-        try:
-            self._goals.speeds = overwritten(self._goals.speeds, words)
-        except ValueError:
-            self._stop_servo()
-            return True
-        if self._arm.in_servo and self.mode == "velocity_servo":
-            self._arm.goal_speed = self._goals.speeds
-        return True
+        def command(speeds: np.ndarray) -> None:
+            self._goals.speeds = speeds
+            if self._arm.in_servo and self.mode == "velocity_servo":
+                self._arm.goal_speed = speeds
+
+        return self._take_numbers(words, self._goals.speeds, command)
 
     def _take_pose(self, words: list[str]) -> bool:
-        if len(words) > 6:
+        def command(frame: np.ndarray) -> None:
+            self._goals.servo = frame
+            if self._arm.in_servo and self.mode == "cartesian_servo":
+                goal = None
+                if np.all(np.isfinite(frame)):
+                    goal = self._arm.robot.solve(pose_from_frame(frame), self._arm.T_flange_tool, self._arm.goal)
+                if goal is None:
+                    self._stop_servo()
+                else:
+                    self._arm.goal = goal
+
+        return self._take_numbers(words, self._goals.servo, command)
+
+    def _take_numbers(self, words: list[str], before: np.ndarray, command: Callable[[np.ndarray], None]) -> bool:
+        """Returns False for too many words, which end the reader thread; an invalid number ends the servo mode."""
+        if len(words) > len(before):
             return False
         try:
-            self._goals.servo = overwritten(self._goals.servo, words)
+            values = overwritten(before, words)
         except ValueError:
             self._stop_servo()
             return True
-        if self._arm.in_servo and self.mode == "cartesian_servo":
-            goal = None
-            if np.all(np.isfinite(self._goals.servo)):
-                target = pose_from_frame(self._goals.servo)
-                goal = self._arm.robot.solve(target, self._arm.T_flange_tool, self._arm.goal)
-            if goal is None:
-                self._stop_servo()
-            else:
-                self._arm.goal = goal
+        command(values)
         return True
 
     def _refuse_goal(self, _: list[str]) -> bool:
-        """Does what 1.7 does with Cartesian goals that ask for an answer: its parser of joints ends the mode."""
+        """Ends the mode, as version 1.7 does: it parses Cartesian goals that ask for an answer as joints."""
         self._stop_servo()
         return True
 
@@ -308,7 +303,7 @@ class Application:
 
     def _output(self, name: str, on: bool) -> Callable[[list[str]], None]:
         def command(_: list[str]) -> None:
-            self._panel.outputs[name] = on
+            self._io.outputs[name] = on
             self._replies.append(DONE)
 
         return command
@@ -322,7 +317,7 @@ class Application:
         self._replies.append(DONE)
 
     def _set_speed(self, words: list[str]) -> None:
-        self._goals.speed = java_numbers.number(words[0])
+        self._goals.speed = java_text.number(words[0])
         self._replies.append(DONE)
 
     def _move(
@@ -395,7 +390,11 @@ class Application:
             arm.start_servo(integrates=True)
             self._goals.speeds = arm.goal_speed
         else:
-            # The published server forgets joint 1 here: its goal stays what was sent last.
-            arm.start_servo(law="none", share=IMPEDANCE_SHARE)
+            # The published server does not reset the goal of joint 1 here: it stays what was sent last.
+            arm.start_servo(law="none", fraction=IMPEDANCE_FRACTION)
             self._goals.joints = np.array([self._goals.joints[0], *arm.q[1:]])
             arm.goal = self._goals.joints
+
+
+def _line(values: np.ndarray) -> str:
+    return f"{java_text.vector(values)}\n"

@@ -18,27 +18,27 @@ from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.servo import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Law, plain_law
 
 FULL_SPEED_TIME_S = 0.1
-"""Time in which a joint at its acceleration limit comes to full speed; the data sheet names no acceleration."""
-MOTION_SHARE = 0.4
-"""Share of the acceleration limit for planned motions; the rest is left for braking on the way."""
+"""Time in which a joint at its acceleration limit reaches full speed; the data sheet gives no acceleration."""
+MOTION_FRACTION = 0.4
+"""Fraction of the acceleration limit for planned motions; the rest is reserved for braking on the path."""
 PAUSE_TIME_S = 0.25
-"""A planned motion is brought to a stop, and to its speed again, in this time."""
+"""Time in which a planned motion stops, and in which it regains its speed."""
 SAFETY_PERIOD_STEPS = 4
 MAX_CATCH_UP_S = 1.0
-MAX_CATCH_UP_AMONG_THINGS_S = 0.05
-"""Steps among things take longer, and whoever asks waits until they are made up for: rather lose time than lag."""
+MAX_CATCH_UP_IN_ENVIRONMENT_S = 0.05
+"""Steps in an environment take longer, and requests wait until the arm has caught up: it rather loses time."""
 BACK_OFF_SPEED_RAD_S = 0.05
-BACK_OFF_SHARE = 0.1
-"""A planned motion is backed off at this share of its speed."""
-FREE_SHARE = 0.5
-"""The arm is backed off until no external torque is above this share of the limit."""
-WAY_STEP_RAD = 1e-3
-WAY_STEPS = 1000
+BACK_OFF_FRACTION = 0.1
+"""A planned motion backs off at this fraction of its speed."""
+FREE_FRACTION = 0.5
+"""The arm backs off until every external torque is below this fraction of the limit."""
+TRAIL_STEP_RAD = 1e-3
+TRAIL_LENGTH = 1000
 
 
 @dataclasses.dataclass(frozen=True)
 class ArmSettings:
-    """What can be set about the arm.
+    """Settings of the arm.
 
     Attributes:
         torque_limit: safety stop above this external torque of any joint [Nm].
@@ -54,13 +54,13 @@ class ArmSettings:
 
 
 class ArmEnvironment(Protocol):
-    """What the arm moves in and touches."""
+    """What the arm touches."""
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Lets dt [s] pass, at whose end the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,).
+        """Advances by dt [s] to where the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,).
 
         Returns:
-            torques of touch and load on the joints, shape (7,) [Nm].
+            torques of contacts and load on the joints, shape (7,) [Nm].
         """
 
 
@@ -72,12 +72,12 @@ class _Servo:
 
 
 class SimulatedArm:
-    """The arm, at rest at the zero position when made.
+    """The arm; starts at rest in the zero position.
 
     Args:
         robot: kinematics, limits, dynamics.
         settings: limits of the safety stop, law of the servo.
-        surroundings: in which it moves; None: it touches nothing.
+        environment: in which it moves; None: it touches nothing.
 
     Attributes:
         time: up to which the arm has moved [s].
@@ -85,40 +85,32 @@ class SimulatedArm:
         T_flange_tool: the attached tool, shape (4, 4).
         goal: last goal of a servo mode, shape (7,) [rad].
         goal_speed: last goal of the velocity servo, shape (7,) [rad/s].
-        safety_stop: why the arm is stopped, or None.
-        stops: how many safety stops there were.
+        safety_stop: cause of the active safety stop, or None.
+        stops: number of safety stops so far.
         max_tool_speed: highest speed of the tool point so far [m/s].
     """
 
-    def __init__(self, robot: Robot, settings: ArmSettings, surroundings: ArmEnvironment | None = None) -> None:
+    def __init__(self, robot: Robot, settings: ArmSettings, environment: ArmEnvironment | None = None) -> None:
         self.robot = robot
         self.settings = settings
-        self._surroundings = surroundings
+        self._environment = environment
         self.time: float | None = None
-        self.q = np.zeros(7)
-        self.v = np.zeros(7)
-        self.a = np.zeros(7)
+        self.q, self.v, self.a = np.zeros(7), np.zeros(7), np.zeros(7)
         self.T_flange_tool = np.eye(4)
-        self.goal = np.zeros(7)
-        self.goal_speed = np.zeros(7)
+        self.goal, self.goal_speed, self._last_goal_speed = np.zeros(7), np.zeros(7), np.zeros(7)
         self.safety_stop: str | None = None
         self.stops = 0
-        self.tool_speed = 0.0
-        self.max_tool_speed = 0.0
+        self.tool_speed = self.max_tool_speed = 0.0
         self.acceleration = read_only(robot.max_speed / FULL_SPEED_TIME_S)
-        self.motion_acceleration = read_only(MOTION_SHARE * self.acceleration)
+        self.motion_acceleration = read_only(MOTION_FRACTION * self.acceleration)
         self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
         self._servo: _Servo | None = None
-        self._last_goal_speed = np.zeros(7)
         self._motion: PlannedMotion | None = None
         self._break_when: Callable[[SimulatedArm], bool] | None = None
-        self._motion_time = 0.0
-        self._motion_rate = 1.0
+        self._motion_time, self._motion_rate = 0.0, 1.0
         self._breaking = False
-        self._joint_torque = np.zeros(7)
-        self._tool_force = np.zeros(3)
-        self._touch_torque = np.zeros(7)
-        self._way: collections.deque[np.ndarray] = collections.deque(maxlen=WAY_STEPS)
+        self._joint_torque, self._tool_force, self._touch_torque = np.zeros(7), np.zeros(3), np.zeros(7)
+        self._trail: collections.deque[np.ndarray] = collections.deque(maxlen=TRAIL_LENGTH)
         self._backing_off = False
         self._back_drives = Drives(np.full(7, BACK_OFF_SPEED_RAD_S), self.acceleration, settings.trajectory_time)
         self._steps = 0
@@ -126,10 +118,9 @@ class SimulatedArm:
     def advance(self, now: float) -> None:
         """Moves the arm up to the time `now` [s].
 
-        A program that was held up for longer than `MAX_CATCH_UP_S`, or among things `MAX_CATCH_UP_AMONG_THINGS_S`,
-        catches up no more than that.
+        After a longer delay it skips all but `MAX_CATCH_UP_S`, or `MAX_CATCH_UP_IN_ENVIRONMENT_S`.
         """
-        longest = MAX_CATCH_UP_S if self._surroundings is None else MAX_CATCH_UP_AMONG_THINGS_S
+        longest = MAX_CATCH_UP_S if self._environment is None else MAX_CATCH_UP_IN_ENVIRONMENT_S
         if self.time is None or now - self.time > longest + CYCLE_S:
             self.time = now if self.time is None else now - longest
         if self.asleep:
@@ -152,8 +143,8 @@ class SimulatedArm:
         self.a = (self.v - v_before) / dt
         if self.time is not None:
             self.time += dt
-        if self._surroundings is not None:
-            self._touch_torque = self._surroundings.follow(self.q, self.v, dt)
+        if self._environment is not None:
+            self._touch_torque = self._environment.follow(self.q, self.v, dt)
         self._steps += 1
         comes_to_rest = self.resting and v_before.any()
         if self._steps % SAFETY_PERIOD_STEPS == 0 or comes_to_rest:
@@ -161,14 +152,14 @@ class SimulatedArm:
 
     @property
     def resting(self) -> bool:
-        """Whether nothing moves and nothing will by itself."""
-        moved = self._motion is not None or (self._servo is not None and self.safety_stop is None) or self._backing_off
-        return not moved and not self.v.any()
+        """Whether the arm is at rest and nothing will move it by itself."""
+        driven = self._motion is not None or (self._servo is not None and self.safety_stop is None) or self._backing_off
+        return not driven and not self.v.any()
 
     @property
     def asleep(self) -> bool:
-        """Whether time may pass unseen: the arm rests and there is nothing around it that could move."""
-        return self.resting and self._surroundings is None
+        """Whether steps may be skipped: the arm rests, and it has no environment that could move."""
+        return self.resting and self._environment is None
 
     @property
     def in_motion(self) -> bool:
@@ -181,36 +172,34 @@ class SimulatedArm:
         return self._servo is not None
 
     def start_motion(self, motion: PlannedMotion, break_when: Callable[[SimulatedArm], bool] | None = None) -> None:
-        """Starts a planned motion from the present joint angles; it brakes and ends where `break_when` becomes true."""
+        """Starts a planned motion from the present joint angles; it brakes and ends once `break_when` is true."""
         self._motion, self._break_when = motion, break_when
         self._motion_time, self._breaking = 0.0, False
         self._motion_rate = 1.0 if self.safety_stop is None else 0.0
         self._check_safety()
 
     def break_motion(self) -> None:
-        """Brakes a planned motion on its way; it ends there."""
+        """Brakes a planned motion, which ends there."""
         self._breaking = True
 
-    def start_servo(self, law: str | None = None, share: float = 1.0, integrates: bool = False) -> None:
+    def start_servo(self, law: str | None = None, fraction: float = 1.0, integrates: bool = False) -> None:
         """Starts a servo mode with the present joint angles as goal.
 
         Args:
-            law: name of the law; None = that of the settings.
-            share: of the speed and acceleration limits that the mode uses.
+            law: name of the law; None: that of the settings.
+            fraction: of the speed and acceleration limits that the mode uses.
             integrates: the goal follows `goal_speed`, which starts at zero.
         """
         drives = self._drives
-        if share != 1.0:
-            limits = share * self.robot.max_speed, share * self.acceleration
+        if fraction != 1.0:
+            limits = fraction * self.robot.max_speed, fraction * self.acceleration
             drives = Drives(*limits, self.settings.trajectory_time)
-        chosen = LAWS[self.settings.servo_law if law is None else law] if not integrates else plain_law
+        chosen = plain_law if integrates else LAWS[law or self.settings.servo_law]
         self._servo = _Servo(chosen, drives, integrates)
-        self.goal = self.q.copy()
-        self.goal_speed = np.zeros(7)
-        self._last_goal_speed = np.zeros(7)
+        self.goal, self.goal_speed, self._last_goal_speed = self.q.copy(), np.zeros(7), np.zeros(7)
 
     def stop_servo(self) -> None:
-        """Ends a servo mode; the arm brakes."""
+        """Stops a servo mode; the arm brakes."""
         self._servo = None
 
     def attach(self, T_flange_tool: np.ndarray) -> None:
@@ -219,35 +208,35 @@ class SimulatedArm:
         self._check_safety()
 
     def set_external_torque(self, torque: np.ndarray) -> None:
-        """Sets the torques that act on the joints from outside, shape (7,) [Nm], besides those of the tool force."""
+        """Sets the external torques on the joints, shape (7,) [Nm], in addition to those of the tool force."""
         self._joint_torque = read_only(torque)
         self._check_safety()
 
     def set_tool_force(self, force: np.ndarray) -> None:
-        """Sets the force that acts on the tool point, shape (3,) [N], along the tool's axes."""
+        """Sets the external force on the tool point, shape (3,) [N], along the tool's axes."""
         self._tool_force = read_only(force)
         self._check_safety()
 
     def release(self) -> None:
-        """Ends a safety stop, as the key "run" does; a planned motion goes on.
+        """Ends a safety stop, as the run key does; a planned motion resumes.
 
         Raises:
-            ValueError: no stop is active, its cause is still there, or the arm is not yet at rest; with the reason.
+            ValueError: no stop is active, its cause persists, or the arm still brakes.
         """
         if self.safety_stop is None:
-            raise ValueError("No safety stop is active.")
+            raise ValueError("No safety stop is active; kuka/status reports what the arm waits for.")
         cause = self._torque_fault()
         if cause:
-            raise ValueError(f"The cause of the safety stop persists: {cause}")
+            raise ValueError(f"The cause of the safety stop persists: {cause} Back off (simulation/back_off) first.")
         if self.v.any():
-            raise ValueError("The arm is still braking.")
+            raise ValueError("The arm is still braking; release it again after a second.")
         self.safety_stop = None
         self._backing_off = False
 
     def back_off(self) -> None:
-        """Moves an arm that stands in a safety stop slowly back on the way it came, as a person does with the jog keys.
+        """Moves an arm in a safety stop slowly back along its path, as a person does with the jog keys.
 
-        It ends where no joint bears more than FREE_SHARE of the limit from outside.
+        It stops once no external torque exceeds FREE_FRACTION of the limit.
 
         Raises:
             ValueError: no stop is active.
@@ -273,7 +262,7 @@ class SimulatedArm:
 
     @property
     def external_torques(self) -> np.ndarray:
-        """Torques on the joints from outside, shape (7,) [Nm]."""
+        """External torques on the joints, shape (7,) [Nm]."""
         torque = self._joint_torque + self._touch_torque
         if not self._tool_force.any():
             return torque
@@ -281,12 +270,12 @@ class SimulatedArm:
 
     @property
     def measured_torques(self) -> np.ndarray:
-        """Torques that the drives bear, of gravity and motion less what is borne from outside, shape (7,) [Nm]."""
+        """Torques of the drives: those of gravity and motion minus the external ones, shape (7,) [Nm]."""
         return self.robot.torques(self.q, self.v, self.a) - self.external_torques
 
     @property
     def _touch_wrench(self) -> np.ndarray:
-        """Force and moment on the tool point that explain the torques of touch best, shape (6,)."""
+        """Force and moment on the tool point that best explain the contact torques, shape (6,)."""
         if not self._touch_torque.any():
             return np.zeros(6)
         return self.robot.wrench(self.q, self.T_flange_tool, self._touch_torque)
@@ -296,30 +285,30 @@ class SimulatedArm:
             self._breaking = True
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
         if self._still_backing_off(self._motion_time > 0.0):
-            wanted = -BACK_OFF_SHARE
+            wanted = -BACK_OFF_FRACTION
         change = dt / PAUSE_TIME_S
         rate = self._motion_rate + min(max(wanted - self._motion_rate, -change), change)
         self._motion_time += 0.5 * (rate + self._motion_rate) * dt
         self._motion_rate = rate
         q = motion.at(self._motion_time)
         self.v, self.q = (q - self.q) / dt, q
-        if self._motion_time >= motion.duration or (self._breaking and rate == 0.0):
+        over = self._motion_time >= motion.duration or (self._breaking and rate == 0.0)
+        if over:
             self._motion = None
-            self.v = np.zeros(7)
-        elif rate == 0.0:
+        if over or rate == 0.0:
             self.v = np.zeros(7)
 
     def _step_back(self, dt: float) -> None:
-        if self._way and np.max(np.abs(self._way[-1] - self.q)) < WAY_STEP_RAD:
-            self._way.pop()
-        if self._still_backing_off(bool(self._way)):
-            self._move(self._back_drives.towards(self._way[-1] - self.q, self.v, dt), dt)
+        if self._trail and np.max(np.abs(self._trail[-1] - self.q)) < TRAIL_STEP_RAD:
+            self._trail.pop()
+        if self._still_backing_off(bool(self._trail)):
+            self._move(self._back_drives.towards(self._trail[-1] - self.q, self.v, dt), dt)
         else:
             self._move(self._drives.brake(self.v, dt), dt)
 
-    def _still_backing_off(self, way_left: bool) -> bool:
-        free = np.max(np.abs(self.external_torques)) <= FREE_SHARE * self.settings.torque_limit
-        self._backing_off = self._backing_off and way_left and not free
+    def _still_backing_off(self, path_left: bool) -> bool:
+        free = np.max(np.abs(self.external_torques)) <= FREE_FRACTION * self.settings.torque_limit
+        self._backing_off = self._backing_off and path_left and not free
         return self._backing_off
 
     def _step_servo(self, servo: _Servo, dt: float) -> None:
@@ -340,8 +329,8 @@ class SimulatedArm:
         self.max_tool_speed = max(self.max_tool_speed, self.tool_speed)
         if self.safety_stop is not None:
             return
-        if not self._way or np.max(np.abs(self._way[-1] - self.q)) > WAY_STEP_RAD:
-            self._way.append(self.q)
+        if not self._trail or np.max(np.abs(self._trail[-1] - self.q)) > TRAIL_STEP_RAD:
+            self._trail.append(self.q)
         cause = self._torque_fault()
         if not cause and self.tool_speed > self.settings.speed_limit:
             cause = f"The tool moves at {self.tool_speed:.3f} m/s (limit {self.settings.speed_limit:g})."
@@ -350,9 +339,8 @@ class SimulatedArm:
             self.stops += 1
 
     def _torque_fault(self) -> str | None:
-        torque = np.abs(self.external_torques)
+        torque, limit = np.abs(self.external_torques), self.settings.torque_limit
         joint = int(np.argmax(torque))
-        if torque[joint] > self.settings.torque_limit:
-            limit = self.settings.torque_limit
-            return f"The external torque of joint {joint + 1} is {torque[joint]:.1f} Nm (limit {limit:g})."
-        return None
+        if not torque[joint] > limit:
+            return None
+        return f"The external torque of joint {joint + 1} is {torque[joint]:.1f} Nm (limit {limit:g})."

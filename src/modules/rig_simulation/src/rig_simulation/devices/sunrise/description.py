@@ -1,4 +1,4 @@
-"""Where the robot description is: the package rig_description of the workspace or, without ROS, of the source tree."""
+"""The robot description: in the package rig_description as ROS knows it or, without ROS, in the source tree."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SOURCE_TREE = Path(__file__).resolve().parents[5] / PACKAGE
 
 
 def read_urdf(robot: str, flange: str, ring: bool = False) -> str:
-    """Returns the text of the URDF of the arm `robot` with the media flange `flange`; ring: that of the marker panel.
+    """Returns the URDF of an arm with a media flange; `ring`: with the ring of the marker board.
 
     Raises:
         FileNotFoundError: no such description is installed.
@@ -21,11 +21,11 @@ def read_urdf(robot: str, flange: str, ring: bool = False) -> str:
         path = folder / "urdf" / name
         if path.is_file():
             return path.read_text(encoding="utf-8")
-    raise FileNotFoundError(f"the package {PACKAGE} with urdf/{name} is not to be found")
+    raise FileNotFoundError(f"There is no urdf/{name} in the package {PACKAGE}; check the robot and the flange.")
 
 
 def package_folders(package: str, source_tree: Path) -> list[Path]:
-    """Returns where a package's files may be: in its source tree and, with ROS, where ROS knows it."""
+    """Returns the folders of a package: in the source tree and, with ROS, where ROS knows it."""
     try:
         import rospkg
 

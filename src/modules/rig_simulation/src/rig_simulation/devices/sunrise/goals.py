@@ -1,18 +1,23 @@
-"""What the commands have left for the motions and servo modes to come, in the server's units."""
+"""The goals that the server stores for later motions and servo modes, in its own units."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
 from common.poses import pose
 from common.rotations import rotation_from_zyx, zyx_from_rotation
-from rig_simulation.devices.sunrise import java_numbers
+from rig_simulation.devices.sunrise import java_text
 from rig_simulation.devices.sunrise.paths import Unreachable
 
 MM_PER_M = 1000.0
-FIRST_RELATIVE_SPEED = 0.1
+DEFAULT_RELATIVE_SPEED = 0.1
+
+
+def _zeros(size: int) -> Any:
+    return dataclasses.field(default_factory=lambda: np.zeros(size))
 
 
 @dataclasses.dataclass
@@ -20,30 +25,30 @@ class Goals:
     """The server's stored goals.
 
     Attributes:
-        joints: of `jp_` and its sisters, shape (7,) [rad]; target of a joint motion and goal of a joint servo.
+        joints: of `jp_` and similar commands, shape (7,) [rad]; target of joint motions, goal of the joint servo.
         speeds: of the velocity servo, shape (7,) [rad/s].
         target, via, end, servo: poses X, Y, Z [mm], A, B, C [rad], shape (6,), of lines, circles and Cartesian servo.
         speed: relative speed of joint motions, or mm/s of the tool.
     """
 
-    joints: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(7))
-    speeds: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(7))
-    target: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    via: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    end: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    servo: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
-    speed: float = FIRST_RELATIVE_SPEED
+    joints: np.ndarray = _zeros(7)
+    speeds: np.ndarray = _zeros(7)
+    target: np.ndarray = _zeros(6)
+    via: np.ndarray = _zeros(6)
+    end: np.ndarray = _zeros(6)
+    servo: np.ndarray = _zeros(6)
+    speed: float = DEFAULT_RELATIVE_SPEED
 
 
 def overwritten(values: np.ndarray, words: list[str]) -> np.ndarray:
-    """Returns the values with the first ones replaced by the numbers of the words; further words are ignored.
+    """Returns the values with the first ones replaced by the numbers of the words; ignores further words.
 
     Raises:
-        ValueError: a word is no number.
+        ValueError: a word is not a number.
     """
     result = values.copy()
     for k, word in enumerate(words[: len(values)]):
-        result[k] = java_numbers.number(word)
+        result[k] = java_text.number(word)
     return result
 
 
@@ -51,9 +56,9 @@ def finite(words: list[str]) -> np.ndarray:
     """Returns the numbers of the words, shape (n,).
 
     Raises:
-        ValueError: a word is no finite number.
+        ValueError: a word is not a finite number.
     """
-    numbers = np.array([java_numbers.number(word) for word in words])
+    numbers = np.array([java_text.number(word) for word in words])
     if not np.all(np.isfinite(numbers)):
         raise ValueError(f"{words} are not all finite numbers")
     return numbers

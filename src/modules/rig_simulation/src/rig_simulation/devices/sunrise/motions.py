@@ -1,6 +1,6 @@
-"""The motions that the main thread can be told to make, planned from where the arm stands.
+"""The motions of the main thread's commands, planned from the present position of the arm.
 
-Each planner returns the motion, or None where the arm is there already.
+Each planner returns the motion, or None if the arm is at its target already.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ARRIVED_TOOL_M = 2e-4
 
 
 def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
-    """Plans the way to the joint goal at the relative speed.
+    """Plans the joint motion to the goal at the relative speed.
 
     Raises:
         Unreachable: the speed is not in (0, 1], or the goal is outside the joint range.
@@ -32,7 +32,7 @@ def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
 
 
 def line(arm: SimulatedArm, goals: Goals) -> PathMove | None:
-    """Plans the straight way of the tool to the target pose.
+    """Plans a line of the tool to the target pose.
 
     Raises:
         Unreachable: see `paths.plan`.
@@ -40,35 +40,26 @@ def line(arm: SimulatedArm, goals: Goals) -> PathMove | None:
     return _follow(arm, goals, Line(arm.tool, pose_from_frame(goals.target)))
 
 
-def line_along_base(arm: SimulatedArm, goals: Goals) -> PathMove | None:
-    """Plans the straight way by the target's X, Y, Z along the axes of the base.
+def relative_line(arm: SimulatedArm, goals: Goals, along_tool: bool) -> PathMove | None:
+    """Plans a line by the target's X, Y, Z along the axes of the tool or of the base.
 
     Raises:
         Unreachable: see `paths.plan`.
     """
-    return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool=False)))
-
-
-def line_along_tool(arm: SimulatedArm, goals: Goals) -> PathMove | None:
-    """Plans the straight way by the target's X, Y, Z along the axes of the tool.
-
-    Raises:
-        Unreachable: see `paths.plan`.
-    """
-    return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool=True)))
+    return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool)))
 
 
 def circle(arm: SimulatedArm, goals: Goals) -> PathMove | None:
     """Plans the arc of the tool through the via pose to the end pose.
 
     Raises:
-        Unreachable: the three positions lie on one line, or see `paths.plan`.
+        Unreachable: the three positions are collinear, or see `paths.plan`.
     """
     return _follow(arm, goals, Circle(arm.tool, pose_from_frame(goals.via), pose_from_frame(goals.end)))
 
 
 def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
-    """Returns the condition that breaks a guarded motion.
+    """Returns the condition that interrupts a guarded motion.
 
     Args:
         ranges: rows of joint index from 0, lowest, highest external torque, shape (n, 3) [Nm].
@@ -88,12 +79,12 @@ def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
 
 
 def arrived_at_joints(arm: SimulatedArm, q: np.ndarray) -> bool:
-    """Says whether a guarded joint motion counts as arrived at the angles q, shape (7,) [rad]."""
+    """Returns whether a guarded joint motion has arrived at the angles q, shape (7,) [rad]."""
     return bool(np.max(np.abs(arm.q - q)) <= ARRIVED_JOINT_RAD)
 
 
 def arrived_at_pose(arm: SimulatedArm, T_base_tool: np.ndarray) -> bool:
-    """Says whether a guarded line counts as arrived at the pose, shape (4, 4)."""
+    """Returns whether a guarded line has arrived at the pose, shape (4, 4)."""
     return bool(np.max(np.abs((arm.tool - T_base_tool)[:3, 3])) <= ARRIVED_TOOL_M)
 
 

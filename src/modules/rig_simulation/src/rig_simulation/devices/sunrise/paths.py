@@ -17,15 +17,15 @@ NODE_TURN_RAD = 0.02
 MIN_NODES = 20
 MAX_NODES = 400
 MAX_NODE_JUMP_RAD = 0.3
-SAME_PLACE = 1e-9
+NEGLIGIBLE = 1e-9
 
 
 class Unreachable(ValueError):
-    """The motion cannot be done: no speed, no joint angles, or points that name no circle."""
+    """An impossible motion: no speed, no joint angles, or points that define no circle."""
 
 
 class Line:
-    """Straight way from one pose to another, shape (4, 4); the attitude turns evenly about one axis."""
+    """A line from one pose to another, shape (4, 4); the orientation turns evenly about one axis."""
 
     def __init__(self, start: np.ndarray, end: np.ndarray) -> None:
         self._start = start
@@ -40,30 +40,30 @@ class Line:
 
 
 class Circle:
-    """Arc from a pose through the position of a second to a third; the attitude turns evenly from first to last.
+    """An arc from a pose through the position of a second to a third; the orientation turns evenly.
 
     Raises:
-        Unreachable: the three positions lie on one line.
+        Unreachable: the three positions are collinear.
     """
 
     def __init__(self, start: np.ndarray, via: np.ndarray, end: np.ndarray) -> None:
         p, u, w = start[:3, 3], via[:3, 3] - start[:3, 3], end[:3, 3] - start[:3, 3]
         normal = np.cross(u, w)
         area = float(normal @ normal)
-        if not area > SAME_PLACE**2:
-            raise Unreachable("three points on one line name no circle")
+        if not area > NEGLIGIBLE**2:
+            raise Unreachable("three collinear points define no circle")
         self._centre = p + np.cross((u @ u) * w - (w @ w) * u, normal) / (2.0 * area)
         self._axis = normal / np.sqrt(area)
         self._arm = p - self._centre
         reach = end[:3, 3] - self._centre
         self._sweep = np.arctan2(self._axis @ np.cross(self._arm, reach), self._arm @ reach) % (2.0 * np.pi)
-        self._attitude = Line(start, end)
+        self._orientation = Line(start, end)
         self.length = float(self._sweep * np.linalg.norm(self._arm))
-        self.angle = self._attitude.angle
+        self.angle = self._orientation.angle
 
     def at(self, s: float) -> np.ndarray:
         """Returns the pose, shape (4, 4), at s in [0, 1]."""
-        T = self._attitude.at(s)
+        T = self._orientation.at(s)
         T[:3, 3] = self._centre + pin.exp3(s * self._sweep * self._axis) @ self._arm
         return T
 
@@ -76,10 +76,10 @@ def plan(
     q: np.ndarray,
     joint_acceleration: np.ndarray,
 ) -> PathMove | None:
-    """Returns the joint motion that leads the tool along the path, or None if the path has no length.
+    """Returns the joint motion that moves the tool along the path, or None for a path without length.
 
     Args:
-        path: begins at the tool's present pose.
+        path: starts at the present pose of the tool.
         speed: of the tool point [m/s].
         robot: the arm.
         T_flange_tool: the tool, shape (4, 4).
@@ -87,24 +87,25 @@ def plan(
         joint_acceleration: limits, shape (7,) [rad/s^2].
 
     Raises:
-        Unreachable: the speed is not positive, or some pose of the path has no joint angles near the last ones.
+        Unreachable: the speed is not positive, or a pose of the path has no joint angles near the last ones.
     """
     if not 0.0 < speed < np.inf:
-        raise Unreachable(f"a speed of {speed} m/s moves nothing")
+        raise Unreachable(f"the speed is {speed} m/s, but must be positive")
     if not np.isfinite(path.length + path.angle):
         raise Unreachable("the pose is not finite")
-    if path.length < SAME_PLACE and path.angle < SAME_PLACE:
+    if path.length < NEGLIGIBLE and path.angle < NEGLIGIBLE:
         return None
-    way, turn = max(path.length, SAME_PLACE), max(path.angle, SAME_PLACE)
+    distance, turn = max(path.length, NEGLIGIBLE), max(path.angle, NEGLIGIBLE)
     step = SmoothStep(
-        min(speed / way, TURN_SPEED_RAD_S / turn), min(ACCELERATION_M_S2 / way, TURN_ACCELERATION_RAD_S2 / turn)
+        min(speed / distance, TURN_SPEED_RAD_S / turn),
+        min(ACCELERATION_M_S2 / distance, TURN_ACCELERATION_RAD_S2 / turn),
     )
-    count = int(np.clip(max(way / NODE_DISTANCE_M, turn / NODE_TURN_RAD), MIN_NODES, MAX_NODES))
+    count = int(np.clip(max(distance / NODE_DISTANCE_M, turn / NODE_TURN_RAD), MIN_NODES, MAX_NODES))
     nodes = [q]
     for k in range(1, count + 1):
         solution = robot.solve(path.at(k / count), T_flange_tool, nodes[-1])
         if solution is None or np.max(np.abs(solution - nodes[-1])) > MAX_NODE_JUMP_RAD:
-            raise Unreachable("the way leaves the range of the joints or of the arm")
+            raise Unreachable("the path leaves the range of the joints or the reach of the arm")
         nodes.append(solution)
     return PathMove(np.array(nodes), step, robot.max_speed, joint_acceleration)
 

@@ -1,6 +1,6 @@
 """Motions along a path in joint space, planned in advance: smooth in speed, all joints synchronised.
 
-A motion is a function of its own time; who plays it may let that time run slower, down to a stop, and on again.
+A motion is a function of its own time, which the arm may slow down, stop and resume.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class PlannedMotion(Protocol):
 
 
 class SmoothStep:
-    """The way s from 0 to 1: the speed rises as sin^2 over a ramp, stays, and falls as it rose.
+    """The path parameter s from 0 to 1: its speed rises as sin^2 over a ramp, stays, and falls likewise.
 
     Args:
         speed: highest speed [1/s].
@@ -48,7 +48,7 @@ class SmoothStep:
 
 
 class JointMove:
-    """Straight way in joint space.
+    """A line in joint space.
 
     Args:
         start, end: joint angles, shape (7,) [rad]; they must differ.
@@ -58,8 +58,8 @@ class JointMove:
 
     def __init__(self, start: np.ndarray, end: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> None:
         self._start, self._end = read_only(start), read_only(end)
-        self._way = self._end - self._start
-        distance = np.abs(self._way)
+        self._shift = self._end - self._start
+        distance = np.abs(self._shift)
         moved = distance > 0.0
         self._step = SmoothStep(
             float(np.min(speed[moved] / distance[moved])), float(np.min(acceleration[moved] / distance[moved]))
@@ -68,15 +68,15 @@ class JointMove:
 
     def at(self, t: float) -> np.ndarray:
         """Returns the joint angles, shape (7,) [rad], at time t [s]."""
-        return self._end if t >= self.duration else self._start + self._step.at(t) * self._way
+        return self._end if t >= self.duration else self._start + self._step.at(t) * self._shift
 
 
 class PathMove:
-    """A way through given joint angles at equal steps of s, slowed down as a whole until every joint keeps its limits.
+    """A path through joint angles at equal steps of s, slowed down until every joint keeps its limits.
 
     Args:
         nodes: joint angles, shape (n, 7) [rad], n >= 2.
-        step: how s is wanted to run from 0 to 1.
+        step: desired course of s from 0 to 1.
         speed, acceleration: limits of each joint, shape (7,) [rad/s], [rad/s^2].
     """
 
@@ -87,7 +87,7 @@ class PathMove:
         self._slopes = read_only(np.gradient(self._nodes, axis=0))
         self._step = step
         dt = step.duration / self.SAMPLES
-        q = np.array([self._at_way(step.at(k * dt)) for k in range(self.SAMPLES + 1)])
+        q = np.array([self._at_parameter(step.at(k * dt)) for k in range(self.SAMPLES + 1)])
         v = np.diff(q, axis=0) / dt
         a = np.diff(v, axis=0) / dt
         self._slower = max(1.0, np.max(np.abs(v) / speed), np.max(np.abs(a) / acceleration) ** 0.5)
@@ -95,9 +95,9 @@ class PathMove:
 
     def at(self, t: float) -> np.ndarray:
         """Returns the joint angles, shape (7,) [rad], at time t [s]."""
-        return self._at_way(self._step.at(t / self._slower))
+        return self._at_parameter(self._step.at(t / self._slower))
 
-    def _at_way(self, s: float) -> np.ndarray:
+    def _at_parameter(self, s: float) -> np.ndarray:
         last = len(self._nodes) - 1
         k = min(int(s * last), last - 1)
         u = s * last - k

@@ -1,17 +1,24 @@
-"""The program `sunrise_controller.py`: arguments in, one ready line out, then the server until it is to end."""
+"""The program `sunrise_controller.py`: options, one line when it is ready, then the server until it stops."""
 
 from __future__ import annotations
 
 import argparse
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable
-from typing import NoReturn
 
 from common.errors import DeviceError
-from rig_simulation.command_line import angle, not_negative, parse_options, port, positive
+from rig_simulation.command_line import (
+    CommandLine,
+    angle,
+    failed,
+    not_negative,
+    parse_options,
+    port,
+    positive,
+    stop_on_signals,
+)
 from rig_simulation.devices.sunrise.application import VERSIONS
 from rig_simulation.devices.sunrise.arm import ArmEnvironment, ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
@@ -26,18 +33,15 @@ NAME = "sunrise_controller"
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulated controller; returns the exit code."""
-    parser = Parser(NAME, description="Simulated KUKA Sunrise controller with the toolbox server on it.")
+    parser = CommandLine(NAME, "Simulated KUKA Sunrise controller with the toolbox server on it.")
     add_options(parser)
-    parser.add_argument("--control-port", type=port, default=30011, help="port for tests; 0 takes any free port")
     options = parse_options(parser, arguments)
     try:
         server = make_server(options)
     except (DeviceError, FileNotFoundError, ValueError) as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
+        return failed(NAME, error)
     switch_all(server.faults, options.fault)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: server.stop())
+    stop_on_signals(server.stop)
     print(ready_line(server), flush=True)
     server.run()
     return 0
@@ -45,21 +49,21 @@ def main(arguments: list[str] | None = None) -> int:
 
 def make_server(
     options: argparse.Namespace,
-    surroundings: ArmEnvironment | None = None,
+    environment: ArmEnvironment | None = None,
     clock: Callable[[], float] = time.monotonic,
     at_once: float = AT_ONCE_S,
 ) -> SunriseServer:
-    """Returns the server that the options describe, with an arm of its own.
+    """Returns the server that the options of `add_options` describe, with an arm of its own.
 
     Args:
-        options: with what `add_options` adds, and `control_port`.
-        surroundings: what the arm moves in.
-        clock: time that it lives in [s].
-        at_once: see Server.
+        options: of the command line.
+        environment: the arm's, or None.
+        clock: the arm's time [s].
+        at_once: see SunriseServer.
 
     Raises:
-        DeviceError: a port is not to be had.
-        FileNotFoundError: there is no description of the robot.
+        DeviceError: a port is taken.
+        FileNotFoundError: the description of the robot is missing.
     """
     arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
     settings = ServerSettings(
@@ -69,7 +73,7 @@ def make_server(
         options.end_exits,
         options.toolbox_version,
     )
-    arm = SimulatedArm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, surroundings)
+    arm = SimulatedArm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, environment)
     return SunriseServer(arm, settings, options.host, options.port, options.control_port, _log, clock, at_once)
 
 
@@ -82,63 +86,29 @@ def _log(sentence: str) -> None:
     print(f"{NAME}: {sentence}", file=sys.stderr, flush=True)
 
 
-class Parser(argparse.ArgumentParser):
-    """A command line of which a mistake is one sentence and exit code 1."""
-
-    def __init__(self, name: str, description: str) -> None:
-        super().__init__(prog=f"{name}.py", description=description)
-        self._name = name
-
-    def error(self, message: str) -> NoReturn:
-        """Ends the program."""
-        self.exit(1, f"{self._name}: {message}\n")
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Adds the options of the simulated controller, apart from its control port."""
-    parser.add_argument("--host", default="127.0.0.1", help="loopback address to listen on")
-    parser.add_argument("--port", type=port, default=30001, help="port of the toolbox server; 0 takes any free port")
-    parser.add_argument("--robot", choices=ROBOTS, default=ROBOTS[0], help="which arm")
-    parser.add_argument("--flange", choices=FLANGES, default=FLANGES[0], help="which media flange")
-    parser.add_argument(
-        "--mounting",
-        nargs=3,
-        type=angle,
-        default=(0.0, 0.0, 0.0),
-        metavar=("ROLL", "PITCH", "YAW"),
-        help="attitude of the base in an upright world, deg, such as 180 0 0 on a ceiling; gravity follows it",
-    )
-    parser.add_argument(
-        "--servo-law",
-        choices=sorted(LAWS),
-        default="lts",
-        help="how joint servo approaches a goal: lts = law of the published server, none = straight to the goal",
-    )
-    parser.add_argument(
-        "--trajectory-time", type=positive, default=0.04, help="minimum trajectory time of DirectServo, s"
-    )
-    parser.add_argument(
-        "--wiped-window",
-        type=not_negative,
-        default=0.0,
-        help="seconds after an answer in which a main command is lost",
-    )
-    parser.add_argument(
-        "--wait-for-client",
-        type=positive,
-        default=math.inf,
-        help="seconds without a client after which it ends",
-    )
-    parser.add_argument(
-        "--deaf-after-lost-client", action="store_true", help="a client lost without `end` leaves the port deaf"
-    )
-    parser.add_argument("--end-exits", action="store_true", help="the command `end` ends the program")
-    parser.add_argument(
-        "--toolbox-version",
-        choices=VERSIONS,
-        default=VERSIONS[-1],
-        help="which server: before 2019-05 servo goals bring no pose, and the force as the answer to another word",
-    )
-    parser.add_argument("--safety-torque", type=positive, default=25.0, help="external torque of the safety stop, Nm")
-    parser.add_argument("--safety-speed", type=positive, default=0.8, help="tool speed of the safety stop, m/s")
+    """Adds the options of the simulated controller."""
+    add = parser.add_argument
+    add("--host", default="127.0.0.1", help="loopback address to listen on")
+    add("--port", type=port, default=30001, help="port of the toolbox server; 0 takes any free port")
+    add("--control-port", type=port, default=30011, help="port of the arm for tests; 0 takes any free port")
+    add("--robot", choices=ROBOTS, default=ROBOTS[0], help="which arm")
+    add("--flange", choices=FLANGES, default=FLANGES[0], help="which media flange")
+    mounting = "orientation of the base in an upright world, deg, such as 180 0 0 on a ceiling; gravity follows it"
+    rpy = ("ROLL", "PITCH", "YAW")
+    add("--mounting", nargs=3, type=angle, default=(0.0, 0.0, 0.0), metavar=rpy, help=mounting)
+    law = "how joint servo approaches a goal: lts = law of the published server, none = straight to the goal"
+    add("--servo-law", choices=sorted(LAWS), default="lts", help=law)
+    add("--trajectory-time", type=positive, default=0.04, help="minimum trajectory time of DirectServo, s")
+    wiped = "seconds after an answer in which a main command is lost"
+    add("--wiped-window", type=not_negative, default=0.0, help=wiped)
+    wait = "seconds without a client after which the program exits"
+    add("--wait-for-client", type=positive, default=math.inf, help=wait)
+    deaf = "a client lost without `end` leaves the port deaf"
+    add("--deaf-after-lost-client", action="store_true", help=deaf)
+    add("--end-exits", action="store_true", help="the command `end` exits the program")
+    version = "which server: before 2019-05 servo goals bring no pose, and the force as the answer to another word"
+    add("--toolbox-version", choices=VERSIONS, default=VERSIONS[-1], help=version)
+    add("--safety-torque", type=positive, default=25.0, help="external torque of the safety stop, Nm")
+    add("--safety-speed", type=positive, default=0.8, help="tool speed of the safety stop, m/s")
     add_option(parser, ARM_FAULTS)

@@ -1,4 +1,4 @@
-"""Kinematics and dynamics of the arm, from the URDF of the rig; the controller under test has a closed form of its own.
+"""Kinematics and dynamics of the arm, from the URDF of the rig; the controller under test has its own closed form.
 
 Positions in metres in the frame `kuka/base_frame`; the hand's joints stand at zero.
 """
@@ -34,14 +34,14 @@ class Robot:
         max_speed: joint speed limits, shape (7,) [rad/s].
 
     Raises:
-        ValueError: the text is no URDF with the arm's seven joints and its flange.
+        ValueError: the URDF lacks one of the seven joints or the flange.
     """
 
     def __init__(self, urdf: str, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         full = pin.buildModelFromXML(urdf)
         missing = [name for name in JOINTS if not full.existJointName(name)]
         if missing or not full.existFrame(FLANGE):
-            raise ValueError(f"the robot description lacks {', '.join(missing) or FLANGE}")
+            raise ValueError(f"The robot description lacks {', '.join(missing) or FLANGE}.")
         locked = [full.getJointId(name) for name in full.names[1:] if name not in JOINTS]
         self._model = pin.buildReducedModel(full, locked, pin.neutral(full))
         self._data = self._model.createData()
@@ -56,7 +56,7 @@ class Robot:
         self.max_speed = read_only(self._model.velocityLimit)
 
     def within_range(self, q: np.ndarray) -> bool:
-        """Says whether all joint angles, shape (7,) [rad], are numbers within the joint range."""
+        """Returns whether all joint angles, shape (7,) [rad], are numbers within the joint range."""
         return bool(np.all((q >= self.lower) & (q <= self.upper)))
 
     def flange(self, q: np.ndarray) -> np.ndarray:
@@ -65,7 +65,7 @@ class Robot:
         return (self._data.oMi[self._last_joint] * self._flange_in_joint).homogeneous
 
     def tool_speed(self, q: np.ndarray, v: np.ndarray, T_flange_tool: np.ndarray) -> float:
-        """Returns how fast the tool point moves [m/s] at the joint angles q [rad] and speeds v [rad/s], shape (7,)."""
+        """Returns the speed of the tool point [m/s] at the joint angles q [rad] and speeds v [rad/s], shape (7,)."""
         pin.forwardKinematics(self._model, self._data, q, v)
         motion = self._data.v[self._last_joint]
         point = self._flange_in_joint.act(T_flange_tool[:3, 3])
@@ -77,9 +77,9 @@ class Robot:
         return (self._flange_in_joint * pin.SE3(T_flange_tool)).actionInverse @ J
 
     def wrench(self, q: np.ndarray, T_flange_tool: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        """Returns force [N] and moment [Nm] at the tool point, in the tool's axes, shape (6,), behind joint torques.
+        """Returns force [N] and moment [Nm] at the tool point, in the tool's axes, shape (6,), from joint torques.
 
-        Damped least squares: seven torques for six numbers, and near a singularity not all of these show in them.
+        Damped least squares: there are seven torques for six unknowns, and a singularity hides some of them.
         """
         J = self.jacobian(q, T_flange_tool)
         return np.linalg.solve(J @ J.T + DAMPING * np.eye(6), J @ torque)
@@ -91,7 +91,7 @@ class Robot:
     def solve(self, T_base_tool: np.ndarray, T_flange_tool: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
         """Returns joint angles, shape (7,) [rad], near the seed that bring the tool to the pose, or None.
 
-        Damped least squares from the seed: it finds the solution of the seed's arm configuration.
+        Damped least squares find the solution in the seed's arm configuration.
         """
         target = pin.SE3(T_base_tool @ inverse(T_flange_tool))
         q = np.array(seed, dtype=float)

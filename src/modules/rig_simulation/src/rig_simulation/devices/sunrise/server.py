@@ -19,7 +19,7 @@ from common.errors import DeviceError
 from rig_simulation.control_port import ControlPort, listen
 from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import SimulatedArm
-from rig_simulation.devices.sunrise.lines import JavaLineSplitter
+from rig_simulation.devices.sunrise.java_text import JavaLineSplitter
 from rig_simulation.faults.arm import ARM_FAULTS, ArmAnswers, Encoders
 from rig_simulation.faults.injection import Faults
 
@@ -28,23 +28,23 @@ MOVING_TICK_S = 0.002
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
 AT_ONCE_S = 0.02
-"""So much the arm catches up before its client is looked after again."""
+"""Longest time that the arm catches up before the server looks after its client again."""
 LONGEST_LAG_S = 0.2
-"""Time that a machine is behind by more than this is lost: the arm moves in slow motion, but the server answers."""
+"""A lag beyond this is dropped: the arm moves in slow motion, but the server answers."""
 MOTION = "doPTP"
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
 
 @dataclasses.dataclass(frozen=True)
 class ServerSettings:
-    """How faithfully the inconvenient sides of the real server are kept.
+    """Which inconvenient sides of the real server are simulated.
 
     Attributes:
-        wiped_window: for so long after an answer of the main thread the next word for it is lost [s].
-        wait_for_client: the program ends when no client came for so long [s].
+        wiped_window: after an answer of the main thread, commands for it are lost for this long [s].
+        wait_for_client: the program exits after this time without a client [s].
         deaf_after_lost_client: a client that vanishes without `end` leaves the port bound but deaf and the servo
             running; otherwise the arm stops and the next client is served.
-        end_exits: `end` ends the program; otherwise the application is started again.
+        end_exits: `end` exits the program; otherwise the application starts again.
         version: of the toolbox's server, one of VERSIONS.
     """
 
@@ -56,24 +56,24 @@ class ServerSettings:
 
 
 class SunriseServer:
-    """Serves the arm until `stop` or until the settings end it.
+    """Serves the arm until `stop` is called or the settings end it.
 
     Args:
         arm: the arm.
         settings: switches.
         host: a loopback address.
-        port: of the toolbox server; 0 takes any free port, see `port`.
+        port: of the toolbox server; 0 takes any free port, see the attribute `port`.
         control_port: likewise.
         log: takes one sentence about each change of state.
-        clock: time that the arm lives in [s]; it may run faster, slower or in steps.
-        at_once: longest time that the arm moves on in one go [s]; infinite for a clock that waits for it.
+        clock: the arm's time [s]; it may run faster, slower or in steps.
+        at_once: longest time that the arm advances in one go [s]; infinite for a clock that waits for the arm.
 
     Attributes:
-        lock: held while anything of the arm or its surroundings changes.
-        faults: those of ARM_FAULTS, to be switched at any time.
+        lock: held while the arm or its environment changes.
+        faults: those of ARM_FAULTS; may be switched at any time.
 
     Raises:
-        DeviceError: a port is not to be had.
+        DeviceError: a port is taken.
     """
 
     def __init__(
@@ -87,15 +87,12 @@ class SunriseServer:
         clock: Callable[[], float] = time.monotonic,
         at_once: float = AT_ONCE_S,
     ) -> None:
-        self._arm = arm
-        self._settings = settings
-        self._log = log
+        self._arm, self._settings, self._log = arm, settings, log
         self._clock, self._at_once = clock, at_once
         self._behind = False
-        self._panel = ControllerIO()
+        self._io = ControllerIO()
         self.faults = Faults(ARM_FAULTS)
-        self._answers = ArmAnswers(self.faults)
-        self._encoders = Encoders(self.faults)
+        self._answers, self._encoders = ArmAnswers(self.faults), Encoders(self.faults)
         self.lock = threading.RLock()
         self._stop = threading.Event()
         self._client: socket.socket | None = None
@@ -105,7 +102,17 @@ class SunriseServer:
         self._listener: socket.socket | None = listen(host, port, "the toolbox port", BACKLOG)
         self._listener.setblocking(False)
         self.host, self.port = self._listener.getsockname()[:2]
-        handlers: dict[str, Callable[..., Any]] = {
+        self._start_application()
+        try:
+            self._control = ControlPort(self._requests, host, control_port)
+        except DeviceError:
+            self._listener.close()
+            raise
+        self.control_port = self._control.port
+
+    @property
+    def _requests(self) -> dict[str, Callable[..., Any]]:
+        return {
             "state": self._state,
             "release": self._release,
             "back_off": self._back_off,
@@ -113,16 +120,9 @@ class SunriseServer:
             "set_tcp_force": self._set_tcp_force,
             **self.faults.requests,
         }
-        self._start_application()
-        try:
-            self._control = ControlPort(handlers, host, control_port)
-        except DeviceError:
-            self._listener.close()
-            raise
-        self.control_port = self._control.port
 
     def run(self) -> None:
-        """Serves until it is to stop; closes everything then."""
+        """Serves until `stop`; then closes everything."""
         try:
             while not self._stop.is_set():
                 self._wait()
@@ -136,14 +136,13 @@ class SunriseServer:
     def close(self) -> None:
         """Closes everything; may be called twice."""
         self._control.close()
-        if self._listener is not None:
-            self._listener.close()
-        if self._client is not None:
-            self._client.close()
+        for connection in (self._listener, self._client):
+            if connection is not None:
+                connection.close()
         self._selector.close()
 
     def advance(self) -> None:
-        """Moves on to the time that the clock shows now, and sends the answers that are due."""
+        """Advances to the clock's time, and sends the answers that are due."""
         with self.lock:
             self._advance()
             self._send()
@@ -153,9 +152,9 @@ class SunriseServer:
         self._stop.set()
 
     def _start_application(self) -> None:
-        assert self._listener is not None  # where it is closed, nothing is started
+        assert self._listener is not None  # an application starts only while the port is open
         self._application = Application(
-            self._arm, self._panel, self._settings.wiped_window, self._encoders.read, self._settings.version
+            self._arm, self._io, self._settings.wiped_window, self._encoders.read, self._settings.version
         )
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._waiting_since = time.monotonic()
@@ -175,7 +174,7 @@ class SunriseServer:
                 self._receive()
 
     def _accept(self) -> None:
-        assert self._listener is not None  # it has somebody waiting
+        assert self._listener is not None  # the selector reported it
         try:
             self._client, address = self._listener.accept()
         except OSError:
@@ -188,7 +187,7 @@ class SunriseServer:
         self._log(f"client {address[0]}:{address[1]} connected")
 
     def _receive(self) -> None:
-        assert self._client is not None  # it has sent something
+        assert self._client is not None  # the selector reported it
         try:
             data = self._client.recv(65536)
             lines = self._lines.feed(data)
@@ -230,7 +229,7 @@ class SunriseServer:
         if cut or restarted:
             if self._client is not None and cut:
                 self._client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
-            self._lose_client("its connection is cut" if cut else "the application ends")
+            self._lose_client("its connection is cut" if cut else "the application stops")
         if restarted:
             self._close_port()
         elif self._listener is None:
@@ -248,19 +247,16 @@ class SunriseServer:
         self._listener, self._deaf = None, False
 
     def _open_port(self) -> None:
-        try:
+        with contextlib.suppress(DeviceError):  # another program may have taken the port for a moment
             self._listener = listen(self.host, self.port, "the toolbox port", BACKLOG)
-        except DeviceError:  # for a moment the port may belong to another program
-            return
-        self._listener.setblocking(False)
+            self._listener.setblocking(False)
 
     def _close_client(self) -> None:
         self._answers.drop()
-        if self._client is None:  # lost while it was answered
-            return
-        self._selector.unregister(self._client)
-        self._client.close()
-        self._client = None
+        if self._client is not None:
+            self._selector.unregister(self._client)
+            self._client.close()
+            self._client = None
 
     def _lose_client(self, reason: str) -> None:
         if self._client is None:
@@ -292,7 +288,7 @@ class SunriseServer:
             return
         if self._listener in self._selector.get_map():
             if time.monotonic() - self._waiting_since > self._settings.wait_for_client:
-                self._log(f"no client came within {self._settings.wait_for_client:g} s")
+                self._log(f"no client connected within {self._settings.wait_for_client:g} s")
                 self._stop.set()
         elif self._application.ended and self._settings.end_exits:
             if not self._arm.in_motion:
@@ -304,7 +300,7 @@ class SunriseServer:
         with self.lock:
             self._advance()
             arm = self._arm
-            assert arm.time is not None  # it has just moved on
+            assert arm.time is not None  # it has just advanced
             return {
                 "time": arm.time,
                 "age": self._clock() - arm.time,
@@ -316,9 +312,9 @@ class SunriseServer:
                 "mode": self._application.mode,
                 "safety_stop": arm.safety_stop,
                 "stops": arm.stops,
-                "goals": self._panel.goals,
+                "goals": self._io.goals,
                 "connected": self._client is not None,
-                "outputs": dict(self._panel.outputs),
+                "outputs": dict(self._io.outputs),
             }
 
     def _release(self) -> None:
@@ -344,7 +340,7 @@ class SunriseServer:
             self._arm.set_tool_force(_numbers(value, 3))
 
     def _next_time(self) -> float:
-        """Returns the time that the arm moves on to: the clock's, or a part of the way where the arm is behind."""
+        """Returns the time to advance to: the clock's, or `at_once` further where the arm lags more."""
         now, arm = self._clock(), self._arm
         if arm.time is None or arm.asleep or math.isinf(self._at_once):
             self._behind = False
@@ -362,12 +358,11 @@ def _numbers(value: Any, count: int) -> np.ndarray:
     """Returns a list of finite numbers from a request as an array.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not such a list.
     """
-    if (
-        not isinstance(value, list)
-        or len(value) != count
-        or not all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value)
-    ):
-        raise ValueError(f"The value must be {count} finite numbers, not {value!r}.")
+    numbers = isinstance(value, list) and all(
+        isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
+    )
+    if not numbers or len(value) != count:
+        raise ValueError(f"The value is {value!r}, but must be {count} finite numbers.")
     return np.array(value, dtype=float)

@@ -1,9 +1,9 @@
-"""What the servo modes make of a goal: the server's law, and the drives of the simulated arm behind it.
+"""The servo modes' path from a goal to a speed: the server's law, and the drives of the simulated arm.
 
 The server's loop gives DirectServo a destination every cycle: measured joint + f(goal - measured joint). The model of
-DirectServo: each joint heads for its destination with the speed at which the middle of a smooth move of the minimum
-trajectory time would pass (distance / (2/3 T)), never faster than it can brake before the destination, and within the
-speed and acceleration limits of the joint. So a step in the goal is approached from one side and not overshot.
+DirectServo: each joint moves towards its destination with the mid-point speed of a smooth move of the minimum
+trajectory time (distance / (2/3 T)), never faster than it can brake before the destination, and within its speed and
+acceleration limits. So it approaches a step in the goal from one side, without overshoot.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ LTS_REACH_RAD = 0.07
 LTS_WIDTH_RAD = 0.0525
 MIN_TRAJECTORY_TIME_S = 0.04
 CYCLE_S = 1e-3
-BRAKING_SHARE = 0.8
-"""Braking is planned with this share of the acceleration limit; following the server's law needs the rest."""
+BRAKING_FRACTION = 0.8
+"""Braking uses this fraction of the acceleration limit; the server's law needs the rest."""
 
 Law = Callable[[np.ndarray], np.ndarray]
 
@@ -41,7 +41,7 @@ LAWS = {"lts": lts_law, "none": plain_law}
 
 
 class Drives:
-    """Speed of the joints one step later.
+    """Computes the speed of the joints after one step.
 
     Args:
         speed, acceleration: limits of each joint, shape (7,) [rad/s], [rad/s^2].
@@ -52,7 +52,7 @@ class Drives:
         self._speed = speed
         self._acceleration = acceleration
         self._lag = 2.0 / 3.0 * trajectory_time
-        self._braking = BRAKING_SHARE * acceleration
+        self._braking = BRAKING_FRACTION * acceleration
         self._linear_range = self._braking * self._lag**2
 
     def towards(self, distance: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
@@ -63,9 +63,9 @@ class Drives:
             v: present speed, shape (7,) [rad/s].
             dt: length of the step [s].
         """
-        way = np.abs(distance)
-        far = np.maximum(way, self._linear_range)
-        wanted = np.minimum(way / self._lag, np.sqrt(2.0 * self._braking * (far - 0.5 * self._linear_range)))
+        path = np.abs(distance)
+        far = np.maximum(path, self._linear_range)
+        wanted = np.minimum(path / self._lag, np.sqrt(2.0 * self._braking * (far - 0.5 * self._linear_range)))
         wanted = np.copysign(np.minimum(wanted, self._speed), distance)
         change = self._acceleration * dt
         return v + np.minimum(np.maximum(wanted - v, -change), change)

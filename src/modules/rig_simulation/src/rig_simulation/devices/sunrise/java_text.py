@@ -1,4 +1,4 @@
-"""Numbers as the server's Java writes and reads them (the rules of Double.toString and Double.parseDouble)."""
+"""Numbers and lines as the server's Java writes and reads them (Double.toString, Double.parseDouble, Scanner)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from decimal import Decimal
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?[dDfF]?", re.ASCII)
 _HEXADECIMAL = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)[pP][+-]?\d+[dDfF]?", re.ASCII)
 _SPECIAL = re.compile(r"[+-]?(NaN|Infinity)")
+MAX_LINE_BYTES = 65536
+_LINE_END = re.compile(rb"\r\n|[\n\r]|\xc2\x85|\xe2\x80[\xa8\xa9]")
 _BLANKS = "".join(map(chr, range(0x21)))
 
 
 def text(value: float) -> str:
-    """Returns the shortest text that names the double `value`, such as 0.1, -0.0, 5.0E-5, 1.0E7, NaN."""
+    """Returns the shortest text for the double `value`, such as 0.1, -0.0, 5.0E-5, 1.0E7, NaN."""
     value = float(value)
     if math.isnan(value):
         return "NaN"
@@ -24,7 +26,7 @@ def text(value: float) -> str:
     if value == 0.0:
         return f"{sign}0.0"
     _, digit_tuple, exponent = Decimal(repr(abs(value))).as_tuple()
-    assert isinstance(exponent, int)  # a letter stands for what is not finite
+    assert isinstance(exponent, int)  # a letter would mean a value that is not finite
     digits = "".join(map(str, digit_tuple)).rstrip("0")
     point = len(digit_tuple) + exponent
     if -3 < point <= 7:
@@ -40,10 +42,10 @@ def vector(values: Iterable[float]) -> str:
 
 
 def number(source: str) -> float:
-    """Returns the double that the text names.
+    """Returns the double that the text denotes.
 
     Raises:
-        ValueError: Java's parser would refuse the text, as it refuses `nan`, `inf`, `1,5` and the empty text.
+        ValueError: Java's parser refuses the text, such as `nan`, `inf`, `1,5` and the empty text.
     """
     stripped = source.strip(_BLANKS)
     if _SPECIAL.fullmatch(stripped):
@@ -56,3 +58,21 @@ def number(source: str) -> float:
     if not _DECIMAL.fullmatch(stripped):
         raise ValueError(f"{source!r} is not a number")
     return float(stripped.rstrip("dDfF"))
+
+
+class JavaLineSplitter:
+    """Collects bytes; lines end with LF, CR LF, a lone CR, NEL, LS or PS."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """Returns the lines that the new bytes complete; drops empty lines, which mean nothing.
+
+        Raises:
+            ValueError: a line is longer than MAX_LINE_BYTES.
+        """
+        *lines, self._rest = _LINE_END.split(self._rest + data)
+        if len(self._rest) > MAX_LINE_BYTES:
+            raise ValueError(f"a line is longer than {MAX_LINE_BYTES} bytes")
+        return [line.decode("utf-8", "replace") for line in lines if line]
