@@ -1,4 +1,4 @@
-"""The pages say what is there: generated pages are as the source, links lead somewhere, commands exist."""
+"""Generated pages match the source, links have targets, commands exist."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_every_yaml_is_a_table_or_shown_as_it_is():
 
 
 class TestPrivateParameters:
-    """Nodes read them by common.ros.params alone, by schemas that the page shows; launch files set no others."""
+    """Nodes read them through common.ros.params, with schemas that the page shows; launch files set no others."""
 
     SOURCES = tuple(file for file in sources.ROOT.glob("src/**/src/*/ros/*.py") if file.name != "params.py")
 

@@ -1,4 +1,4 @@
-"""What makes the pages of the handbook: each step on its own, on small inputs."""
+"""The generators of the handbook, step by step, on small inputs."""
 
 from __future__ import annotations
 

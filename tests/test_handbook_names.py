@@ -1,4 +1,4 @@
-"""The names of topics, services, frames and parameters in the handbook are those of the code."""
+"""Names of topics, services, frames and parameters in the handbook exist in the code."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tools.reference.sources import ROOT
 PAGES = sorted(ROOT / "docs" / "handbook" / f"{name}.md" for name in ("camera", "frames", "packages"))
 CODE = (
     *("src/**/src/**/*.py", "src/**/launch/*.launch", "src/**/config/**/*.yaml", "src/**/urdf/*.urdf"),
-    "docs/reference/interface.md",  # the running graph, with the names that are put together
+    "docs/reference/interface.md",  # the ROS graph, with names that the code composes
 )
 NAME = re.compile(r"[~/]?([a-z][a-z0-9_]*(?:/[a-z0-9_]+)+)")
 
@@ -22,13 +22,13 @@ def code():
 
 
 def names(page: str) -> set[str]:
-    """Returns the names in the code within a page's sentences."""
+    """Returns the names in a page's inline code."""
     words = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", page, flags=re.DOTALL))
     return {match[1] for match in map(NAME.fullmatch, words) if match}
 
 
 def is_in(code: str, name: str) -> bool:
-    """Whether the code has the name, or puts something before its last part."""
+    """Whether the code has the name, or its last part after a placeholder."""
     return re.search(rf"(?<![\w/]){name}(?!\w)|[}}>]/{name.split('/')[-1]}\b", code) is not None
 
 

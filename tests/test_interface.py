@@ -1,4 +1,4 @@
-"""The page of the running graph is as the graphs of what it shows."""
+"""The page of the ROS graph matches the running graphs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""mkdocs: what the pages need on the site and not on the repository's web page."""
+"""Hooks of mkdocs: changes that the site needs but the repository's web page does not."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turns links to files outside of docs/, which the site does not hold, into their place in the repository."""
+    """Replaces links to files outside docs/, which are not part of the site, by their paths in the repository."""
     folder = posixpath.dirname(page.file.src_uri)
 
     def replaced(match: re.Match) -> str:
@@ -37,7 +37,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def _expanded(nav: list, docs: Path) -> list:
-    """Returns the navigation with patterns such as `folder/*.md` replaced by the pages they fit, the README first."""
+    """Returns the navigation with patterns such as `folder/*.md` replaced by the matching pages, the README first."""
     expanded = []
     for item in nav:
         title, target = next(iter(item.items())) if isinstance(item, dict) else (None, item)

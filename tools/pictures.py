@@ -1,4 +1,4 @@
-"""Makes the pictures of the handbook by the project's own programs: `make docs-pictures`, or some by their names.
+"""Makes the pictures of the handbook with the project's own programs: `make docs-pictures`, or some by name.
 
 python -m tools.pictures workspace panel
 """
@@ -30,9 +30,9 @@ from tools.reference.sources import ROOT
 PICTURES = ROOT / "docs" / "pictures"
 PARAMETERS = ROOT / "src" / "kuka_control" / "config" / "kuka_params_rt.yaml"
 WIDTH, COLOURS = 1200, 128
-"""Of a picture at most: the pages do not show more, and files stay small."""
+"""Largest width [px] and number of colours: more is not visible on the pages."""
 SHEETS, SHEET_WIDTH = ("pick-cup.png", "assisted_grasp.png"), 1920
-"""Contact sheets, whose writing can be read by whoever opens them alone."""
+"""Contact sheets and their width [px], at which their text can be read."""
 
 FILM_OPTIONS = ("--view", "150", "-16", "1.75", "--size", "640", "440", "--rate", "12")
 FILM_WIDTH, FILM_SPEED, FILM_FRAME_MS, FILM_QUALITY = 560, 2.0, 80, 55
@@ -40,11 +40,11 @@ FILM_WIDTH, FILM_SPEED, FILM_FRAME_MS, FILM_QUALITY = 560, 2.0, 80, 55
 
 SCREEN = (1400, 900)
 VIEW = (384, 82, 1284, 830)
-"""Where RViz shows the rig on the screen: left, top, right, bottom [px]."""
+"""Area of the screen in which RViz shows the rig: left, top, right, bottom [px]."""
 
 PANEL = (568, 412)
 FOLLOWING_S = 45.0
-"""The demo's arm follows a hand so long after its start, also on a slow machine."""
+"""Time after the demo's start at which its arm follows a hand even on a slow machine [s]."""
 
 WORKSPACES = {
     "workspace.png": {},
@@ -52,7 +52,7 @@ WORKSPACES = {
     "workspace-behind.png": {"center_line": "[-1, 0, 0]"},
     "workspace-home-pos.png": {"home_pos": "[-45, 20, 0, -100, 0, 40, 0]", "use_home_pos": "true"},
 }
-"""The workspace with the parameters as shipped, changed by these."""
+"""Changes to the shipped parameters."""
 
 
 def workspace() -> None:
@@ -150,7 +150,7 @@ def tag_pose() -> None:
 
 
 def parts() -> None:
-    """Printed parts, as `make cad` has drawn them; the site of the handbook does not reach its folder."""
+    """Renderings of the printed parts by `make cad`, copied because the site does not include their folder."""
     for name, copy in (("connectors.png", "connectors.png"), ("panel.png", "panel-on-arm.png")):
         shutil.copy(ROOT / "cad" / "assembly" / name, PICTURES / copy)
 
@@ -161,7 +161,7 @@ def vision() -> None:
 
 
 def curves() -> None:
-    """The curves of the training that made the weights of the first network."""
+    """Training curves of the shipped GG-CNN2 weights."""
     from grasping.lab.programs.train_ggcnn import plot
 
     with (ROOT / "src" / "grasping" / "weights" / "ggcnn2_curves.csv").open(newline="") as file:
@@ -176,7 +176,7 @@ MAKERS = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tools.pictures", description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help=f"which pictures: {', '.join(MAKERS)}; none: all")
+    parser.add_argument("names", nargs="*", help=f"names of pictures: {', '.join(MAKERS)}; default: all")
     parser.add_argument("--shoot", metavar="FILE", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.shoot:
@@ -192,7 +192,7 @@ def main() -> None:
 
 
 def _shoot(file: str) -> None:
-    """Writes what is on the screen."""
+    """Takes a screenshot."""
     from python_qt_binding.QtWidgets import QApplication
 
     application = QApplication([])
@@ -207,7 +207,7 @@ def _shrink(file: Path) -> None:
 
 
 def _ports() -> list[str]:
-    """Returns arguments that put the demo's devices on ports of its own."""
+    """Returns launch arguments with free ports for the demo's devices."""
     tcp = ("robot", "robot_control", "hand_control", "leap", "leap_control", "world", "camera_control")
     return [*(f"{name}_port:={free_port()}" for name in tcp), f"hand_port:={free_port(socket.SOCK_DGRAM)}"]
 
@@ -258,7 +258,7 @@ def _animate(recording: Path, file: Path, begin_s: float = 0.0, end_s: float = m
 
 @contextlib.contextmanager
 def _started(*command: str, **environment: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Runs a program on a ROS master of its own, if none is named, and ends it as Ctrl-C does."""
+    """Runs a program on a ROS master of its own, unless one is named, and interrupts it like Ctrl-C."""
     master = f"http://localhost:{free_port()}"
     program = subprocess.Popen(command, env={**os.environ, "ROS_MASTER_URI": master, **environment}, cwd=ROOT)
     try:
@@ -285,7 +285,7 @@ def _grasps(scene: str, *arguments: str, **environment: str) -> Iterator[str]:
 
 @contextlib.contextmanager
 def _screen() -> Iterator[str]:
-    """Yields the name of a display in memory."""
+    """Yields the name of a virtual display."""
     reader, writer = os.pipe()
     size = f"{SCREEN[0]}x{SCREEN[1]}x24"
     server = subprocess.Popen(["Xvfb", "-displayfd", str(writer), "-screen", "0", size], pass_fds=[writer])

@@ -1,4 +1,4 @@
-"""What is started for the page of the running graph: each part on a ROS master, ports and a screen of its own."""
+"""The launch files of the ROS graph page: each part runs on a ROS master, ports and a screen of its own."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tools.handbook.walk import screen
 
 TCP = ("robot_port", "robot_control_port", "hand_control_port", "leap_port", "leap_control_port", "world_port")
 END_S = 40.0
-"""How long programs have to end after Ctrl-C [s]."""
+"""Longest wait for a program to exit after Ctrl-C [s]."""
 
 
 @dataclass(frozen=True)
@@ -85,26 +85,26 @@ def _vision() -> list[list[str]]:
 PARTS = {
     "rig": Part(
         "The rig",
-        "`roslaunch leap_rig demo.launch grasping:=true rviz:=false`, which has the panel, and "
-        "`roslaunch grasping collect.launch`. Without `grasping:=true` the nodes `ggcnn` and `grasp_execution` are "
-        "missing, and without RViz `camera/*` and `camera_truth` as well.",
+        "`roslaunch leap_rig demo.launch grasping:=true rviz:=false` with the control panel, and "
+        "`roslaunch grasping collect.launch`. `ggcnn` and `grasp_execution` run only with `grasping:=true`; `camera/*` "
+        "and `camera_truth` with that or with RViz.",
         _rig,
     ),
     "ptp": Part(
         "The PTP controller",
         "`roslaunch leap_rig leap_rig_ptp_debug.launch` and `roslaunch kuka_control ptp_controller.launch`: "
-        "what differs from the rig above.",
+        "differences from the rig above.",
         _ptp,
     ),
     "vision": Part(
         "Calibration, depth and headset",
         "`roslaunch vision camera_apriltag.launch description:=true`, and with `camera:=false` beside it "
         "`register_rgbd.launch`, `plane_pose.launch` and `camera_oculus.launch web:=true`: "
-        "what differs from the rig above.",
+        "differences from the rig above.",
         _vision,
     ),
 }
-"""By the names that the command line has; the first one is the rig, from which the others show what differs."""
+"""By command-line name; the first one is the rig, the others show differences from it."""
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from tools.reference.commands import targets
 
 CHECKED = ("make", "rosrun", "roslaunch", "rosservice", "rostopic")
 EXAMPLE = re.compile(r"[A-Z]{2,}|…|\.\.\.|<")
-"""A word for which the reader is to put his own."""
+"""A placeholder that the reader replaces."""
 
 
 def faults(text: str) -> list[str]:
@@ -22,7 +22,7 @@ def faults(text: str) -> list[str]:
 
 
 def commands(text: str) -> Iterator[list[str]]:
-    """Yields the words of each command that is checked; lines that end with a backslash go on in the next one."""
+    """Yields the words of each command that is checked; a backslash continues a line."""
     for line in text.replace("\\\n", " ").splitlines():
         for part in re.split(r"&&|;|\|", line):
             try:
@@ -36,7 +36,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 
 def for_a_real_rig(text: str) -> list[str]:
-    """Returns the commands in a text that speak to real devices, above all those that may move a real arm."""
+    """Returns the commands in a text that use real devices, above all those that may move a real arm."""
     return [" ".join(words) for words in commands(text) if _real(words)]
 
 
@@ -88,7 +88,7 @@ def _rosrun(words: list[str]) -> Iterator[str]:
 
 
 def _takes(source: str, option: str) -> bool:
-    """Whether the source has the option by its name, or makes options of the fields of a record with that field."""
+    """Whether the source has the option, or a record with that field from which options are made."""
     return (
         f'"--{option}"' in source or re.search(rf"^    {option.replace('-', '_')}: ", source, re.MULTILINE) is not None
     )

@@ -16,8 +16,8 @@ MARK = re.compile(r" *<!-- *([^>]*?) *-->\s*$")
 BESIDE_RIG, UNTIL_CTRL_C, REAL_HARDWARE, SLOW, ELSEWHERE = (
     "running rig", "until Ctrl-C", "real hardware", "slow", "run by "
 )  # fmt: skip
-"""What the comment before a block says, several with a comma between: how the tests of the handbook run it, or why not.
-After `run by ` stands FILE or FILE::TEST."""
+"""Marks in the comment before a block, separated by commas: how the handbook tests run it, or why not.
+`run by ` is followed by FILE or FILE::TEST."""
 MARKS = (BESIDE_RIG, UNTIL_CTRL_C, REAL_HARDWARE, SLOW)
 
 
@@ -43,12 +43,12 @@ class Block:
 
     @property
     def where(self) -> str:
-        """Page and line, for people."""
+        """Page and line, for messages."""
         return f"{self.page.relative_to(ROOT) if ROOT in self.page.parents else self.page.name}:{self.line}"
 
     @property
     def why_not(self) -> str:
-        """Why the tests of the handbook do not run it: `slow`, `real hardware`, `run by`; empty if they do."""
+        """Why the handbook tests skip it: `slow`, `real hardware`, `run by`; empty if they run it."""
         for mark in self.marks:
             if mark in (REAL_HARDWARE, SLOW):
                 return mark
@@ -58,7 +58,7 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """The commands one by one, without remarks; lines that end with a backslash go on in the next one."""
+        """The commands one by one, without comments; a backslash continues a line."""
         lines = (re.sub(r"(^|\s)#.*", "", line).strip() for line in self.text.replace("\\\n", " ").splitlines())
         return [line for line in lines if line]
 
@@ -109,7 +109,7 @@ def blocks(page: Path, languages: tuple[str, ...] = ("bash", "python")) -> Itera
 
 
 def runs(mark: str, block: Block) -> bool:
-    """Whether the file after `run by ` exists and has the test; a page, whether it has the commands and runs them."""
+    """Whether the file after `run by ` exists and has the test; for a page, whether it runs the same commands."""
     name, _, test = mark[len(ELSEWHERE) :].partition("::")
     file = ROOT / name
     if not file.is_file():
@@ -121,7 +121,7 @@ def runs(mark: str, block: Block) -> bool:
 
 
 def code(page: Path) -> Iterator[Block]:
-    """Yields all code of a page that may hold commands: blocks, indented lines, and code within sentences."""
+    """Yields all code of a page that may contain commands: blocks, indented lines, inline code."""
     text = page.read_text()
     for match in re.finditer(r"^( *)```(?:bash|sh|)\n(.*?)^ *```", text, re.DOTALL | re.MULTILINE):
         yield Block(page, text.count("\n", 0, match.start(2)) + 1, match[2])

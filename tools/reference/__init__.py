@@ -1,4 +1,4 @@
-"""Writes the pages of docs/reference from the source: `python -m tools.reference`. A test compares them with it.
+"""Generates the pages of docs/reference from the source: `python -m tools.reference`. A test compares both.
 
 Each module makes one page and has `page() -> str`.
 """

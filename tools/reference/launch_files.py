@@ -1,4 +1,4 @@
-"""The page of launch files: each with its arguments, their defaults and what they mean."""
+"""The page of launch files: each with its arguments, their defaults and meanings."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def page() -> str:
 
 
 def arguments(file: Path) -> dict[str, ElementTree.Element]:
-    """Returns the arguments that a launch file takes, by name; those with a fixed value are its own affair."""
+    """Returns the arguments that a caller may set, by name; those with a fixed `value` are internal."""
     return {a.get("name", ""): a for a in ElementTree.parse(file).getroot().findall("arg") if a.get("value") is None}
 
 
 def _file(file: Path, shown: dict[tuple[str, ...], str]) -> str:
-    """Returns the section of a launch file; rows that `shown` has already for its package are only named."""
+    """Returns the section of a launch file; arguments already in `shown` for its package are only named."""
     rows, same = [], defaultdict(list)
     for name, arg in arguments(file).items():
         row = [markdown.code(name), _default(arg), markdown.text(arg.get("doc", ""))]
@@ -59,7 +59,7 @@ def _default(arg: ElementTree.Element) -> str:
 
 
 def _comment(file: Path) -> str:
-    """Returns the first comment of a launch file, which says what it does."""
+    """Returns the first comment of a launch file, its description."""
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     root = ElementTree.parse(file, parser).getroot()
     return next((" ".join((child.text or "").split()) for child in root if child.tag is ElementTree.Comment), "")

@@ -1,4 +1,4 @@
-"""The page of messages and services: their definitions, and the MD5 sums by which two programs know each other."""
+"""The page of messages and services: their definitions and MD5 sums."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from tools.reference import markdown, sources
 
 DEFINITIONS = (Path("/usr/share"), Path("/opt/ros/noetic/share"))
-"""Where ROS packages keep the messages that ours build on."""
+"""Folders of the ROS packages whose messages ours use."""
 
 
 def page() -> str:
@@ -24,8 +24,7 @@ def page() -> str:
         markdown.generated(
             "Messages and services",
             "the msg and srv files",
-            "The definitions, with their MD5 sums as `rosmsg md5` and `rossrv md5` tell them. Two programs understand "
-            "each other when the sums are the same.",
+            "Definitions and MD5 sums (`rosmsg md5`, `rossrv md5`). Programs can communicate if the sums are equal.",
         )
     ]
     package = ""

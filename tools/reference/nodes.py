@@ -15,7 +15,7 @@ from tools.reference import markdown, schemas, sources
 
 @dataclass(frozen=True)
 class Node:
-    """What a node reads under its own name.
+    """The private parameters of a node.
 
     Attributes:
         schemas: `module:Class` by the section that it checks; an empty section is the node itself.
@@ -86,7 +86,7 @@ NODES: dict[str, Node] = {
         {}, {"": ("vision/config/xtion.yaml",), "frames": ("vision/config/camera_frames.yaml",), **CALIBRATIONS}
     ),
 }
-"""By the program that is the node, `package/program.py`. A test compares this with the launch files and the code."""
+"""By the node's program, `package/program.py`. A test compares this with the launch files and the code."""
 
 
 def of_package(package: str) -> list[str]:
@@ -99,7 +99,7 @@ def of_package(package: str) -> list[str]:
 
 
 def keys(program: str) -> set[str]:
-    """Returns the names of what a node may be given, `section/key`."""
+    """Returns the names of all private parameters of a node, `section/key`."""
     node = NODES[program]
     own = {_name(where, key.name) for where, schema in node.schemas.items() for key in schemas.keys_of(schema)}
     loaded = {name for where, files in node.files.items() for file in files for name in _names(where, _values(file))}
@@ -126,7 +126,7 @@ def _section(program: str) -> str:
 
 
 def _names(where: str, values: Mapping[str, Any]) -> Iterator[str]:
-    """Yields the names of the keys of a mapping and of the mappings in it."""
+    """Yields the names of the keys of a nested mapping."""
     for key, value in values.items():
         yield _name(where, key)
         if isinstance(value, Mapping):

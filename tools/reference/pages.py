@@ -1,4 +1,4 @@
-"""The generated pages that follow from the source alone, by their file's name."""
+"""The pages that are generated from the source alone, by file name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of parameters: each yaml file beside the schema that checks it, and each node's private parameters."""
+"""The page of parameters: each yaml file with the schema that checks it, and the private parameters of the nodes."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
         *(Part(f"{SCENE}:{kind}", ("objects", name)) for name, kind in OBJECTS.items()),
     ),
 }
-"""What the page shows as tables."""
+"""Files shown as tables."""
 
 Shown = Dict[Tuple[str, ...], Tuple[str, str, str]]
 """Package, file and value that explain a key, by schema or package, key, range and meaning."""
@@ -113,7 +113,7 @@ AS_IT_IS = {
     "vision/config/xtion_depth.yaml",
     "vision/config/xtion_rgb.yaml",
 }
-"""Lists, names of one's own, formats of others, and scenes that repeat the keys of objects.yaml."""
+"""Files that are only linked: lists, third-party formats, and scenes with the keys of objects.yaml."""
 
 
 def page() -> str:
@@ -140,12 +140,12 @@ def page() -> str:
 
 
 def _is_variant(file: Path) -> bool:
-    """Whether a file changes some values of another one, or has the same keys for the PTP controller."""
+    """Whether a file overrides some values of another one, or repeats its keys for the PTP controller."""
     return "ptp" in file.name or any(part.above for part in SCHEMAS.get(sources.inside(file), ()))
 
 
 def _file(file: Path, shown: Shown) -> str:
-    """Returns the section of a yaml file; of a key that another file of the package explains, only the value."""
+    """Returns the section of a yaml file; keys that another file explains are only named."""
     words = file.read_text()
     name = str(file.relative_to(file.parents[len(file.parts) - 2 - file.parts.index("config")]))
     head = _head(words)
@@ -200,7 +200,7 @@ def _head(words: str) -> str:
 
 
 def _comments(words: str) -> dict[tuple[str, ...], str]:
-    """Returns the comments behind the keys of a yaml, by the keys that lead there."""
+    """Returns the comments after the keys of a yaml file, by their path of keys."""
     found: dict[tuple[str, ...], str] = {}
     above: list[tuple[int, str]] = []
     for line in words.splitlines():

@@ -1,4 +1,4 @@
-"""Tables of the typed schemas that check yaml files and private parameters."""
+"""Tables of the typed schemas of yaml files and private parameters."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def keys_of(schema: str) -> list[Key]:
 
 
 def row(key: Key, name: str, values: Mapping[str, Any], comment: str = "") -> list[str]:
-    """Returns a line of a table: name, then the COLUMNS.
+    """Returns a row of the table: name, then the COLUMNS.
 
     Args:
         key: of the schema.
-        name: under which it is set.
-        values: of the file that sets it; what is missing there has the schema's own default.
-        comment: stands for a meaning that the schema does not tell.
+        name: how the page calls the key.
+        values: of the yaml file; a key that is missing there has the schema's default.
+        comment: used where the schema has no meaning.
     """
     return [
         markdown.code(name),
@@ -43,12 +43,12 @@ def row(key: Key, name: str, values: Mapping[str, Any], comment: str = "") -> li
 
 
 def table(first: str, rows: Iterable[list[str]]) -> str:
-    """Returns the table of such lines; `first` is the title of their names."""
+    """Returns the table of such rows; `first` is the title of the first column."""
     return markdown.table([first, *COLUMNS], rows)
 
 
 def value(of: Any) -> str:
-    """Returns a value as yaml has it in one line."""
+    """Returns a value as one line of yaml."""
     return yaml.safe_dump(of, default_flow_style=True, width=1000, allow_unicode=True).replace("...", "").strip()
 
 
@@ -64,7 +64,7 @@ def _absent(key: Key) -> str:
 
 
 def _range(key: Key) -> str:
-    """Returns type, range and unit of a key in one cell; a number needs no type."""
+    """Returns type, range and unit of a key; the type of a number is omitted."""
     if key.type == "one of":
         return "empty" + key.range if key.range.startswith(",") else key.range
     kind = "" if key.type == "number" and (key.range or key.unit) else KINDS.get(key.type, key.type)

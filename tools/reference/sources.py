@@ -1,4 +1,4 @@
-"""Where the project's sources are, as the generators see them."""
+"""Paths of the project's sources, for the generators."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def on_path() -> None:
 
 
 def package(path: Path) -> str:
-    """Returns the name of the package that a file belongs to, or of its folder at the root, as tools."""
+    """Returns the name of a file's package, or of its top-level folder, e.g. tools."""
     return inside(path).split("/")[0]
 
 
 def inside(path: Path) -> str:
-    """Returns the place of a file, `package/path/in/it`, or below the root for a file of no package."""
+    """Returns the path of a file from its package's name on, or from the root if it has no package."""
     for folder in path.parents:
         if (folder / "package.xml").is_file():
             return str(path.relative_to(folder.parent))
