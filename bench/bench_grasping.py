@@ -22,8 +22,7 @@ from bench.measure import SRC, Row, row
 from common.camera_model import pinhole
 from grasping.network.networks import GGCNN, HEADS
 from grasping.network.weights import load
-from grasping.pipeline.live import GraspPipeline
-from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.pipeline import GraspPipeline
 from grasping.pipeline.settings import overlaid, settings_from
 
 CAMERA = pinhole("bench", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
@@ -64,7 +63,7 @@ def _rows(images: list[np.ndarray]) -> list[Row]:
         }  # the live chain rearranges its own
         for view in ("camera", "table"):
             s = settings_from(overlaid(values, {"view": view}))
-            finder = GraspPipeline(s.views(), Predictor(network, PredictorSettings()), s.live(UP), CLOCK)
+            finder = GraspPipeline(s.views(), network, s.steps(UP), clock=CLOCK)
             chains[f"live, view {view}"] = lambda depth, now, f=finder: f.step(depth, CAMERA, np.eye(4), now).seconds
         times = {chain: [] for chain in chains}
         for i, depth in enumerate(images):  # in turns, so that a busy moment meets all

@@ -22,7 +22,7 @@ from grasping.lab.dataset.frame_buffer import FrameBufferConfig, KeptFrame, Opti
 from grasping.lab.dataset.network_view import MAP_SIDE, look, millimetres
 from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak
-from grasping.pipeline.projection import grasp as grasp_at
+from grasping.pipeline.projection import project_grasp as grasp_at
 from grasping.pipeline.rig_configuration import grasp_in_tool, rig_configuration
 from grasping.pipeline.settings import overlaid, settings_from
 from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
@@ -300,7 +300,7 @@ def test_what_is_kept_of_a_image_is_what_the_network_saw_and_said(kind):
     depth = np.full((480, 640), 0.8, np.float32)
     depth[230:260, 310:340] = 0.7
     seen = views.step(depth, CAMERA)
-    view, T_view_own = look(ramp, seen, GGCNN.live(UP))
+    view, T_view_own = look(ramp, seen, GGCNN.steps(UP))
     assert view.depth.shape == (seen.image.crop.side,) * 2 and view.depth.dtype == np.uint16
     assert len(np.unique(view.depth)) == 2 and np.ptp(view.depth) == pytest.approx(100, abs=1)
     assert view.maps.shape == (4, MAP_SIDE, MAP_SIDE) and view.maps.dtype == np.float16
@@ -326,7 +326,7 @@ def test_what_is_beside_or_above_the_fingers_may_be_the_robot(x, y, z):
 def test_a_network_that_says_nothing_finite_is_refused():
     view = CameraView(CropConfig(400, 0)).step(np.full((480, 640), 0.8, np.float32), CAMERA)
     with pytest.raises(ValueError, match="not finite"):
-        look(lambda _: torch.full((1, 4, 300, 300), torch.nan), view, GGCNN.live(UP))
+        look(lambda _: torch.full((1, 4, 300, 300), torch.nan), view, GGCNN.steps(UP))
 
 
 @pytest.mark.parametrize("closing_angle", [0.0, 30.0, -90.0])

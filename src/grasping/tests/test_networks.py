@@ -9,8 +9,7 @@ import torch.nn.functional as F
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasping.network.networks import GGCNN, KERAS, NETWORKS, shuffled_transpose
-from grasping.pipeline.predictor import frozen
+from grasping.network.networks import GGCNN, KERAS, NETWORKS, frozen, shuffled_transpose
 
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 

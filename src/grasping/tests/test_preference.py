@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +15,9 @@ from table_scene import CAMERA, UP, depth_picture, looking_at
 from common.config import parse
 from common.errors import ConfigError
 from grasping.network.maps import Maps, Peak
-from grasping.pipeline.live import GraspPipeline
-from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.pipeline import GraspPipeline
 from grasping.pipeline.preference import preferred
-from grasping.pipeline.projection import grasp, pixel_size
+from grasping.pipeline.projection import pixel_size, project_grasp
 from grasping.pipeline.settings import overlaid, settings_from
 from grasping.pipeline.tool_pose import ToolPoseConfig
 from grasping.pipeline.view import CameraView, CropConfig
@@ -102,7 +100,7 @@ def test_the_size_of_a_pixel_is_that_of_the_grasps_opening():
     size = pixel_size(image, CAMERA)
     assert size.shape == image.depth.shape
     for row, column in ((150, 150), (120, 90)):
-        seen = grasp(Peak(row, column, 0.5, 0.0, 30.0), image.crop, len(image.input), depth, CAMERA)
+        seen = project_grasp(Peak(row, column, 0.5, 0.0, 30.0), image.crop, len(image.input), depth, CAMERA)
         assert 30.0 * size[row, column] == pytest.approx(seen.width, rel=1e-5)
 
 
@@ -122,13 +120,11 @@ def best_x(boxes, **changes) -> float:
     tool = {**YAML, "preferred_opening": [0.045, 0.12], "outside_ramp": 0.01, **changes}
     ggcnn = yaml.safe_load((CONFIG / "ggcnn.yaml").read_text())
     s = settings_from(overlaid({**ggcnn, "view": "camera"}, {"tool": tool, "approach": {"kind": "camera"}}))
-    chain = GraspPipeline(
-        s.views(), Predictor(LeftSlender(), PredictorSettings()), s.live(UP), itertools.count().__next__
-    )
+    chain = GraspPipeline(s.views(), LeftSlender(), s.steps(UP))
     found = chain.step(depth_picture(ABOVE, boxes), CAMERA, ABOVE, 0.0)
     assert found.reason == ""
-    assert found.proposals[0].quality == pytest.approx(found.maps.quality[found.proposals[0].peak[:2]])
-    return float(found.proposals[0].T_base_grasp[0, 3])
+    assert found.grasps[0].quality == pytest.approx(found.maps.quality[found.grasps[0].peak[:2]])
+    return float(found.grasps[0].T_base_grasp[0, 3])
 
 
 def test_the_hand_prefers_the_lower_wider_box_and_takes_the_slender_one_where_there_is_no_other():

@@ -27,8 +27,15 @@ from grasping.network.refinement import (
     RefinementOutput,
     features,
 )
-from grasping.pipeline.projection import grasp
-from grasping.pipeline.refined_grasp import UNIFORM, angle_deviation, opened, places, refined_grasp, spread
+from grasping.pipeline.projection import project_grasp
+from grasping.pipeline.refined_grasp import (
+    UNIFORM,
+    angle_deviation,
+    grasp_uncertainty,
+    opened,
+    pixel_probabilities,
+    refined_grasp,
+)
 
 CAMERA = pinhole("camera", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
 SHAPE = (480, 640)
@@ -60,7 +67,7 @@ def test_untrained_it_is_ggcnn_bit_by_bit():
         np.testing.assert_array_equal(values, np.zeros((NETWORK_SIDE, NETWORK_SIDE)))
     peak = Peak(120, 170, 0.8, 0.4, 60.0)
     assert opened(peak, refined) == peak
-    own = grasp(peak, image.crop, NETWORK_SIDE, depth, CAMERA)
+    own = project_grasp(peak, image.crop, NETWORK_SIDE, depth, CAMERA)
     same = refined_grasp(own, refined, peak)
     np.testing.assert_array_equal(same.T_camera_grasp, own.T_camera_grasp)
     assert same.width == own.width
@@ -199,7 +206,7 @@ def test_a_constant_offset_moves_the_maps_and_keeps_the_grasps_depth():
 def test_a_refined_grasp_stays_on_its_pixels_ray_and_leans():
     _, image, depth = scene()
     peak = Peak(120, 170, 0.8, 0.4, 60.0)
-    own = grasp(peak, image.crop, NETWORK_SIDE, depth, CAMERA)
+    own = project_grasp(peak, image.crop, NETWORK_SIDE, depth, CAMERA)
     refined = MapRefiner(RefinementNetwork()).apply(*scene()[:2])
     refined.dz[120, 170], refined.tilt_x[120, 170] = 0.02, 0.3
     found = refined_grasp(own, refined, peak)
@@ -212,7 +219,7 @@ def test_a_refined_grasp_stays_on_its_pixels_ray_and_leans():
 
 def test_what_an_untrained_network_says_of_its_spread():
     said = RefinementOutput.of(torch.zeros(1, len(CHANGES), 2, 2))
-    for values, wanted in ((said.depth_spread, DEPTH_M), (said.tilt_spread, TILT_RAD), (said.turn_sin, 0.0)):
+    for values, wanted in ((said.depth_scale, DEPTH_M), (said.tilt_scale, TILT_RAD), (said.turn_sin, 0.0)):
         np.testing.assert_allclose(values.numpy(), wanted)
 
 
@@ -237,9 +244,9 @@ def test_what_is_done_live_is_what_training_means():
         (refined.tilt_y, said["tilt_y"] - 0.05),
         (refined.wider, (said["opening"] + 0.02) * 150.0 / 0.7),
         (refined.concentration, np.hypot(said["turn_cos"], said["turn_sin"])),
-        (refined.spreads[0], said["depth_spread"]),
-        (refined.spreads[1], said["opening_spread"] * 150.0 / 0.7),
-        (refined.spreads[2], said["tilt_spread"]),
+        (refined.scales[0], said["depth_scale"]),
+        (refined.scales[1], said["opening_scale"] * 150.0 / 0.7),
+        (refined.scales[2], said["tilt_scale"]),
     ):
         np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-6)
 
@@ -270,14 +277,14 @@ def test_the_spread_of_a_grasp():
     quality = np.kron(np.log(mass) / 20.0, np.ones((SHRINK, SHRINK))).astype(np.float32)
     output, image, depth = scene()
     refined = MapRefiner(RefinementNetwork()).apply(np.stack([quality, *output[1:]]), image)
-    place = places(refined)
+    place = pixel_probabilities(refined)
     np.testing.assert_allclose(place, mass / mass.sum(), atol=1e-6)
     peak = Peak(SHRINK * 20 + 2, SHRINK * 20 + 2, 1.0, 0.0, 60.0)
-    own = grasp(peak, image.crop, NETWORK_SIDE, depth, CAMERA)
-    found = spread(refined, place, peak, own, 0.002)
+    own = project_grasp(peak, image.crop, NETWORK_SIDE, depth, CAMERA)
+    found = grasp_uncertainty(refined, place, peak, own, 0.002)
     assert found.probability == pytest.approx(first.sum() / mass.sum(), abs=0.02)
-    assert found.deviations[:2] == pytest.approx((0.002 * 4 * 2.0, 0.002 * 4 * 1.04), rel=0.1)
-    across = spread(refined, place, peak, own._replace(angle=0.5 * np.pi), 0.002)
-    assert across.deviations[:2] == pytest.approx(found.deviations[1::-1], rel=1e-6)
-    assert found.deviations[2] == pytest.approx(np.sqrt(2.0) * DEPTH_M)
-    assert found.deviations[3:5] == pytest.approx(np.sqrt(3.0) * TILT_RAD)
+    assert found.pose_sd[:2] == pytest.approx((0.002 * 4 * 2.0, 0.002 * 4 * 1.04), rel=0.1)
+    across = grasp_uncertainty(refined, place, peak, own._replace(angle=0.5 * np.pi), 0.002)
+    assert across.pose_sd[:2] == pytest.approx(found.pose_sd[1::-1], rel=1e-6)
+    assert found.pose_sd[2] == pytest.approx(np.sqrt(2.0) * DEPTH_M)
+    assert found.pose_sd[3:5] == pytest.approx(np.sqrt(3.0) * TILT_RAD)

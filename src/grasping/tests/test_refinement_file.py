@@ -66,8 +66,8 @@ def test_the_taste_has_no_axes_and_fits_any_rig_with_the_first_network():
     for rows in (slice(0, 5), slice(7, None)):
         torch.testing.assert_close(before[rows], after[rows], rtol=0.0, atol=0.0)
     for view in VIEWS:
-        assert not origin.objection(replace(RIG, view=view, hand=None))
-    assert "learned with network: abababababab..., but network is cdcdcdcdcdcd..." in origin.objection(
+        assert not origin.mismatch(replace(RIG, view=view, hand=None))
+    assert "learned with network: abababababab..., but network is cdcdcdcdcdcd..." in origin.mismatch(
         replace(RIG, network="cd" * 32)
     )
 
@@ -90,19 +90,19 @@ def test_the_origin_is_what_matters_of_a_rigs_configuration():
     ],
 )
 def test_another_rig_is_named(name, value):
-    found = RIG.objection(replace(RIG, **{name: value}))
+    found = RIG.mismatch(replace(RIG, **{name: value}))
     assert found.startswith(f"learned with {name}: ")
     assert f", but {name} is " in found
-    assert not RIG.objection(RIG)
-    assert not RIG.objection(replace(RIG, **{name: None}))
+    assert not RIG.mismatch(RIG)
+    assert not RIG.mismatch(replace(RIG, **{name: None}))
 
 
 def test_another_extent_of_the_table_is_another_rig():
     one = Origin.of(CONFIGURATION)
     other = Origin.of({**CONFIGURATION, "table": {**CONFIGURATION["table"], "extent": 0.4}})
-    assert "learned with table: {'extent': 0.65, 'distance': 0.7}, but table is {'extent': 0.4" in one.objection(other)
+    assert "learned with table: {'extent': 0.65, 'distance': 0.7}, but table is {'extent': 0.4" in one.mismatch(other)
     finer = Origin.of({**CONFIGURATION, "table": {**CONFIGURATION["table"], "noise": 0.002}})
-    assert not one.objection(finer)
+    assert not one.mismatch(finer)
 
 
 def bad(key, value):

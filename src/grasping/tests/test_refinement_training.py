@@ -41,7 +41,7 @@ from grasping.network.refinement import (
     MapRefiner,
     RefinementNetwork,
 )
-from grasping.pipeline.projection import grasp
+from grasping.pipeline.projection import project_grasp
 from grasping.pipeline.refined_grasp import angle_deviation, refined_grasp
 
 CAMERA = pinhole("camera", 400, 400, [[570.0, 0.0, 199.5], [0.0, 570.0, 199.5], [0.0, 0.0, 1.0]])
@@ -74,7 +74,7 @@ def grasp_at(x, y, z=0.7, angle=0.0, tilt=(0.0, 0.0)) -> np.ndarray:
 
 
 def own_pose(peak: Peak = PEAK) -> np.ndarray:
-    return grasp(peak, CROP, NETWORK_SIDE, np.full((400, 400), 0.7), CAMERA).T_camera_grasp
+    return project_grasp(peak, CROP, NETWORK_SIDE, np.full((400, 400), 0.7), CAMERA).T_camera_grasp
 
 
 @settings(max_examples=30)
@@ -147,7 +147,7 @@ def test_the_constant_offset_is_found_and_undone():
     image = prepare(frame.depth_m, CROP)
     refined = MapRefiner(network).apply(maps_of(frame.peak), image)
     peak = highest(smoothed(refined.output, image.valid, Smoothing(quality=2.0)))
-    T = refined_grasp(grasp(peak, CROP, NETWORK_SIDE, frame.depth_m, CAMERA), refined, peak).T_camera_grasp
+    T = refined_grasp(project_grasp(peak, CROP, NETWORK_SIDE, frame.depth_m, CAMERA), refined, peak).T_camera_grasp
     np.testing.assert_allclose(T[:3, 3], frame.T_camera_grasp[:3, 3], atol=0.0012)  # half a pixel
 
 
@@ -182,15 +182,15 @@ OF = {name: i for i, name in enumerate(CHANGES)}
 LOSS_OF = {
     "quality": "place",
     "depth": "depth",
-    "depth_spread": "depth",
+    "depth_scale": "depth",
     "turn_cos": "turn",
     "turn_sin": "turn",
     "opening": "opening",
-    "opening_spread": "opening",
+    "opening_scale": "opening",
     "tilt_x": "tilt",
     "tilt_y": "tilt",
     "follow": "tilt",
-    "tilt_spread": "tilt",
+    "tilt_scale": "tilt",
 }
 """Which loss each output of the network changes."""
 
@@ -391,9 +391,9 @@ def test_the_constant_spread_that_suits_best_is_the_true_one():
     found, did = drawn(20_000, 10.0, 0.1)
     fitted = with_constant_spread(found, found, did)
     assert fitted.concentration[0] == pytest.approx(10.0, rel=0.1)
-    assert fitted.tilt_spread[0] == pytest.approx(0.1, rel=0.03)
+    assert fitted.tilt_scale[0] == pytest.approx(0.1, rel=0.03)
     best = log_likelihoods(found, did).mean()
-    for wrong in ({"concentration": 5.0}, {"concentration": 20.0}, {"tilt_spread": 0.07}, {"tilt_spread": 0.15}):
+    for wrong in ({"concentration": 5.0}, {"concentration": 20.0}, {"tilt_scale": 0.07}, {"tilt_scale": 0.15}):
         other = found._replace(**{name: np.full(20_000, value) for name, value in wrong.items()})
         assert log_likelihoods(other, did).mean() < best - 0.03
 

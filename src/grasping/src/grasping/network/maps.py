@@ -14,6 +14,9 @@ import numpy as np
 
 from grasping.network.networks import WIDTH_SCALE_PX
 
+THRESHOLD = 0.2
+"""Lowest quality of a peak where nothing else is configured."""
+
 
 @dataclass(frozen=True)
 class Smoothing:
@@ -78,7 +81,7 @@ def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
     return cv2.GaussianBlur(image, (side, side), sigma, borderType=cv2.BORDER_REFLECT)
 
 
-def peaks(maps: Maps, count: int, distance: int = 20, threshold: float = 0.2) -> list[Peak]:
+def peaks(maps: Maps, count: int, distance: int = 20, threshold: float = THRESHOLD) -> list[Peak]:
     """Returns the best local maxima of the quality, best first.
 
     Args:

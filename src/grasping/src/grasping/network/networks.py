@@ -11,13 +11,19 @@ Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import nn
 
+from grasping.network.depth_image import NETWORK_SIDE
+
+MapNetwork = Callable[[torch.Tensor], torch.Tensor]
+"""From network images, shape (n, 1, h, w), to maps, shape (n, 4, h, w)."""
 MAPS = ("quality", "cos", "sin", "width")
 HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
 WIDTH_SCALE_PX = 150.0
@@ -113,6 +119,22 @@ class GGCNN2(nn.Module):
 
 NETWORKS: dict[str, Callable[[], nn.Module]] = {"ggcnn": GGCNN, "ggcnn2": GGCNN2, "ggcnn_keras": lambda: GGCNN(KERAS)}
 """The known networks by name; `ggcnn_keras` is GG-CNN with the borders of the Keras weights."""
+
+
+def infer(network: MapNetwork, image: np.ndarray) -> np.ndarray:
+    """Returns the network's maps, shape (4, h, w), of a network image, shape (h, w)."""
+    with torch.no_grad():
+        return network(torch.from_numpy(image)[None, None])[0].contiguous().numpy()
+
+
+def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> torch.jit.ScriptModule:
+    """Returns the network traced for one image of `side` rows and columns, its weights turned into constants."""
+    network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
+    with torch.no_grad(), warnings.catch_warnings():
+        # torch advises its compiler instead, which needs a C++ compiler at run time.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        traced = torch.jit.trace(network, torch.zeros(1, 1, side, side))  # type: ignore[no-untyped-call]
+        return torch.jit.freeze(traced)
 
 
 def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:

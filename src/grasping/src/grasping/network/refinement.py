@@ -60,9 +60,9 @@ CHANGES = {
     "tilt_x": 0.3,
     "tilt_y": 0.3,
     "follow": 0.5,
-    "depth_spread": 1.0,
-    "opening_spread": 1.0,
-    "tilt_spread": 1.0,
+    "depth_scale": 1.0,
+    "opening_scale": 1.0,
+    "tilt_scale": 1.0,
 }
 """What the network says of a pixel, as `RefinementOutput` has it, and what makes it about 1."""
 CONCENTRATION = 4.0
@@ -90,9 +90,9 @@ class RefinementOutput(NamedTuple):
         tilt_x: of the approach about the camera's x axis [rad].
         tilt_y: likewise about its y axis.
         follow: share of the surface's lean that is added to that.
-        depth_spread: scale of the Laplace distribution of the depth [m].
-        opening_spread: of the opening [as opening].
-        tilt_spread: of the lean, whose density falls with its distance from the expected one [rad].
+        depth_scale: scale of the Laplace distribution of the depth [m].
+        opening_scale: of the opening [as opening].
+        tilt_scale: of the lean, whose density falls with its distance from the expected one [rad].
     """
 
     quality: torch.Tensor
@@ -103,9 +103,9 @@ class RefinementOutput(NamedTuple):
     tilt_x: torch.Tensor
     tilt_y: torch.Tensor
     follow: torch.Tensor
-    depth_spread: torch.Tensor
-    opening_spread: torch.Tensor
-    tilt_spread: torch.Tensor
+    depth_scale: torch.Tensor
+    opening_scale: torch.Tensor
+    tilt_scale: torch.Tensor
 
     @classmethod
     def of(cls, output: torch.Tensor) -> RefinementOutput:
@@ -113,9 +113,9 @@ class RefinementOutput(NamedTuple):
         change = cls(*output.unbind(1))
         return change._replace(
             turn_cos=CONCENTRATION + change.turn_cos,
-            depth_spread=DEPTH_M * torch.exp(change.depth_spread),
-            opening_spread=OPENING_UNITS * torch.exp(change.opening_spread),
-            tilt_spread=TILT_RAD * torch.exp(change.tilt_spread),
+            depth_scale=DEPTH_M * torch.exp(change.depth_scale),
+            opening_scale=OPENING_UNITS * torch.exp(change.opening_scale),
+            tilt_scale=TILT_RAD * torch.exp(change.tilt_scale),
         )
 
 
@@ -130,7 +130,7 @@ class RefinedMaps(NamedTuple):
         tilt_y: likewise about its y axis.
         wider: how much wider than needed the operator opens the hand [px of the network's image].
         concentration: of twice the angle.
-        spreads: scales of the Laplace distributions of depth [m], opening [px] and lean [rad], shape (3, h, w).
+        scales: scales of the Laplace distributions of depth [m], opening [px] and lean [rad], shape (3, h, w).
     """
 
     output: np.ndarray
@@ -139,7 +139,7 @@ class RefinedMaps(NamedTuple):
     tilt_y: np.ndarray
     wider: np.ndarray
     concentration: np.ndarray
-    spreads: np.ndarray
+    scales: np.ndarray
 
 
 class RefinementNetwork(nn.Module):
@@ -239,8 +239,8 @@ class MapRefiner:
         to_px = np.float32(WIDTH_SCALE_PX / image.mean)
         depth = image.depth.astype(np.float32)
         rest = [depth + change["depth"], change["tilt_x"], change["tilt_y"], to_px * change["opening"], concentration]
-        spreads = [change["depth_spread"], to_px * change["opening_spread"], change["tilt_spread"]]
-        maps = np.stack([quality + change["quality"], c * cos - s * sin, s * cos + c * sin, width, *rest, *spreads])
+        scales = [change["depth_scale"], to_px * change["opening_scale"], change["tilt_scale"]]
+        maps = np.stack([quality + change["quality"], c * cos - s * sin, s * cos + c * sin, width, *rest, *scales])
         maps = _moved(maps, (x / image.mean, y / image.mean))
         # A shifted grasp keeps its depth, whatever is seen where it has come to.
         return RefinedMaps(

@@ -60,7 +60,7 @@ class Origin:
             hand=configuration.get("T_tool_grasp"),
         )
 
-    def objection(self, other: Origin) -> str:
+    def mismatch(self, other: Origin) -> str:
         """Returns why what was learned here is wrong there, a clause; empty if it is not.
 
         What one of them does not know is not compared.

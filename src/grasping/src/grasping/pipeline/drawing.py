@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from grasping.network.maps import Maps
-from grasping.pipeline.live import GraspProposal, PipelineResult
+from grasping.pipeline.pipeline import GraspProposal, PipelineResult
 
 SCALE = 2
 """Pixels of the heat map to one of the network's, in rows and columns."""
@@ -36,23 +36,23 @@ def with_disc(image: np.ndarray, best: GraspProposal | None) -> np.ndarray:
     return image
 
 
-def heat_map(findings: PipelineResult, refused: set[int], reason: str) -> np.ndarray:
+def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarray:
     """Returns the network's image in grey under the quality in colours, with the grasps: a bar from finger to
     finger, its ends the fingers, number and quality beside it; shape (600, 600, 3), uint8, blue first.
 
     Args:
-        findings: with a view and maps.
+        result: with a view and maps.
         refused: numbers of the grasps that the arm's controller refuses.
         reason: written below where there is one.
     """
-    assert findings.view is not None and findings.maps is not None, "there is something to draw"
-    quality = findings.maps.quality
+    assert result.view is not None and result.maps is not None, "there is something to draw"
+    quality = result.maps.quality
     colours = cv2.applyColorMap((255.0 * np.clip(quality, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_JET)
     share = np.clip(1.5 * quality, 0.0, 0.6)[..., None]
-    mixed = (1.0 - share) * grey(findings.view.image.depth)[..., None] + share * colours
+    mixed = (1.0 - share) * grey(result.view.image.depth)[..., None] + share * colours
     image = cv2.resize(mixed.astype(np.uint8), None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_LINEAR)
-    for proposal in reversed(findings.proposals):
-        best, peak = proposal is findings.proposals[0], proposal.peak
+    for proposal in reversed(result.grasps):
+        best, peak = proposal is result.grasps[0], proposal.peak
         middle = np.array([peak.column, peak.row]) + 0.5
         half = 0.5 * max(0.0, peak.width) * np.array([np.cos(peak.angle), -np.sin(peak.angle)])
         colour = REFUSED if proposal.id in refused else BEST if best else OTHER

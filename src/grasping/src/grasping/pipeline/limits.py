@@ -31,7 +31,7 @@ class LimitsConfig:
         return faults
 
 
-def objection(
+def rejection_reason(
     T_camera_grasp: np.ndarray, T_base_grasp: np.ndarray | None, width: float, opening: float, limits: LimitsConfig
 ) -> str:
     """Returns why a grasp is not worth telling, a clause about "the grasp"; empty if it is.

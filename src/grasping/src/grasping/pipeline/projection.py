@@ -66,7 +66,7 @@ def pixel_size(image: NetworkImage, camera: CameraModel) -> np.ndarray:
     return image.crop.side / len(image.depth) / camera.K[0, 0] * image.depth
 
 
-def grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraModel) -> CameraGrasp | None:
+def project_grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraModel) -> CameraGrasp | None:
     """Returns the grasp before the camera, None when the camera has no reading near the pixel.
 
     Args:

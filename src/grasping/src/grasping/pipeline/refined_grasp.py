@@ -24,18 +24,18 @@ UNIFORM = np.pi / np.sqrt(12.0)
 """Standard deviation of an angle that is not known at all, modulo pi [rad]."""
 
 
-class Spread(NamedTuple):
+class GraspUncertainty(NamedTuple):
     """The distribution of the operator's grasp.
 
     Attributes:
         probability: that the operator grasps here rather than elsewhere in the image, 0 to 1.
-        deviations: standard deviations along x, y, z [m] and about x, y, z [rad], shape (6,).
-        opening: standard deviation of the opening [m].
+        pose_sd: standard deviations along x, y, z [m] and about x, y, z [rad], shape (6,).
+        opening_sd: standard deviation of the opening [m].
     """
 
     probability: float
-    deviations: np.ndarray
-    opening: float
+    pose_sd: np.ndarray
+    opening_sd: float
 
 
 def opened(peak: Peak, refined: RefinedMaps) -> Peak:
@@ -47,7 +47,7 @@ def refined_grasp(grasp: CameraGrasp, refined: RefinedMaps, peak: Peak) -> Camer
     """Returns a grasp of the refined maps with its depth and tilt.
 
     Args:
-        grasp: as `projection.grasp` has it of `opened`, on the surface along the optical axis.
+        grasp: as `project_grasp` has it of `opened`, on the surface along the optical axis.
         refined: the maps.
         peak: the pixel of the grasp in them.
     """
@@ -59,19 +59,21 @@ def refined_grasp(grasp: CameraGrasp, refined: RefinedMaps, peak: Peak) -> Camer
     return grasp._replace(T_camera_grasp=read_only(T), width=factor * grasp.width)
 
 
-def places(refined: RefinedMaps) -> np.ndarray:
+def pixel_probabilities(refined: RefinedMaps) -> np.ndarray:
     """Returns how probable it is that the operator grasps at a pixel, shape (SIDE, SIDE), sum 1."""
     logits = SHARPNESS * shrunk(refined.output[0]).astype(float)
     mass = np.exp(logits - logits.max())
     return mass / mass.sum()
 
 
-def spread(refined: RefinedMaps, place: np.ndarray, peak: Peak, grasp: CameraGrasp, pixel_m: float) -> Spread:
+def grasp_uncertainty(
+    refined: RefinedMaps, place: np.ndarray, peak: Peak, grasp: CameraGrasp, pixel_m: float
+) -> GraspUncertainty:
     """Returns the distribution about a grasp.
 
     Args:
         refined: the maps.
-        place: as `places` has it.
+        place: as `pixel_probabilities` has it.
         peak: the pixel of the grasp in the maps.
         grasp: there.
         pixel_m: what a pixel of the network's image shows of the scene [m].
@@ -81,10 +83,10 @@ def spread(refined: RefinedMaps, place: np.ndarray, peak: Peak, grasp: CameraGra
     c, s = np.cos(grasp.angle), np.sin(grasp.angle)
     axes = np.array([[c, -s], [s, c]])  # rows: through the fingers and across them, in columns and rows of the map
     across = SHRINK * pixel_m * np.sqrt(np.diag(axes @ covariance @ axes.T))
-    depth, opening, tilt = (float(b[at]) for b in refined.spreads)
+    depth, opening, tilt = (float(b[at]) for b in refined.scales)
     lean = LAPLACE_OF_TWO * tilt
     angle = angle_deviation(float(refined.concentration[at]))
-    return Spread(
+    return GraspUncertainty(
         probability, np.array([*across, LAPLACE * depth, lean, lean, angle]), LAPLACE * abs(opening) * pixel_m
     )
 

@@ -15,7 +15,7 @@ from grasping.network.depth_image import TABLE, VIEWS
 from grasping.network.maps import Smoothing
 from grasping.network.networks import NETWORKS
 from grasping.pipeline.limits import LimitsConfig
-from grasping.pipeline.live import PipelineSettings
+from grasping.pipeline.pipeline import PipelineSettings
 from grasping.pipeline.reach import ReachConfig
 from grasping.pipeline.surface import ApproachConfig
 from grasping.pipeline.tool_pose import ToolPoseConfig
@@ -102,8 +102,8 @@ class GgcnnSettings:
         """Returns what makes the network's image."""
         return TableView(self.crop, self.table) if self.main.view == TABLE else CameraView(self.crop)
 
-    def live(self, up: np.ndarray) -> PipelineSettings:
-        """Returns how grasps are looked for; `up` is the vertical in kuka/base_frame, shape (3,)."""
+    def steps(self, up: np.ndarray) -> PipelineSettings:
+        """Returns the settings of the steps behind the view; `up` is the vertical in kuka/base_frame, shape (3,)."""
         p = self.peaks
         return PipelineSettings(
             Smoothing(p.quality_sigma, p.angle_sigma, p.width_sigma),

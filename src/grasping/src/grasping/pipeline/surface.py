@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,22 +25,12 @@ class ApproachConfig:
     max_tilt: float = number("deg", above=0.0, high=75.0, doc="largest angle between the approach and the view's axis")
 
 
-class Surface(NamedTuple):
-    """The surface about a grasp.
-
-    Attributes:
-        normal: unit vector into the surface, in the camera's frame, shape (3,); None where there is no clear one.
-        reason: why there is none, a clause; empty where there is one.
-    """
-
-    normal: np.ndarray | None
-    reason: str
-
-
-def surface_at(
+def surface_normal(
     depth: np.ndarray, rays: np.ndarray, pixel: tuple[float, float], z: float, focal: float, config: ApproachConfig
-) -> Surface:
-    """Returns the plane that most of a grasp's neighbourhood lies in.
+) -> np.ndarray | None:
+    """Returns the normal of the surface about a grasp, a unit vector into it in the camera's frame, shape (3,).
+
+    None where no normal is clear: too few readings, no plane, or a plane that is tilted too far.
 
     Only readings within the radius before and behind the grasp are of its surface; what is left of other surfaces has
     no say, as the plane is the one that most pixels lie in.
@@ -62,12 +51,10 @@ def surface_at(
         known = np.abs(near - z) < config.radius
     count = int(known.sum())
     if count < config.min_pixels:
-        return Surface(None, f"only {count} pixels of the surface are known")
+        return None
     stride = max(1, count // MAX_PIXELS)
     plane = best_plane(rays[window][known][::stride].astype(float), near[known][::stride], config.noise)
     if plane is None or plane.share < config.min_share:
-        return Surface(None, "the surface is not plane")
+        return None
     tilt = np.degrees(np.arccos(np.clip(plane.direction[2], -1.0, 1.0)))
-    if tilt > config.max_tilt:
-        return Surface(None, f"the surface is tilted by {tilt:.0f} degrees")
-    return Surface(plane.direction, "")
+    return plane.direction if tilt <= config.max_tilt else None

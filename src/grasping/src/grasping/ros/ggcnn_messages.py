@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common.frames import BASE
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspList
-from grasping.pipeline.live import GraspProposal
+from grasping.pipeline.pipeline import GraspProposal
 from grasping.pipeline.reach import Reachability
 
 DEVIATIONS = 6
@@ -29,7 +29,7 @@ def grasp_list(header: Header, proposals: list[tuple[GraspProposal, Reachability
 
 def _grasp(header: Header, proposal: GraspProposal, reach: Reachability) -> Grasp:
     known = proposal.T_base_grasp is not None
-    spread = proposal.spread
+    uncertainty = proposal.uncertainty
     return Grasp(
         id=proposal.id,
         pose_camera=message_from_pose(proposal.T_camera_grasp),
@@ -38,9 +38,9 @@ def _grasp(header: Header, proposal: GraspProposal, reach: Reachability) -> Gras
         quality=proposal.quality,
         angle=proposal.angle,
         pixel=proposal.pixel,
-        probability=math.nan if spread is None else spread.probability,
-        deviations=[math.nan] * DEVIATIONS if spread is None else spread.deviations.tolist(),
-        width_deviation=math.nan if spread is None else spread.opening,
+        probability=math.nan if uncertainty is None else uncertainty.probability,
+        deviations=[math.nan] * DEVIATIONS if uncertainty is None else uncertainty.pose_sd.tolist(),
+        width_deviation=math.nan if uncertainty is None else uncertainty.opening_sd,
         reachable=reach.reachable,
         reason=reach.reason,
     )

@@ -31,9 +31,9 @@ from common.ros.params import private_values
 from common.ros.stage_times import StageTimes
 from grasp_msgs.msg import GraspList
 from grasping.network.depth_image import NETWORK_SIDE, TABLE, Crop, centre_crop, prepare
+from grasping.network.networks import infer
 from grasping.pipeline import drawing
-from grasping.pipeline.live import OUT_OF_SIGHT, GraspPipeline, GraspProposal, PipelineResult
-from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.pipeline import OUT_OF_SIGHT, GraspPipeline, GraspProposal, PipelineResult
 from grasping.pipeline.projection import depth_between_fingers
 from grasping.pipeline.reach import ASKED, Reachability
 from grasping.pipeline.rig_configuration import live_origin
@@ -57,12 +57,12 @@ class GgcnnNode:
 
     Args:
         settings: the whole configuration.
-        finder: the chain from image to grasps.
+        pipeline: from images to grasps.
         about: the network, for diagnostics.
     """
 
-    def __init__(self, settings: GgcnnSettings, finder: GraspPipeline, about: dict[str, str]) -> None:
-        self._settings, self._finder, self._about = settings, finder, about
+    def __init__(self, settings: GgcnnSettings, pipeline: GraspPipeline, about: dict[str, str]) -> None:
+        self._settings, self._pipeline, self._about = settings, pipeline, about
         self._milliseconds: dict[str, float] = {}
         self._grasps = self._images = self._normals_missing = 0
         self._reasons = ReasonLog()
@@ -92,7 +92,7 @@ class GgcnnNode:
             silence = self._stream.silence()
             if silence and time.monotonic() - told_silence >= SILENT_PERIOD_S:
                 told_silence = time.monotonic()
-                self._finder.reset()
+                self._pipeline.reset()
                 self._tell(Header(stamp=rospy.Time.now()), [], silence)
 
     def _take(self, image: DepthImage) -> None:
@@ -101,8 +101,8 @@ class GgcnnNode:
             return
         started, header = time.perf_counter(), image.header
         T_base_camera, unknown = self._place.in_base(header.frame_id, header.stamp)
-        found = self._finder.step(image.depth, image.camera, T_base_camera, header.stamp.to_sec())
-        proposals = self._reach.look_up(found.proposals)
+        found = self._pipeline.step(image.depth, image.camera, T_base_camera, header.stamp.to_sec())
+        proposals = self._reach.look_up(found.grasps)
         if unknown:
             proposals = [(p, Reachability(False, unknown)) for p, _ in proposals]
         self._tell(header, proposals, found.reason)
@@ -183,13 +183,13 @@ class GgcnnNode:
         return (DiagnosticStatus.WARN if reason else DiagnosticStatus.OK), reason or "There are grasps.", values
 
 
-def _measured(predictor: Predictor) -> float:
+def _measured(pipeline: GraspPipeline) -> float:
     """Returns how long the network takes for one image [s], after the first ones, which take longer."""
     image = prepare(np.ones((NETWORK_SIDE, NETWORK_SIDE), np.float32), Crop(0, 0, NETWORK_SIDE))
     seconds = []
     for _ in range(WARM_UP):
         begin = time.perf_counter()
-        predictor.output(image)
+        infer(pipeline.network, image.input)
         seconds.append(time.perf_counter() - begin)
     return min(seconds)
 
@@ -204,22 +204,21 @@ def _run() -> None:
     cv2.setNumThreads(settings.network.threads)
     main = settings.main
     rig = live_origin(settings, loaded.sha256, rospy.get_param("kuka/robot", None))
-    second = load_refinement(main.refinement_weights, rig) if main.refine else None
-    predictor = Predictor(loaded.network, PredictorSettings(), second)
+    refiner = load_refinement(main.refinement_weights, rig) if main.refine else None
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:
         raise RigError(f"The parameter kuka/mounting is no roll, pitch and yaw: {error}.") from None
-    finder = GraspPipeline(settings.views(), predictor, settings.live(up), time.perf_counter)
+    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refiner, time.perf_counter)
     rospy.loginfo(
         "%s (%s, SHA-256 %s...) takes %.0f ms an image on %d threads.",
         settings.network.weights,
         loaded.name,
         loaded.sha256[:12],
-        1e3 * _measured(predictor),
+        1e3 * _measured(pipeline),
         settings.network.threads,
     )
-    GgcnnNode(settings, finder, {"network": loaded.name, "weights": loaded.sha256[:12]}).run()
+    GgcnnNode(settings, pipeline, {"network": loaded.name, "weights": loaded.sha256[:12]}).run()
 
 
 def main() -> None:

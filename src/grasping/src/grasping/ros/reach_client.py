@@ -13,7 +13,7 @@ from common.frames import BASE
 from common.mounting import directions
 from common.ros.conversions import stamped_pose
 from common.ros.service_calls import ServiceFailed, call
-from grasping.pipeline.live import GraspProposal
+from grasping.pipeline.pipeline import GraspProposal
 from grasping.pipeline.reach import ASKED, SILENT, Reachability, ReachabilityCache, ReachConfig
 from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
 from rig_msgs.srv import CheckToolPose

@@ -61,9 +61,9 @@ def load_refinement(name: str, rig: Origin) -> MapRefiner:
             "train_refinement.py and set refinement_weights to its weights.pt."
         )
     found, origin = refinement_file.load(_content(path), None if name.startswith("/") else _listed(path))
-    objection = origin.objection(rig)
-    if objection:
-        raise WeightsError(f"The refinement network in {path} {objection}.")
+    mismatch = origin.mismatch(rig)
+    if mismatch:
+        raise WeightsError(f"The refinement network in {path} {mismatch}.")
     return found
 
 

@@ -22,7 +22,7 @@ from common.poses import pose, read_only
 from common.rotations import rotation_about
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.network.depth_image import NETWORK_SIDE, Crop
-from grasping.pipeline.projection import CameraGrasp, camera_pixel, grasp
+from grasping.pipeline.projection import CameraGrasp, camera_pixel, project_grasp
 
 NO_TILT_RAD = 1e-9
 AGAINST_RAD = 1e-6
@@ -98,7 +98,7 @@ def pose_from_label(frame: EpisodeFrame, label: RelativeLabel) -> np.ndarray:
 def own_grasp(frame: EpisodeFrame) -> CameraGrasp | None:
     """Returns GGCNN's own grasp before the camera, None where the camera has no reading near its pixel."""
     window = Crop(0, 0, frame.crop.side)
-    return grasp(frame.peak, window, NETWORK_SIDE, frame.depth_m, windowed(frame.camera, frame.crop))
+    return project_grasp(frame.peak, window, NETWORK_SIDE, frame.depth_m, windowed(frame.camera, frame.crop))
 
 
 def windowed(camera: CameraModel, crop: Crop) -> CameraModel:

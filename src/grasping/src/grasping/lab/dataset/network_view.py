@@ -10,9 +10,9 @@ import torch
 
 from grasping.lab.dataset.episode import NONE_MM
 from grasping.network.maps import Peak, highest, peaks
-from grasping.pipeline.live import PipelineSettings, maps_of
-from grasping.pipeline.predictor import run
-from grasping.pipeline.projection import grasp
+from grasping.network.networks import infer
+from grasping.pipeline.pipeline import PipelineSettings, maps_of
+from grasping.pipeline.projection import project_grasp
 from grasping.pipeline.view import GraspView
 
 MAP_SIDE = 150
@@ -43,7 +43,7 @@ def look(
     place for want of a reading.
 
     Args:
-        network: as `predictor.frozen` returns it.
+        network: as `networks.frozen` returns it.
         view: what the network sees.
         settings: how GGCNN's grasp is looked for.
 
@@ -51,7 +51,7 @@ def look(
         ValueError: the network says something that is not finite.
     """
     crop, image = view.image.crop, view.image
-    output = run(network, image.input)
+    output = infer(network, image.input)
     if not np.isfinite(output).all():
         raise ValueError("the network's maps are not finite")
     small = cv2.resize(output.transpose(1, 2, 0), (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA)
@@ -60,7 +60,7 @@ def look(
     window = view.depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side]
     peak = best[0] if best else highest(maps)
     kept = NetworkView(millimetres(window), small.transpose(2, 0, 1).astype(np.float16), image.mean, peak)
-    own = grasp(peak, crop, len(image.input), view.depth, view.camera)
+    own = project_grasp(peak, crop, len(image.input), view.depth, view.camera)
     return kept, None if own is None else own.T_camera_grasp
 
 

@@ -30,7 +30,7 @@ class Expected(NamedTuple):
         tilt_x, tilt_y: of the approach [rad].
         opening: of the hand [GGCNN's unit x m].
         concentration: of twice the angle.
-        tilt_spread: scale of the Laplace distribution of the lean [rad].
+        tilt_scale: scale of the Laplace distribution of the lean [rad].
     """
 
     angle: np.ndarray
@@ -38,7 +38,7 @@ class Expected(NamedTuple):
     tilt_y: np.ndarray
     opening: np.ndarray
     concentration: np.ndarray
-    tilt_spread: np.ndarray
+    tilt_scale: np.ndarray
 
 
 def expected(
@@ -67,7 +67,7 @@ def expected(
         of["tilt_y"] + of["follow"] * lean_y + offset.tilt_y,
         opening + of["opening"] + offset.opening,
         np.hypot(of["turn_cos"], of["turn_sin"]),
-        of["tilt_spread"],
+        of["tilt_scale"],
     )
 
 
@@ -93,7 +93,7 @@ def errors(found: Expected, did: Expected) -> np.ndarray:
 
 def log_likelihoods(found: Expected, did: Expected) -> np.ndarray:
     """Returns the log-likelihood of each attitude, angle and lean together, shape (n,) [nats, of densities by rad]."""
-    k, b = found.concentration, found.tilt_spread
+    k, b = found.concentration, found.tilt_scale
     off = 2.0 * (did.angle - found.angle)
     scale = np.log(torch.special.i0e(torch.from_numpy(k)).numpy()) + k
     lean = np.hypot(did.tilt_x - found.tilt_x, did.tilt_y - found.tilt_y)
@@ -112,7 +112,7 @@ def with_constant_spread(found: Expected, known: Expected, did: Expected) -> Exp
 
     def spread(one: Expected, k: float) -> Expected:
         n = len(one.angle)
-        return one._replace(concentration=np.full(n, k), tilt_spread=np.full(n, b))
+        return one._replace(concentration=np.full(n, k), tilt_scale=np.full(n, b))
 
     best = max(CONCENTRATIONS, key=lambda k: float(log_likelihoods(spread(known, k), did).mean()))
     return spread(found, float(best))

@@ -17,7 +17,7 @@ from grasping.lab.synthetic.samples import CELL_M, GRIPPER, SceneView, view
 from grasping.lab.synthetic.sensor import FOCAL_PX
 from grasping.network.depth_image import CROP_SIDE, NETWORK_SIDE, Crop, NetworkImage, prepare
 from grasping.network.maps import Maps, Peak, peaks
-from grasping.pipeline.projection import grasp
+from grasping.pipeline.projection import project_grasp
 
 CROP = Crop(0, 0, CROP_SIDE)
 FRICTION = (0.35, 0.6)
@@ -114,7 +114,7 @@ def executed(of: TrialScene, chosen: Peak | None) -> Executed | None:
     rng = np.random.default_rng([99, of.number])
     friction = float(rng.uniform(*FRICTION))
     error = rng.normal(0.0, POSITION_ERROR_M, 2), rng.normal(0.0, ANGLE_ERROR_RAD)
-    where = None if chosen is None else grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, camera())
+    where = None if chosen is None else project_grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, camera())
     if where is None:
         return None
     miss = pose(rotation_about(2, error[1]), (*error[0], 0.0))

@@ -31,7 +31,7 @@ from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.scene import world_xml
 from grasping.network import maps, weights
 from grasping.network.depth_image import NetworkImage
-from grasping.pipeline.predictor import PredictorSettings, frozen, run
+from grasping.network.networks import frozen, infer
 from grasping.pipeline.preference import preferred
 from grasping.pipeline.projection import pixel_size
 from grasping.pipeline.tool_pose import ToolPoseConfig
@@ -78,10 +78,10 @@ def network(file: Path) -> torch.jit.ScriptModule:
 
 def network_grasp(image: NetworkImage, trained: Trained) -> maps.Peak:
     """Returns the best grasp of a network."""
-    found = maps.smoothed(run(network(trained.file), image.input), image.valid, NETWORK_SMOOTHING)
+    found = maps.smoothed(infer(network(trained.file), image.input), image.valid, NETWORK_SMOOTHING)
     if trained.tool is not None:
         size = pixel_size(image, trials.camera())
-        found = preferred(found, size, trained.tool, PredictorSettings.threshold)
+        found = preferred(found, size, trained.tool, maps.THRESHOLD)
     return maps.highest(found)
 
 

@@ -79,8 +79,8 @@ def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Nam
     found, rig = {}, episode_reading.origin_of(test, mixed=True)
     for name, file in files:
         found[name], origin = refinement_file.load(Path(file).read_bytes())
-        if objection := origin.objection(rig):
-            raise RigError(f"The refinement network in {file} {objection} in the episodes.")
+        if mismatch := origin.mismatch(rig):
+            raise RigError(f"The refinement network in {file} {mismatch} in the episodes.")
     return found
 
 

@@ -18,8 +18,10 @@ from common.camera_model import pinhole
 from common.errors import RigError
 from grasping.lab.synthetic.sensor import FOCAL_PX
 from grasping.network import weights
-from grasping.pipeline.predictor import Prediction, Predictor, PredictorSettings
+from grasping.network.maps import THRESHOLD
+from grasping.pipeline.pipeline import GraspPipeline, PipelineResult, PipelineSettings
 from grasping.pipeline.projection import CameraGrasp
+from grasping.pipeline.view import CameraView, CropConfig
 
 
 def read_depth(path: Path) -> np.ndarray:
@@ -40,12 +42,13 @@ def read_depth(path: Path) -> np.ndarray:
     return depth
 
 
-def drawn(found: Prediction) -> np.ndarray:
+def drawn(found: PipelineResult) -> np.ndarray:
     """Returns the network's image with the grasps: a line from finger to finger, shape (900, 900, 3), uint8."""
-    depth = found.image.depth
+    assert found.view is not None, "a result with a view is drawn"
+    depth = found.view.image.depth
     grey = (255.0 * (depth.max() - depth) / max(1e-6, float(np.ptp(depth)))).astype(np.uint8)
     image = cv2.resize(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), (900, 900), interpolation=cv2.INTER_NEAREST)
-    for peak in found.peaks:
+    for peak in (candidate.peak for candidate in found.candidates):
         half = 0.5 * peak.width * np.array([np.cos(peak.angle), -np.sin(peak.angle)])
         start, end = (
             (3.0 * (np.array([peak.column, peak.row]) + sign * half + 0.5)).astype(int).tolist() for sign in (-1.0, 1.0)
@@ -70,10 +73,13 @@ def main() -> None:
         cx, cy = arguments.centre or (0.5 * (w - 1), 0.5 * (h - 1))
         camera = pinhole("camera", w, h, [[arguments.focal, 0.0, cx], [0.0, arguments.focal, cy], [0.0, 0.0, 1.0]])
         network = weights.load(arguments.weights.read_bytes()).network
-        found = Predictor(network, PredictorSettings(arguments.crop, count=arguments.count)).predict(depth, camera)
+        settings = PipelineSettings(count=arguments.count, threshold=None if arguments.count == 1 else THRESHOLD)
+        found = GraspPipeline(CameraView(CropConfig(arguments.crop, 0)), network, settings).step(depth, camera)
+        if found.view is None:
+            raise RigError(found.reason)
     except (RigError, ValueError, OSError) as error:
         parser.error(str(error))
-    for grasp in found.grasps:
+    for grasp in (candidate.grasp for candidate in found.candidates):
         if grasp is not None:
             place = grasp.T_camera_grasp[:3, 3].tolist()
             sys.stdout.write(json.dumps({"position": place, **_plain(grasp)}) + "\n")

@@ -17,7 +17,7 @@ from grasping.lab.programs.making import make_all
 from grasping.lab.synthetic import episodes
 from grasping.lab.synthetic.simulated_operator import SimulatedOperator
 from grasping.network import weights
-from grasping.pipeline.predictor import frozen
+from grasping.network.networks import frozen
 
 
 @lru_cache(maxsize=1)

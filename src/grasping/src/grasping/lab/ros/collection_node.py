@@ -61,7 +61,7 @@ class GraspCollection:
         self._tf = tf2_ros.Buffer()
         tf2_ros.TransformListener(self._tf)
         self._lock = threading.Lock()
-        self._views, self._live = setup.ggcnn.views(), setup.ggcnn.live(setup.up)
+        self._views, self._live = setup.ggcnn.views(), setup.ggcnn.steps(setup.up)
         self._collector = Collector(setup.frames, setup.watch, setup.up)
         self._files = EpisodeFiles(setup.folder, self._written)
         self._info: CameraInfo | None = None

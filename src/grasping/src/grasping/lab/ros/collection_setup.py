@@ -21,7 +21,7 @@ from common.tool import ToolConfig
 from grasping.execution.grasp_watch import GraspWatchConfig
 from grasping.lab.dataset.collection_config import CollectionConfig
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig
-from grasping.pipeline.predictor import frozen
+from grasping.network.networks import frozen
 from grasping.pipeline.rig_configuration import grasp_in_tool
 from grasping.pipeline.settings import GgcnnSettings, overlaid, settings_from
 from grasping.ros.weight_files import load_network, own_yaml, package_folder

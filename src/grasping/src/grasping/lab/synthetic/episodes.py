@@ -20,7 +20,7 @@ from grasping.lab.evaluation.lifting import lift
 from grasping.lab.synthetic import labels, samples, sensor, simulated_operator
 from grasping.network import depth_image, maps
 from grasping.network.depth_image import CAMERA
-from grasping.pipeline.predictor import Network, run
+from grasping.network.networks import MapNetwork, infer
 
 SMOOTHING = maps.Smoothing(quality=2.0)
 MAP_SIDE = 150
@@ -108,7 +108,7 @@ def held(of: EpisodeScene, T_base_grasp: np.ndarray, width: float = samples.GRIP
 def episode(
     split: str,
     number: int,
-    network: Network,
+    network: MapNetwork,
     network_sha256: str,
     who: simulated_operator.SimulatedOperator,
     frames: int,
@@ -118,7 +118,7 @@ def episode(
     Args:
         split: one of `samples.SPLITS`.
         number: of the scene.
-        network: GGCNN, as `predictor.run` takes it.
+        network: GGCNN, as `networks.infer` takes it.
         network_sha256: of its weights.
         who: grasps.
         frames: images, each with the camera's faults drawn anew.
@@ -134,7 +134,7 @@ def episode(
     for _ in range(frames):
         depth = np.nan_to_num(np.round(1000.0 * sensor.observe(of.view.exact, rng))).astype(np.uint16)
         image = depth_image.prepare(depth * np.float32(0.001), trials.CROP)
-        output = run(network, image.input)
+        output = infer(network, image.input)
         peak = maps.highest(maps.smoothed(output, image.valid, SMOOTHING))
         small = np.stack([cv2.resize(m, (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA) for m in output])
         for name, value in zip(stored, (depth, small.astype(np.float16), image.mean, peak)):

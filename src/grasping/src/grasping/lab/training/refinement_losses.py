@@ -76,7 +76,7 @@ def losses(seen: torch.Tensor, said: torch.Tensor, target: RefinementTargets) ->
 def of_depth(seen: torch.Tensor, change: RefinementOutput, target: RefinementTargets) -> torch.Tensor:
     """Returns how improbable the operator's depth is at each pixel, shape (n, h, w)."""
     off = seen[:, HEIGHT] - change.depth - _of_all(target.height)
-    return off.abs() / change.depth_spread + torch.log(change.depth_spread / DEPTH_M)
+    return off.abs() / change.depth_scale + torch.log(change.depth_scale / DEPTH_M)
 
 
 def of_turn(seen: torch.Tensor, change: RefinementOutput, target: RefinementTargets) -> torch.Tensor:
@@ -91,7 +91,7 @@ def of_turn(seen: torch.Tensor, change: RefinementOutput, target: RefinementTarg
 def of_opening(seen: torch.Tensor, change: RefinementOutput, target: RefinementTargets) -> torch.Tensor:
     """Returns how improbable the operator's opening is at each pixel, shape (n, h, w); no matter where unknown."""
     off = seen[:, OPENING] + change.opening - _of_all(torch.nan_to_num(target.opening))
-    return off.abs() / change.opening_spread + torch.log(change.opening_spread / OPENING_UNITS)
+    return off.abs() / change.opening_scale + torch.log(change.opening_scale / OPENING_UNITS)
 
 
 def of_tilt(seen: torch.Tensor, change: RefinementOutput, target: RefinementTargets) -> torch.Tensor:
@@ -99,7 +99,7 @@ def of_tilt(seen: torch.Tensor, change: RefinementOutput, target: RefinementTarg
     x = change.tilt_x + change.follow * seen[:, LEAN_X] - _of_all(target.tilt_x)
     y = change.tilt_y + change.follow * seen[:, LEAN_Y] - _of_all(target.tilt_y)
     off = torch.sqrt(x.square() + y.square() + LEAST)
-    return off / change.tilt_spread + 2.0 * torch.log(change.tilt_spread / TILT_RAD)
+    return off / change.tilt_scale + 2.0 * torch.log(change.tilt_scale / TILT_RAD)
 
 
 def _of_all(values: torch.Tensor) -> torch.Tensor:

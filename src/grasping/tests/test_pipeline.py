@@ -20,9 +20,8 @@ from common.poses import check_pose, inverse, pose
 from common.rotations import rotation_about
 from grasping.network.refinement import MapRefiner, RefinedMaps, RefinementNetwork
 from grasping.pipeline import drawing
-from grasping.pipeline.limits import LimitsConfig, objection
-from grasping.pipeline.live import GraspPipeline, PipelineResult
-from grasping.pipeline.predictor import Predictor, PredictorSettings
+from grasping.pipeline.limits import LimitsConfig, rejection_reason
+from grasping.pipeline.pipeline import GraspPipeline, PipelineResult
 from grasping.pipeline.reach import Reachability, ReachabilityCache, ReachConfig
 from grasping.pipeline.refined_grasp import angle_deviation
 from grasping.pipeline.settings import overlaid, sentences, settings_from
@@ -42,8 +41,8 @@ DT = 1.0 / 15.0
 def finder(changes=None, network=None, refinement=None) -> GraspPipeline:
     """The whole chain; the clock advances by a second at each look."""
     s = settings_from(overlaid(YAML, changes or {}))
-    predictor = Predictor(Nearest() if network is None else network, PredictorSettings(), refinement)
-    return GraspPipeline(s.views(), predictor, s.live(UP), itertools.count().__next__)
+    network = Nearest() if network is None else network
+    return GraspPipeline(s.views(), network, s.steps(UP), refinement, itertools.count().__next__)
 
 
 def look(chain: GraspPipeline, T_base_camera, boxes=(BOX,), known=True, images=1) -> PipelineResult:
@@ -58,7 +57,7 @@ def look(chain: GraspPipeline, T_base_camera, boxes=(BOX,), known=True, images=1
 def test_the_grasp_is_on_the_box_wherever_the_camera_is(place, kind):
     found = look(finder({"approach": {"kind": kind}}), place)
     assert found.reason == ""
-    best = found.proposals[0]
+    best = found.grasps[0]
     T = check_pose(best.T_base_grasp)
     assert np.hypot(*(T[:2, 3] - BOX[:2])) < 0.045
     assert T[2, 3] == pytest.approx(0.08, abs=0.006)
@@ -69,7 +68,7 @@ def test_the_grasp_is_on_the_box_wherever_the_camera_is(place, kind):
 
 def test_in_the_cameras_view_the_grasp_is_what_the_network_said():
     found = look(finder({"view": "camera", "approach": {"kind": "camera"}}), ABOVE)
-    best = found.proposals[0]
+    best = found.grasps[0]
     np.testing.assert_allclose(best.T_camera_grasp[:3, 2], (0.0, 0.0, 1.0), atol=1e-9)
     assert best.angle == pytest.approx(np.pi / 6.0, abs=1e-3)
     assert best.width_px == pytest.approx(45.0 * 400 / 300, rel=1e-3)
@@ -82,7 +81,7 @@ def test_across_the_surface_means_the_surface_and_straight_down_the_worlds_verti
     directions = {}
     for kind in ("camera", "normal", "vertical"):
         found = look(finder(overlaid(changes, {"approach": {"kind": kind}})), ASIDE)
-        directions[kind] = ASIDE[:3, :3].T @ found.proposals[0].T_base_grasp[:3, 2]
+        directions[kind] = ASIDE[:3, :3].T @ found.grasps[0].T_base_grasp[:3, 2]
     np.testing.assert_allclose(directions["camera"], (0.0, 0.0, 1.0), atol=1e-9)
     np.testing.assert_allclose(directions["vertical"], ASIDE[:3, :3].T @ -UP, atol=1e-9)
     sides = [ASIDE[:3, :3].T @ R for R in (-UP, *(rotation_about(2, 0.3)[:, i] * s for i in (0, 1) for s in (-1, 1)))]
@@ -90,19 +89,19 @@ def test_across_the_surface_means_the_surface_and_straight_down_the_worlds_verti
 
 
 def test_without_the_cameras_place_grasps_are_before_the_camera():
-    best = look(finder(), ASIDE, known=False).proposals[0]
+    best = look(finder(), ASIDE, known=False).grasps[0]
     assert best.T_base_grasp is None
     assert (ASIDE @ best.T_camera_grasp)[2, 3] == pytest.approx(0.08, abs=0.006)
     vertical = look(finder({"approach": {"kind": "vertical"}}), ASIDE, known=False)
-    assert vertical.proposals == ()
+    assert vertical.grasps == ()
     assert "the vertical is unknown" in vertical.reason
 
 
 def test_a_grasp_keeps_its_number_while_the_camera_moves():
     chain = finder()
-    first = chain.step(depth_picture(ABOVE, [BOX]), CAMERA, ABOVE, 0.0).proposals[0]
+    first = chain.step(depth_picture(ABOVE, [BOX]), CAMERA, ABOVE, 0.0).grasps[0]
     moved = looking_at((0.1, 0.05, 0.8), (0.05, 0.0, 0.0))
-    second = chain.step(depth_picture(moved, [BOX]), CAMERA, moved, DT).proposals[0]
+    second = chain.step(depth_picture(moved, [BOX]), CAMERA, moved, DT).grasps[0]
     assert first.id == second.id
     assert np.linalg.norm(first.pixel - np.array(second.pixel)) > 10.0
 
@@ -119,7 +118,7 @@ def test_a_grasp_keeps_its_number_while_the_camera_moves():
 )
 def test_no_grasp_has_a_reason(changes, boxes, reason):
     found = look(finder(changes), ABOVE, boxes)
-    assert found.proposals == ()
+    assert found.grasps == ()
     assert re.search(reason, found.reason), found.reason
 
 
@@ -128,7 +127,7 @@ def test_an_empty_image_has_a_reason_and_the_next_one_works():
     nothing = chain.step(np.full((480, 640), np.nan, np.float32), CAMERA, ABOVE, 0.0)
     assert nothing.reason == "the depth image holds no reading inside the crop"
     assert nothing.view is None
-    assert look(chain, ABOVE).proposals
+    assert look(chain, ABOVE).grasps
 
 
 class Broken(torch.nn.Module):
@@ -145,9 +144,9 @@ def test_a_network_that_says_nonsense_is_not_believed():
 def test_stamps_that_go_back_begin_anew():
     chain = finder()
     depth = depth_picture(ABOVE, [BOX])
-    first = chain.step(depth, CAMERA, ABOVE, 100.0).proposals[0].id
-    assert chain.step(depth, CAMERA, ABOVE, 100.1).proposals[0].id == first
-    assert chain.step(depth, CAMERA, ABOVE, 1.0).proposals[0].id != first
+    first = chain.step(depth, CAMERA, ABOVE, 100.0).grasps[0].id
+    assert chain.step(depth, CAMERA, ABOVE, 100.1).grasps[0].id == first
+    assert chain.step(depth, CAMERA, ABOVE, 1.0).grasps[0].id != first
 
 
 def test_each_stage_is_timed():
@@ -183,8 +182,8 @@ def test_an_untrained_second_network_changes_nothing_bit_by_bit(view, place):
     refined = look(finder(changes, refinement=MapRefiner(RefinementNetwork())), place, images=3)
     for a, b in zip(plain.maps, refined.maps):
         np.testing.assert_array_equal(a, b)
-    assert len(plain.proposals) == len(refined.proposals) > 0
-    for a, b in zip(plain.proposals, refined.proposals):
+    assert len(plain.grasps) == len(refined.grasps) > 0
+    for a, b in zip(plain.grasps, refined.grasps):
         np.testing.assert_array_equal(a.T_base_grasp, b.T_base_grasp)
         assert (a.width, a.quality, a.peak) == (b.width, b.quality, b.peak)
 
@@ -195,18 +194,18 @@ def test_the_second_network_moves_and_tilts_the_grasp_in_the_axes_of_the_view(vi
     changes = {"view": view, "approach": {"kind": "camera"}, "peaks": {"threshold": 0.01}}
     plain, refined = look(finder(changes), place), look(finder(changes, refinement=Deeper()), place)
     T_view_camera = inverse(refined.view.T_camera_view)
-    before, after = (T_view_camera @ found.proposals[0].T_camera_grasp for found in (plain, refined))
+    before, after = (T_view_camera @ found.grasps[0].T_camera_grasp for found in (plain, refined))
     assert after[2, 3] - before[2, 3] == pytest.approx(0.01, abs=1e-6)
     np.testing.assert_allclose(after[:2, 3] / after[2, 3], before[:2, 3] / before[2, 3], atol=1e-6)
-    a, b = plain.proposals[0], refined.proposals[0]
+    a, b = plain.grasps[0], refined.grasps[0]
     pixel_m = refined.view.image.crop.side / 300.0 / refined.view.camera.K[0, 0] * before[2, 3]
     assert b.width == pytest.approx((a.width + 6.0 * pixel_m) * after[2, 3] / before[2, 3], rel=1e-3)
-    assert a.spread is None
-    assert 0.0 < b.spread.probability <= 1.0
-    assert b.spread.deviations[2:] == pytest.approx(
+    assert a.uncertainty is None
+    assert 0.0 < b.uncertainty.probability <= 1.0
+    assert b.uncertainty.pose_sd[2:] == pytest.approx(
         (0.01 * np.sqrt(2.0), 0.2 * np.sqrt(3.0), 0.2 * np.sqrt(3.0), angle_deviation(4.0)), rel=1e-5
     )
-    assert b.spread.opening == pytest.approx(5.0 * np.sqrt(2.0) * pixel_m, rel=1e-3)
+    assert b.uncertainty.opening_sd == pytest.approx(5.0 * np.sqrt(2.0) * pixel_m, rel=1e-3)
     half_turn = np.diag([-1.0, -1.0, 1.0])  # the same grasp
     turns = [rotation_about(0, 0.1) @ before[:3, :3] @ same for same in (np.eye(3), half_turn)]
     assert min(np.abs(after[:3, :3] - R).max() for R in turns) < 1e-6
@@ -217,7 +216,7 @@ def approach_in_base(azimuth: float, elevation: float) -> np.ndarray:
     x, y, z = np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
     place = looking_at((0.8 * x, 0.8 * y, 0.8 * z), (0.0, 0.0, 0.0))
     found = look(finder({"approach": {"kind": "camera"}}, refinement=Deeper()), place)
-    return found.proposals[0].T_base_grasp[:3, 2]
+    return found.grasps[0].T_base_grasp[:3, 2]
 
 
 def test_above_the_table_its_axes_turn_with_the_cameras_heading_and_do_not_lean_with_it():
@@ -243,7 +242,7 @@ def test_what_it_learned_of_things_does_not_depend_on_the_cameras_heading(view, 
 
     def best(place, refinement=None):
         boxes = (BOX, (-0.09, 0.04, 0.0, (0.05, 0.04, 0.05)))
-        return look(finder(changes, Middle(), refinement), place, boxes).proposals[0].T_base_grasp
+        return look(finder(changes, Middle(), refinement), place, boxes).grasps[0].T_base_grasp
 
     plain, a, b = best(ABOVE), best(ABOVE, learned()), best(turned, learned())
     assert np.linalg.norm((plain - a)[:3, 3]) > 0.005
@@ -257,7 +256,7 @@ def test_images_for_people():
     assert plain.shape == (300, 300, 3)
     assert plain[..., :2].max() == 0
     np.testing.assert_array_equal(plain[..., 2], np.uint8(255.0 * np.clip(found.maps.quality, 0.0, 1.0)))
-    best = found.proposals[0]
+    best = found.grasps[0]
     with_disc = drawing.with_disc(plain, best)
     assert tuple(with_disc[best.peak.row, best.peak.column]) == drawing.DISC
     assert plain[best.peak.row, best.peak.column, 1] == 0
@@ -301,8 +300,8 @@ def test_the_packages_file_is_whole_and_every_line_states_its_unit():
 def test_the_limits_know_no_base_before_the_calibration():
     limits = parse(LimitsConfig, YAML["limits"])
     far_out = pose(p=(5.0, 0.0, 0.8))
-    assert objection(far_out, None, 0.05, 0.1, limits) == ""
-    assert "its x is 5.00 m" in objection(far_out, far_out, 0.05, 0.1, limits)
+    assert rejection_reason(far_out, None, 0.05, 0.1, limits) == ""
+    assert "its x is 5.00 m" in rejection_reason(far_out, far_out, 0.05, 0.1, limits)
 
 
 REACH = parse(ReachConfig, YAML["reach"])

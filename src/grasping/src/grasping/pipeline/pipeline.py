@@ -1,0 +1,328 @@
+"""From depth images to grasps: view, network, averaging, refinement, maxima, projection, approach, limits, tracking.
+
+One object runs all steps, live and offline. The defaults of `PipelineSettings` are the offline use: no step remembers
+an earlier image, nothing is rejected, and the single best pixel is the grasp. Poses are in the camera's optical frame
+and, where the camera's pose is known, in kuka/base_frame. A result without grasps gives the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from torch import nn
+
+from common.camera_model import CameraModel
+from common.poses import inverse, read_only
+from grasping.network.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
+from grasping.network.networks import frozen, infer
+from grasping.network.refinement import MapRefiner, RefinedMaps
+from grasping.pipeline.limits import LimitsConfig, rejection_reason
+from grasping.pipeline.preference import preferred
+from grasping.pipeline.projection import CameraGrasp, along, pixel_size, project_grasp, seen_by
+from grasping.pipeline.refined_grasp import (
+    GraspUncertainty,
+    grasp_uncertainty,
+    opened,
+    pixel_probabilities,
+    refined_grasp,
+)
+from grasping.pipeline.surface import NORMAL, VERTICAL, ApproachConfig, surface_normal
+from grasping.pipeline.tool_pose import ToolPoseConfig
+from grasping.pipeline.tracking import (
+    AveragingConfig,
+    GraspDetection,
+    GraspTracker,
+    MapAverage,
+    TrackedGrasp,
+    TrackingConfig,
+)
+from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
+
+OUT_OF_SIGHT = "the best grasp is briefly out of sight"
+
+
+@dataclass(frozen=True)
+class PipelineSettings:
+    """Settings of the steps behind the view; None leaves a step out.
+
+    Attributes:
+        smoothing: of the maps.
+        count: most grasps.
+        distance: between two peaks [px of the network's image].
+        threshold: lowest quality; None takes the highest pixel, whatever its quality.
+        averaging, tracking: over time.
+        approach: None is along the axis of the view.
+        limits: a grasp outside them is rejected.
+        tool: the hand, with its preferred and largest opening.
+        up: the vertical in kuka/base_frame, shape (3,).
+    """
+
+    smoothing: Smoothing = field(default_factory=Smoothing)
+    count: int = 1
+    distance: int = 20
+    threshold: float | None = None
+    averaging: AveragingConfig | None = None
+    tracking: TrackingConfig | None = None
+    approach: ApproachConfig | None = None
+    limits: LimitsConfig | None = None
+    tool: ToolPoseConfig | None = None
+    up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+
+
+class GraspCandidate(NamedTuple):
+    """A peak of the maps and the grasp there.
+
+    Attributes:
+        peak: in the network's image.
+        grasp: in the frame of the view's camera; None where there is no reading or no approach.
+        normal_missing: the surface has no clear normal, and the approach is along the axis of the view instead.
+        rejection: why the grasp is not published, a clause; empty if it is.
+        uncertainty: of the operator's grasp; None without a refinement network.
+    """
+
+    peak: Peak
+    grasp: CameraGrasp | None
+    normal_missing: bool
+    rejection: str
+    uncertainty: GraspUncertainty | None = None
+
+
+class GraspProposal(NamedTuple):
+    """A grasp that may be published.
+
+    Attributes:
+        id: stays while the same grasp is detected again.
+        T_camera_grasp: filtered, shape (4, 4) [m].
+        T_base_grasp: the same in kuka/base_frame, None where that is unknown.
+        width: opening [m].
+        quality: about 0 to 1, for this hand.
+        angle: in the camera's image, anticlockwise [rad].
+        pixel: u, v in the camera's image [px].
+        width_px: opening in the camera's image [px].
+        peak: in the network's image.
+        uncertainty: of the operator's grasp; None without a refinement network.
+    """
+
+    id: int
+    T_camera_grasp: np.ndarray
+    T_base_grasp: np.ndarray | None
+    width: float
+    quality: float
+    angle: float
+    pixel: tuple[float, float]
+    width_px: float
+    peak: Peak
+    uncertainty: GraspUncertainty | None
+
+
+class PipelineResult(NamedTuple):
+    """The result for one depth image.
+
+    Attributes:
+        view: the network's input, None where there was nothing to see.
+        maps: smoothed, with the quality for this hand; None likewise.
+        candidates: one for each peak, best first.
+        grasps: the candidates that passed all limits, tracked, best first.
+        reason: why there is no grasp, a clause; empty if there is one.
+        seconds: duration of each stage [s].
+    """
+
+    view: GraspView | None
+    maps: Maps | None
+    candidates: tuple[GraspCandidate, ...]
+    grasps: tuple[GraspProposal, ...]
+    reason: str
+    seconds: Mapping[str, float]
+
+    @property
+    def normals_missing(self) -> int:
+        """Number of accepted candidates whose surface has no clear normal."""
+        return sum(c.normal_missing for c in self.candidates if not c.rejection)
+
+
+class GraspPipeline:
+    """Finds grasps in single depth images or in a stream of them.
+
+    Args:
+        views: makes the network's image.
+        network: GG-CNN or GG-CNN2.
+        settings: of the steps behind the view.
+        refiner: the refinement network, if there is one.
+        clock: returns the time [s] by which the stages are timed; the default times nothing.
+    """
+
+    def __init__(
+        self,
+        views: CameraView | TableView,
+        network: nn.Module,
+        settings: PipelineSettings,
+        refiner: MapRefiner | None = None,
+        clock: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        self._views, self._settings, self._refiner, self._clock = views, settings, refiner, clock
+        self.network = frozen(network)
+        self._average = None if settings.averaging is None else MapAverage(settings.averaging)
+        self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
+        self._in_base: bool | None = None
+        self._last = -np.inf
+
+    def reset(self) -> None:
+        """Forgets all images."""
+        self._last = -np.inf
+        for step in (self._views, self._average, self._tracker):
+            if step is not None:
+                step.reset()
+
+    def step(
+        self, depth: np.ndarray, camera: CameraModel, T_base_camera: np.ndarray | None = None, now: float = 0.0
+    ) -> PipelineResult:
+        """Returns the grasps in a depth image.
+
+        Args:
+            depth: shape (h, w), float32 [m], not finite = no reading.
+            camera: that took it.
+            T_base_camera: its pose, shape (4, 4) [m]; None where that is unknown.
+            now: stamp of the image [s]; matters only where something is averaged or tracked.
+        """
+        s, stages = self._settings, _StageTimes(self._clock)
+        if now < self._last:  # a recording that begins again
+            self.reset()
+        self._last = now
+        if (T_base_camera is not None) != self._in_base:
+            self._in_base = T_base_camera is not None
+            if self._tracker is not None:
+                self._tracker.reset()
+        try:
+            view = self._views.step(depth, camera)
+        except NoView as error:
+            self._track((), now)
+            return PipelineResult(None, None, (), (), str(error), stages.end("view"))
+        stages.end("view")
+        output = infer(self.network, view.image.input)
+        stages.end("network")
+        if not np.isfinite(output).all():
+            return PipelineResult(view, None, (), (), "the network's maps are not finite", stages.seconds)
+        if self._average is not None:
+            output, _ = self._average.step(output, view.image.depth)
+        refined = None if self._refiner is None else self._refiner.apply(output, view.image)
+        maps = maps_of(output if refined is None else refined.output, view, s)
+        found = [highest(maps)] if s.threshold is None else peaks(maps, s.count, s.distance, s.threshold)
+        stages.end("peaks")
+        candidates = tuple(self._candidates(found, view, refined, T_base_camera))
+        accepted = [c for c in candidates if not c.rejection]
+        T_track_camera = np.eye(4) if T_base_camera is None else T_base_camera
+        detections = [
+            GraspDetection(
+                T_track_camera @ (view.T_camera_view @ c.grasp.T_camera_grasp), c.grasp.width, c.peak.quality
+            )
+            for c in accepted
+            if c.grasp is not None
+        ]
+        grasps = tuple(_proposal(t, accepted[t.detection], camera, T_base_camera) for t in self._track(detections, now))
+        stages.end("poses")
+        return PipelineResult(view, maps, candidates, grasps, self._reason(candidates, grasps), stages.seconds)
+
+    def _track(self, detections: Sequence[GraspDetection], now: float) -> list[TrackedGrasp]:
+        if self._tracker is not None:
+            return self._tracker.step(detections, now)
+        return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
+
+    def _candidates(
+        self, found: list[Peak], view: GraspView, refined: RefinedMaps | None, T_base_camera: np.ndarray | None
+    ) -> Iterator[GraspCandidate]:
+        s, side = self._settings, len(view.image.input)
+        probabilities = None if refined is None else pixel_probabilities(refined)
+        for peak in found:
+            if refined is not None:
+                peak = opened(peak, refined)
+            peak = peak._replace(width=max(0.0, peak.width))
+            on_surface = project_grasp(peak, view.image.crop, side, view.depth, view.camera)
+            if on_surface is None:
+                yield GraspCandidate(peak, None, False, "there is no reading near it")
+                continue
+            if refined is None:
+                grasp, normal_missing, why = self._approached(on_surface, view, T_base_camera)
+            else:
+                grasp, normal_missing, why = refined_grasp(on_surface, refined, peak), False, ""
+            if grasp is None:
+                yield GraspCandidate(peak, None, normal_missing, why)
+                continue
+            if s.limits is not None:
+                T = view.T_camera_view @ grasp.T_camera_grasp
+                T_base = None if T_base_camera is None else T_base_camera @ T
+                opening = np.inf if s.tool is None else s.tool.max_opening
+                why = rejection_reason(T, T_base, grasp.width, opening, s.limits)
+            uncertainty = None
+            if refined is not None and probabilities is not None:
+                pixel_m = view.image.crop.side / side * on_surface.T_camera_grasp[2, 3] / view.camera.K[0, 0]
+                uncertainty = grasp_uncertainty(refined, probabilities, peak, on_surface, pixel_m)
+            yield GraspCandidate(peak, grasp, normal_missing, why, uncertainty)
+
+    def _approached(
+        self, grasp: CameraGrasp, view: GraspView, T_base_camera: np.ndarray | None
+    ) -> tuple[CameraGrasp | None, bool, str]:
+        """Returns the grasp with its approach, whether the normal is missing, and why there is no grasp."""
+        config = self._settings.approach
+        if config is not None and config.kind == NORMAL:
+            z = grasp.T_camera_grasp[2, 3]
+            normal = surface_normal(view.depth, view.rays, grasp.pixel, z, view.camera.K[0, 0], config)
+            turned = None if normal is None else along(grasp, normal, view.camera)
+            return (grasp, True, "") if turned is None else (turned, False, "")
+        if config is not None and config.kind == VERTICAL:
+            if T_base_camera is None:
+                return None, False, "the vertical is unknown: tf has no transform from the camera to kuka/base_frame"
+            down = inverse(T_base_camera @ view.T_camera_view)[:3, :3] @ -self._settings.up
+            return along(grasp, down, view.camera), False, "the line of sight is too flat for a vertical approach"
+        return grasp, False, ""
+
+    def _reason(self, candidates: tuple[GraspCandidate, ...], grasps: tuple[GraspProposal, ...]) -> str:
+        if grasps:
+            return ""
+        if not candidates:
+            return f"no peak of the quality is above {self._settings.threshold:.2f}"
+        if all(c.rejection for c in candidates):
+            return f"the best grasp is not published: {candidates[0].rejection}"
+        return OUT_OF_SIGHT
+
+
+def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> Maps:
+    """Returns the maps in which peaks are looked for: smoothed, and with the hand's preference.
+
+    Args:
+        output: of the networks, shape (4, h, w).
+        view: the network's input.
+        settings: smoothing, threshold and hand.
+    """
+    maps = smoothed(output, view.graspable, settings.smoothing)
+    if settings.tool is None or settings.threshold is None:
+        return maps
+    return preferred(maps, pixel_size(view.image, view.camera), settings.tool, settings.threshold)
+
+
+def _proposal(
+    tracked: TrackedGrasp, candidate: GraspCandidate, camera: CameraModel, T_base_camera: np.ndarray | None
+) -> GraspProposal:
+    T_base = None if T_base_camera is None else tracked.T
+    T_camera = tracked.T if T_base_camera is None else read_only(inverse(T_base_camera) @ tracked.T)
+    angle, pixel, width_px = seen_by(camera, T_camera, tracked.width)
+    peak = candidate.peak
+    return GraspProposal(
+        tracked.id, T_camera, T_base, tracked.width, peak.quality, angle, pixel, width_px, peak, candidate.uncertainty
+    )
+
+
+class _StageTimes:
+    """The duration of each stage."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock, self._since = clock, clock()
+        self.seconds: dict[str, float] = {}
+
+    def end(self, stage: str) -> dict[str, float]:
+        """Notes the end of a stage, which is the beginning of the next."""
+        now = self._clock()
+        self.seconds[stage], self._since = now - self._since, now
+        return self.seconds
