@@ -41,50 +41,31 @@ class ExecutionConfig:
 
 @dataclass(frozen=True)
 class ExecutionObservation:
-    """What is known now.
+    """What is known now."""
 
-    Attributes:
-        clock: ROS time [s].
-        controller: what the arm's controller tells; None if it is silent.
-        hold: HELD, TAKEN or NONE.
-        hold_reason: what leap_kuka says of its stream.
-        T_base_tool: measured tool, shape (4, 4) [m]; None if it is unknown.
-        hand: state of the robot hand; None if it is unknown.
-    """
-
-    clock: float
-    controller: ControllerState | None
-    hold: str
-    hold_reason: str
-    T_base_tool: np.ndarray | None
-    hand: HandMeasurement | None
+    clock: float  # ROS time [s]
+    controller: ControllerState | None  # what the arm's controller tells; None if it is silent
+    hold: str  # HELD, TAKEN or NONE
+    hold_reason: str  # what leap_kuka says of its stream
+    T_base_tool: np.ndarray | None  # measured tool, shape (4, 4) [m]; None if it is unknown
+    hand: HandMeasurement | None  # state of the robot hand; None if it is unknown
 
 
 @dataclass(frozen=True)
 class ExecutionOutcome:
-    """What became of an execution.
+    """What became of an execution."""
 
-    Attributes:
-        episode: its number.
-        closed: where and when the fingers closed; None if they never did.
-        held: whether the hand held something while it was lifted.
-        reason: one sentence.
-        release: whether the tool may still be held for a hand.
-    """
-
-    episode: int
-    closed: ObservedGrasp | None
-    held: bool
-    reason: str
-    release: bool
+    episode: int  # its number
+    closed: ObservedGrasp | None  # where and when the fingers closed; None if they never did
+    held: bool  # whether the hand held something while it was lifted
+    reason: str  # one sentence
+    release: bool  # whether the tool may still be held for a hand
 
 
 class Execution:
     """The execution with its state.
 
     Args:
-        config: times and tolerances.
-        watch: how a grasp is seen.
         up: the vertical in the base frame, shape (3,).
 
     Attributes:
@@ -128,7 +109,6 @@ class Execution:
         """Returns the outcome of the execution if it ends now.
 
         Args:
-            seen: what is known.
             now: monotonic time [s].
         """
         if not self.running:
@@ -154,11 +134,7 @@ class Execution:
         return None
 
     def end(self, sentence: str) -> ExecutionOutcome:
-        """Ends the execution before its grasp is decided.
-
-        Args:
-            sentence: why.
-        """
+        """Ends the execution before its grasp is decided."""
         return self._over(self._watch.give_up(sentence), False, sentence)
 
     def _hindrance(self, seen: ExecutionObservation, now: float) -> str | None:

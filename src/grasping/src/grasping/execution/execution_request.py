@@ -17,32 +17,20 @@ UNABLE = (NOT_STARTED, ENDING, STOPPED)
 
 @dataclass(frozen=True)
 class ProposedPose:
-    """A proposed grasp.
+    """A proposed grasp."""
 
-    Attributes:
-        id: its number.
-        T_base_grasp: shape (4, 4) [m]; None where it is unknown.
-        reason: why it is unknown, a clause.
-    """
-
-    id: int
-    T_base_grasp: np.ndarray | None
-    reason: str = "the camera's place is unknown"
+    id: int  # its number
+    T_base_grasp: np.ndarray | None  # shape (4, 4) [m]; None where it is unknown
+    reason: str = "the camera's place is unknown"  # why it is unknown, a clause
 
 
 @dataclass(frozen=True)
 class ProposalList:
-    """The grasps in the newest image, best first.
+    """The grasps in the newest image, best first."""
 
-    Attributes:
-        age: of the image [s].
-        grasps: what is proposed; those that the arm's controller refused come last.
-        reason: why nothing is.
-    """
-
-    age: float
-    grasps: Sequence[ProposedPose]
-    reason: str = ""
+    age: float  # of the image [s]
+    grasps: Sequence[ProposedPose]  # what is proposed; those that the arm's controller refused come last
+    reason: str = ""  # why nothing is
 
 
 @dataclass(frozen=True)
@@ -63,17 +51,11 @@ class Refusal:
 
 @dataclass(frozen=True)
 class ToolGoal:
-    """Where the tool goes.
+    """Where the tool goes."""
 
-    Attributes:
-        T_base_tool: the tool that takes the grasp, shape (4, 4) [m].
-        T_base_above: where it waits for the hand, shape (4, 4) [m].
-        T_base_grip: what is then between the fingers, shape (4, 4) [m]: x through them, z the approach.
-    """
-
-    T_base_tool: np.ndarray
-    T_base_above: np.ndarray
-    T_base_grip: np.ndarray
+    T_base_tool: np.ndarray  # the tool that takes the grasp, shape (4, 4) [m]
+    T_base_above: np.ndarray  # where it waits for the hand, shape (4, 4) [m]
+    T_base_grip: np.ndarray  # what is then between the fingers, shape (4, 4) [m]: x through them, z the approach
 
 
 def choose(
@@ -84,7 +66,6 @@ def choose(
     Args:
         proposals: the newest; None if none came yet.
         controller: what it told last; None if it is silent.
-        hand_followed: whether the arm follows a hand.
         fresh: proposals in an older image are refused [s].
     """
     if controller is None:
@@ -112,7 +93,6 @@ def tool_goal(
 
     Args:
         T_base_grasp: shape (4, 4) [m].
-        settings: the hand on the tool, and how far above the grasp it waits.
         R_home: attitude of the home tool, R_base_tool, shape (3, 3); of two possible attitudes the nearer is taken.
         up: the vertical in the base frame, shape (3,).
     """

@@ -48,41 +48,27 @@ class GraspWatchConfig:
 
 @dataclass(frozen=True)
 class HandMeasurement:
-    """What the hand tells of index, middle and thumb.
+    """What the hand tells of index, middle and thumb."""
 
-    Attributes:
-        angles: shape (3,) [rad], 0 = open.
-        pressures: of the cells, shape (3, 9) [counts].
-        loads: of their motors, shape (3,), closing positive [0.1 % of the largest torque].
-    """
-
-    angles: np.ndarray
-    pressures: np.ndarray
-    loads: np.ndarray
+    angles: np.ndarray  # shape (3,) [rad], 0 = open
+    pressures: np.ndarray  # of the cells, shape (3, 9) [counts]
+    loads: np.ndarray  # of their motors, shape (3,), closing positive [0.1 % of the largest torque]
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedGrasp:
-    """A grasp and what became of it.
+    """A grasp and what became of it."""
 
-    Attributes:
-        time: when the fingers had closed [s].
-        T_base_tool: the tool at that time, shape (4, 4) [m].
-        held: whether something was held.
-        reason: one sentence, how that was seen.
-    """
-
-    time: float
-    T_base_tool: np.ndarray
-    held: bool
-    reason: str
+    time: float  # when the fingers had closed [s]
+    T_base_tool: np.ndarray  # the tool at that time, shape (4, 4) [m]
+    held: bool  # whether something was held
+    reason: str  # one sentence, how that was seen
 
 
 class GraspWatch:
     """The watch with its state.
 
     Args:
-        config: how a grasp is seen.
         up: the vertical in the base frame, shape (3,).
     """
 

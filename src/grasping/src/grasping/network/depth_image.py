@@ -19,35 +19,21 @@ CROP_SIDE = 400
 
 
 class Crop(NamedTuple):
-    """A square window of the camera's image.
+    """A square window of the camera's image."""
 
-    Attributes:
-        row: first row.
-        column: first column.
-        side: rows and columns.
-    """
-
-    row: int
-    column: int
-    side: int
+    row: int  # first row
+    column: int  # first column
+    side: int  # rows and columns
 
 
 class NetworkImage(NamedTuple):
-    """What the network sees.
+    """What the network sees."""
 
-    Attributes:
-        crop: where it was cut from the camera's image.
-        input: network input, shape (300, 300), float32, in [-1, 1] [m].
-        depth: the same without holes and with its mean, shape (300, 300) [m].
-        valid: where the camera had a reading, shape (300, 300), bool.
-        mean: what was taken off [m].
-    """
-
-    crop: Crop
-    input: np.ndarray
-    depth: np.ndarray
-    valid: np.ndarray
-    mean: float
+    crop: Crop  # where it was cut from the camera's image
+    input: np.ndarray  # network input, shape (300, 300), float32, in [-1, 1] [m]
+    depth: np.ndarray  # the same without holes and with its mean, shape (300, 300) [m]
+    valid: np.ndarray  # where the camera had a reading, shape (300, 300), bool
+    mean: float  # what was taken off [m]
 
 
 def centre_crop(shape: tuple[int, ...], side: int = CROP_SIDE, rows_up: int = 0) -> Crop:
@@ -67,8 +53,6 @@ def prepare(depth: np.ndarray, crop: Crop, side: int = NETWORK_SIDE) -> NetworkI
 
     Args:
         depth: the camera's image, shape (h, w) [m]; NaN, infinite and non-positive values mean no reading.
-        crop: the window.
-        side: rows and columns of the network's image.
 
     Raises:
         ValueError: the window holds no reading at all.

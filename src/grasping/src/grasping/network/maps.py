@@ -42,21 +42,13 @@ class Maps(NamedTuple):
 
 
 class Peak(NamedTuple):
-    """A grasp in the network's image.
+    """A grasp in the network's image."""
 
-    Attributes:
-        row: of the pixel between the fingers.
-        column: of that pixel.
-        quality: about 0 to 1.
-        angle: as in `Maps` [rad].
-        width: opening [px].
-    """
-
-    row: int
-    column: int
-    quality: float
-    angle: float
-    width: float
+    row: int  # of the pixel between the fingers
+    column: int  # of that pixel
+    quality: float  # about 0 to 1
+    angle: float  # as in `Maps` [rad]
+    width: float  # opening [px]
 
 
 def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Maps:
@@ -65,7 +57,6 @@ def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Map
     Args:
         output: of the network, shape (4, h, w).
         valid: where the camera had a reading, shape (h, w); elsewhere the quality is 0 before it is smoothed.
-        smoothing: how much.
     """
     quality, cos, sin, width = output
     quality = gaussian(np.where(valid, quality, np.float32(0.0)), smoothing.quality)
@@ -85,10 +76,7 @@ def peaks(maps: Maps, count: int, distance: int = 20, threshold: float = THRESHO
     """Returns the best local maxima of the quality, best first.
 
     Args:
-        maps: smoothed.
-        count: most peaks to return.
         distance: rows or columns between two peaks, and from the border.
-        threshold: of the quality.
     """
     quality = maps.quality
     highest = cv2.dilate(quality, np.ones((2 * distance + 1, 2 * distance + 1), np.uint8))

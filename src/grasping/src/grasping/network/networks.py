@@ -31,19 +31,12 @@ WIDTH_SCALE_PX = 150.0
 
 
 class Borders(NamedTuple):
-    """How GG-CNN treats the border of the image; the weights belong to one of the two kinds.
+    """How GG-CNN treats the border of the image; the weights belong to one of the two kinds."""
 
-    Attributes:
-        conv: rows and columns of zeros before and after the input of the three convolutions.
-        crop: first row and column kept of the three transposed convolutions' full outputs.
-        rest: rows and columns kept beyond (stride x input size).
-        head: zeros before and after the input of the heads.
-    """
-
-    conv: tuple[tuple[int, int], ...]
-    crop: tuple[int, int, int]
-    rest: tuple[int, int, int]
-    head: tuple[int, int]
+    conv: tuple[tuple[int, int], ...]  # rows and columns of zeros before and after the input of the three convolutions
+    crop: tuple[int, int, int]  # first row and column kept of the three transposed convolutions' full outputs
+    rest: tuple[int, int, int]  # rows and columns kept beyond (stride x input size)
+    head: tuple[int, int]  # zeros before and after the input of the heads
 
 
 TORCH = Borders(conv=((3, 3), (2, 2), (1, 1)), crop=(1, 2, 3), rest=(0, 0, 1), head=(0, 0))

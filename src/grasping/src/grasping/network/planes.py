@@ -21,15 +21,10 @@ FLAT = 1e-9
 
 
 class PlaneFound(NamedTuple):
-    """A plane in an image.
+    """A plane in an image."""
 
-    Attributes:
-        a: shape (3,) [1/m].
-        share: of the pixels that lie in it.
-    """
-
-    a: np.ndarray
-    share: float
+    a: np.ndarray  # shape (3,) [1/m]
+    share: float  # of the pixels that lie in it
 
     @property
     def direction(self) -> np.ndarray:

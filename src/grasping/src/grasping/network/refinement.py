@@ -143,13 +143,9 @@ class RefinedMaps(NamedTuple):
 
 
 class RefinementNetwork(nn.Module):
-    """The changes that the refinement network makes, without the constant offset.
+    """The changes that the refinement network makes, without the constant offset."""
 
-    Attributes:
-        offset: what the operator adds wherever it is, shape (len(AXES),).
-    """
-
-    offset: torch.Tensor
+    offset: torch.Tensor  # what the operator adds wherever it is, shape (len(AXES),)
     feature_scale: torch.Tensor
     change_scale: torch.Tensor
 
@@ -192,7 +188,6 @@ def features(output: np.ndarray, image: NetworkImage) -> np.ndarray:
 
     Args:
         output: of the first network, shape (4, h, w); h and w are multiples of `SIDE`.
-        image: that it saw.
     """
     quality, cos, sin, width, height = (shrunk(m) for m in (*output, table_depth(image) - image.depth))
     height = np.clip(height, LOWEST_M, HIGHEST_M)
@@ -219,7 +214,6 @@ class MapRefiner:
 
         Args:
             output: of the first network, shape (4, 300, 300), float32.
-            image: that it saw.
         """
         seen = torch.from_numpy(features(output, image))[None]
         with torch.no_grad():

@@ -28,23 +28,14 @@ TABLE_KEYS = ("extent", "distance")
 
 @dataclass(frozen=True)
 class Origin:
-    """The rig of episodes, as far as a refinement network depends on it; None where that is unknown or of no matter.
+    """The rig of episodes, as far as a refinement network depends on it; None where that is unknown or of no matter."""
 
-    Attributes:
-        view: in which the network sees, a name in `view.VIEWS`.
-        crop: of the camera's image, in its own view.
-        table: extent and distance [m], in the view from above.
-        network: SHA-256 of the first network's weight file.
-        robot: which arm.
-        hand: the grasp in the tool, the rows of a 4 x 4 matrix [m].
-    """
-
-    view: str | None = None
-    crop: dict[str, Any] | None = None
-    table: dict[str, Any] | None = None
-    network: str | None = None
-    robot: str | None = None
-    hand: list[list[float]] | None = None
+    view: str | None = None  # in which the network sees, a name in `view.VIEWS`
+    crop: dict[str, Any] | None = None  # of the camera's image, in its own view
+    table: dict[str, Any] | None = None  # extent and distance [m], in the view from above
+    network: str | None = None  # SHA-256 of the first network's weight file
+    robot: str | None = None  # which arm
+    hand: list[list[float]] | None = None  # the grasp in the tool, the rows of a 4 x 4 matrix [m]
 
     @classmethod
     def of(cls, configuration: Mapping[str, Any]) -> Origin:
@@ -86,7 +77,6 @@ def load(data: bytes, sha256: str | None = None) -> tuple[MapRefiner, Origin]:
     """Returns the refinement that a weight file holds, read without running what is in it, and of what rig it is.
 
     Args:
-        data: content of the file.
         sha256: what its hash must be, hexadecimal; not checked when left out.
 
     Raises:

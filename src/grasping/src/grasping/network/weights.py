@@ -59,26 +59,18 @@ class WeightsError(RigError):
 
 
 class Loaded(NamedTuple):
-    """A network with the weights of a file.
+    """A network with the weights of a file."""
 
-    Attributes:
-        network: ready to be evaluated.
-        name: of the network in `NETWORKS`.
-        sha256: of the file, hexadecimal.
-        origin: what the file is known to be, empty when it is not known.
-    """
-
-    network: nn.Module
-    name: str
-    sha256: str
-    origin: str
+    network: nn.Module  # ready to be evaluated
+    name: str  # of the network in `NETWORKS`
+    sha256: str  # of the file, hexadecimal
+    origin: str  # what the file is known to be, empty when it is not known
 
 
 def load(data: bytes, sha256: str | None = None) -> Loaded:
     """Returns the network that a weight file holds.
 
     Args:
-        data: content of the file.
         sha256: what its hash must be, hexadecimal; not checked when left out.
 
     Raises:

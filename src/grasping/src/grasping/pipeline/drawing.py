@@ -41,7 +41,6 @@ def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarr
     finger, its ends the fingers, number and quality beside it; shape (600, 600, 3), uint8, blue first.
 
     Args:
-        result: with a view and maps.
         refused: numbers of the grasps that the arm's controller refuses.
         reason: written below where there is one.
     """
@@ -81,8 +80,6 @@ def gripper(image: np.ndarray, ends: np.ndarray, label: str, colour: tuple[int, 
     Args:
         image: shape (h, w, 3), uint8, changed.
         ends: where the fingers are, u and v, shape (2, 2) [px].
-        label: written beside it.
-        colour: blue, green, red.
         thickness: of the bar [px].
     """
     across = ends[1] - ends[0]

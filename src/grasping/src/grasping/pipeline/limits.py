@@ -41,7 +41,6 @@ def rejection_reason(
         T_base_grasp: in kuka/base_frame; None where that is unknown, and not checked then.
         width: opening that the grasp needs [m].
         opening: widest of the hand [m].
-        limits: to keep to.
     """
     depth = T_camera_grasp[2, 3]
     if not limits.nearest <= depth <= limits.farthest:

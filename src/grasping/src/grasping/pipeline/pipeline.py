@@ -73,69 +73,39 @@ class PipelineSettings:
 
 
 class GraspCandidate(NamedTuple):
-    """A peak of the maps and the grasp there.
+    """A peak of the maps and the grasp there."""
 
-    Attributes:
-        peak: in the network's image.
-        grasp: in the frame of the view's camera; None where there is no reading or no approach.
-        normal_missing: the surface has no clear normal, and the approach is along the axis of the view instead.
-        rejection: why the grasp is not published, a clause; empty if it is.
-        uncertainty: of the operator's grasp; None without a refinement network.
-    """
-
-    peak: Peak
-    grasp: CameraGrasp | None
-    normal_missing: bool
-    rejection: str
-    uncertainty: GraspUncertainty | None = None
+    peak: Peak  # in the network's image
+    grasp: CameraGrasp | None  # in the frame of the view's camera; None where there is no reading or no approach
+    normal_missing: bool  # the surface has no clear normal, and the approach is along the axis of the view instead
+    rejection: str  # why the grasp is not published, a clause; empty if it is
+    uncertainty: GraspUncertainty | None = None  # of the operator's grasp; None without a refinement network
 
 
 class GraspProposal(NamedTuple):
-    """A grasp that may be published.
+    """A grasp that may be published."""
 
-    Attributes:
-        id: stays while the same grasp is detected again.
-        T_camera_grasp: filtered, shape (4, 4) [m].
-        T_base_grasp: the same in kuka/base_frame, None where that is unknown.
-        width: opening [m].
-        quality: about 0 to 1, for this hand.
-        angle: in the camera's image, anticlockwise [rad].
-        pixel: u, v in the camera's image [px].
-        width_px: opening in the camera's image [px].
-        peak: in the network's image.
-        uncertainty: of the operator's grasp; None without a refinement network.
-    """
-
-    id: int
-    T_camera_grasp: np.ndarray
-    T_base_grasp: np.ndarray | None
-    width: float
-    quality: float
-    angle: float
-    pixel: tuple[float, float]
-    width_px: float
-    peak: Peak
-    uncertainty: GraspUncertainty | None
+    id: int  # stays while the same grasp is detected again
+    T_camera_grasp: np.ndarray  # filtered, shape (4, 4) [m]
+    T_base_grasp: np.ndarray | None  # the same in kuka/base_frame, None where that is unknown
+    width: float  # opening [m]
+    quality: float  # about 0 to 1, for this hand
+    angle: float  # in the camera's image, anticlockwise [rad]
+    pixel: tuple[float, float]  # u, v in the camera's image [px]
+    width_px: float  # opening in the camera's image [px]
+    peak: Peak  # in the network's image
+    uncertainty: GraspUncertainty | None  # of the operator's grasp; None without a refinement network
 
 
 class PipelineResult(NamedTuple):
-    """The result for one depth image.
+    """The result for one depth image."""
 
-    Attributes:
-        view: the network's input, None where there was nothing to see.
-        maps: smoothed, with the quality for this hand; None likewise.
-        candidates: one for each peak, best first.
-        grasps: the candidates that passed all limits, tracked, best first.
-        reason: why there is no grasp, a clause; empty if there is one.
-        seconds: duration of each stage [s].
-    """
-
-    view: GraspView | None
-    maps: Maps | None
-    candidates: tuple[GraspCandidate, ...]
-    grasps: tuple[GraspProposal, ...]
-    reason: str
-    seconds: Mapping[str, float]
+    view: GraspView | None  # the network's input, None where there was nothing to see
+    maps: Maps | None  # smoothed, with the quality for this hand; None likewise
+    candidates: tuple[GraspCandidate, ...]  # one for each peak, best first
+    grasps: tuple[GraspProposal, ...]  # the candidates that passed all limits, tracked, best first
+    reason: str  # why there is no grasp, a clause; empty if there is one
+    seconds: Mapping[str, float]  # duration of each stage [s]
 
     @property
     def normals_missing(self) -> int:
@@ -147,9 +117,7 @@ class GraspPipeline:
     """Finds grasps in single depth images or in a stream of them.
 
     Args:
-        views: makes the network's image.
         network: GG-CNN or GG-CNN2.
-        settings: of the steps behind the view.
         refiner: the refinement network, if there is one.
         clock: returns the time [s] by which the stages are timed; the default times nothing.
     """
@@ -293,8 +261,6 @@ def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> 
 
     Args:
         output: of the networks, shape (4, h, w).
-        view: the network's input.
-        settings: smoothing, threshold and hand.
     """
     maps = smoothed(output, view.graspable, settings.smoothing)
     if settings.tool is None or settings.threshold is None:

@@ -16,9 +16,7 @@ def preferred(maps: Maps, pixel_m: np.ndarray, tool: ToolPoseConfig, threshold: 
     """Returns the maps with the quality that they have for a hand; it is nowhere higher than before.
 
     Args:
-        maps: smoothed.
         pixel_m: what a pixel shows of the scene, shape (h, w) [m].
-        tool: the hand.
         threshold: of the quality; what is not above it stays as it is.
     """
     if tool.outside_quality == 1.0:

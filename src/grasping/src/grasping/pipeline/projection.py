@@ -30,23 +30,14 @@ LEAST_FACING = 0.26
 
 
 class CameraGrasp(NamedTuple):
-    """A grasp before the camera.
+    """A grasp before the camera."""
 
-    Attributes:
-        T_camera_grasp: shape (4, 4) [m]; its origin is the surface between the fingers.
-        angle: in the image, anticlockwise [rad].
-        width: opening [m].
-        width_px: opening in the network's image [px].
-        quality: about 0 to 1.
-        pixel: u, v in the camera's image [px].
-    """
-
-    T_camera_grasp: np.ndarray
-    angle: float
-    width: float
-    width_px: float
-    quality: float
-    pixel: tuple[float, float]
+    T_camera_grasp: np.ndarray  # shape (4, 4) [m]; its origin is the surface between the fingers
+    angle: float  # in the image, anticlockwise [rad]
+    width: float  # opening [m]
+    width_px: float  # opening in the network's image [px]
+    quality: float  # about 0 to 1
+    pixel: tuple[float, float]  # u, v in the camera's image [px]
 
 
 def camera_pixel(row: float, column: float, crop: Crop, side: int) -> tuple[float, float]:
@@ -57,12 +48,7 @@ def camera_pixel(row: float, column: float, crop: Crop, side: int) -> tuple[floa
 
 
 def pixel_size(image: NetworkImage, camera: CameraModel) -> np.ndarray:
-    """Returns what each pixel of the network's image shows of the scene, shape (h, w) [m].
-
-    Args:
-        image: the network's.
-        camera: that took the image from which it was cut.
-    """
+    """Returns what each pixel of the network's image shows of the scene, shape (h, w) [m]."""
     return image.crop.side / len(image.depth) / camera.K[0, 0] * image.depth
 
 
@@ -70,11 +56,8 @@ def project_grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: 
     """Returns the grasp before the camera, None when the camera has no reading near the pixel.
 
     Args:
-        peak: in the network's image.
         crop: where that image lies in the camera's.
-        side: rows and columns of the network's image.
         depth: the camera's image, shape (h, w) [m].
-        camera: that took it.
     """
     pixel = camera_pixel(peak.row, peak.column, crop, side)
     column, row = (round(p) for p in pixel)
@@ -98,7 +81,6 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
     Args:
         grasp: along the camera's axis, its opening not negative.
         approach: unit vector in the camera's frame, shape (3,).
-        camera: that took the image.
     """
     p, n = grasp.T_camera_grasp[:3, 3], np.asarray(approach, dtype=float)
     half = 0.5 * grasp.width * camera.K[0, 0] / p[2]
@@ -118,7 +100,6 @@ def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tu
     """Returns angle [rad], pixel (u, v) and opening [px] of a grasp in a camera's image.
 
     Args:
-        camera: that looks.
         T_camera_grasp: shape (4, 4), before it [m].
         width: opening [m].
     """
@@ -136,7 +117,6 @@ def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
 
     Args:
         depth: the camera's image, shape (h, w) [m].
-        crop: the window that is the network's image.
 
     Returns:
         NaN where there are fewer readings.

@@ -30,17 +30,11 @@ class ReachConfig:
 
 
 class Reachability(NamedTuple):
-    """What is known of a tool pose.
+    """What is known of a tool pose."""
 
-    Attributes:
-        reachable: whether the arm gets there; False while that is unknown.
-        reason: why not, or why it is unknown; empty if it does.
-        refused: whether the controller said no.
-    """
-
-    reachable: bool
-    reason: str
-    refused: bool = False
+    reachable: bool  # whether the arm gets there; False while that is unknown
+    reason: str  # why not, or why it is unknown; empty if it does
+    refused: bool = False  # whether the controller said no
 
 
 class _Entry(NamedTuple):

@@ -25,17 +25,11 @@ UNIFORM = np.pi / np.sqrt(12.0)
 
 
 class GraspUncertainty(NamedTuple):
-    """The distribution of the operator's grasp.
+    """The distribution of the operator's grasp."""
 
-    Attributes:
-        probability: that the operator grasps here rather than elsewhere in the image, 0 to 1.
-        pose_sd: standard deviations along x, y, z [m] and about x, y, z [rad], shape (6,).
-        opening_sd: standard deviation of the opening [m].
-    """
-
-    probability: float
-    pose_sd: np.ndarray
-    opening_sd: float
+    probability: float  # that the operator grasps here rather than elsewhere in the image, 0 to 1
+    pose_sd: np.ndarray  # standard deviations along x, y, z [m] and about x, y, z [rad], shape (6,)
+    opening_sd: float  # standard deviation of the opening [m]
 
 
 def opened(peak: Peak, refined: RefinedMaps) -> Peak:
@@ -48,7 +42,6 @@ def refined_grasp(grasp: CameraGrasp, refined: RefinedMaps, peak: Peak) -> Camer
 
     Args:
         grasp: as `project_grasp` has it of `opened`, on the surface along the optical axis.
-        refined: the maps.
         peak: the pixel of the grasp in them.
     """
     at = peak.row, peak.column
@@ -72,10 +65,6 @@ def grasp_uncertainty(
     """Returns the distribution about a grasp.
 
     Args:
-        refined: the maps.
-        place: as `pixel_probabilities` has it.
-        peak: the pixel of the grasp in the maps.
-        grasp: there.
         pixel_m: what a pixel of the network's image shows of the scene [m].
     """
     at = peak.row, peak.column

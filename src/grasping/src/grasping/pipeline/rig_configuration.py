@@ -40,9 +40,7 @@ def rig_configuration(
         kuka: the arm: robot, flange, mounting and file of calibrated parameters.
         T_flange_tool: shape (4, 4) [m].
         T_tool_grasp: shape (4, 4) [m].
-        camera: that takes the depth images.
         T_base_camera: where it stands, shape (4, 4) [m].
-        settings: what the network sees of them.
         weights: SHA-256 of the network's weight file.
     """
     # Adding 0 turns -0.0 into 0.0, which would be another text.
@@ -63,7 +61,6 @@ def live_origin(settings: GgcnnSettings, weights: str, robot: str | None) -> Ori
     """Returns what of this rig a refinement network depends on.
 
     Args:
-        settings: what the network sees, and the hand.
         weights: SHA-256 of the first network's weight file.
         robot: which arm, None where that is not known.
     """

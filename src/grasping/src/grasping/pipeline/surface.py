@@ -41,7 +41,6 @@ def surface_normal(
         pixel: of the grasp, u, v.
         z: its depth [m].
         focal: length [px].
-        config: what counts.
     """
     half = max(2, round(config.radius * focal / z))
     column, row = (round(p) for p in pixel)

@@ -59,7 +59,6 @@ def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarr
 
     Args:
         T_base_grasp: shape (4, 4) [m].
-        settings: the hand on the tool.
         near: an attitude R_base_tool, shape (3, 3); of the two possible ones the nearer is taken.
         up: the vertical in the base frame, shape (3,).
 

@@ -85,35 +85,21 @@ class TrackingConfig:
 
 
 class GraspDetection(NamedTuple):
-    """A grasp in one image.
+    """A grasp in one image."""
 
-    Attributes:
-        T: its pose in the frame that does not move, shape (4, 4) [m].
-        width: opening [m].
-        quality: about 0 to 1.
-    """
-
-    T: np.ndarray
-    width: float
-    quality: float
+    T: np.ndarray  # its pose in the frame that does not move, shape (4, 4) [m]
+    width: float  # opening [m]
+    quality: float  # about 0 to 1
 
 
 class TrackedGrasp(NamedTuple):
-    """A grasp that was recognised.
+    """A grasp that was recognised."""
 
-    Attributes:
-        id: stays while the same grasp is seen again.
-        detection: its number among the image's.
-        T: filtered pose, shape (4, 4) [m].
-        width: filtered opening [m].
-        held: whether the newest pose was not believed.
-    """
-
-    id: int
-    detection: int
-    T: np.ndarray
-    width: float
-    held: bool
+    id: int  # stays while the same grasp is seen again
+    detection: int  # its number among the image's
+    T: np.ndarray  # filtered pose, shape (4, 4) [m]
+    width: float  # filtered opening [m]
+    held: bool  # whether the newest pose was not believed
 
 
 class GraspTracker:
@@ -137,7 +123,6 @@ class GraspTracker:
         another thing, would be taken for it in single images.
 
         Args:
-            detections: in the image.
             now: time of the image [s].
         """
         owners = self._owners(detections)

@@ -100,21 +100,13 @@ class CameraView:
 
 
 class _Place(NamedTuple):
-    """Where the view from above the table is.
+    """Where the view from above the table is."""
 
-    Attributes:
-        made_for: camera, size and window of the images that it is for.
-        table: as it was found.
-        T: pose of the view's camera in the real one, shape (4, 4) [m].
-        turned: directions of the real camera's pixels in the view's axes, shape (3, h, w), float32.
-        shift: of the real camera in the view's axes, shape (3,) [m].
-    """
-
-    made_for: tuple[bytes, bytes, tuple[int, ...], Crop]
-    table: PlaneFound
-    T: np.ndarray
-    turned: np.ndarray
-    shift: np.ndarray
+    made_for: tuple[bytes, bytes, tuple[int, ...], Crop]  # camera, size and window of the images that it is for
+    table: PlaneFound  # as it was found
+    T: np.ndarray  # pose of the view's camera in the real one, shape (4, 4) [m]
+    turned: np.ndarray  # directions of the real camera's pixels in the view's axes, shape (3, h, w), float32
+    shift: np.ndarray  # of the real camera in the view's axes, shape (3,) [m]
 
 
 class TableView:

@@ -19,27 +19,16 @@ BUFFER_BYTES = 2**24
 
 
 class DepthImage(NamedTuple):
-    """A depth image, or why it is of no use.
+    """A depth image, or why it is of no use."""
 
-    Attributes:
-        header: of the message.
-        depth: shape (h, w), float32 [m], not finite = none; None with a reason.
-        camera: that took it; None with a reason.
-        reason: a clause; empty if the image is of use.
-    """
-
-    header: Header
-    depth: np.ndarray | None
-    camera: CameraModel | None
-    reason: str
+    header: Header  # of the message
+    depth: np.ndarray | None  # shape (h, w), float32 [m], not finite = none; None with a reason
+    camera: CameraModel | None  # that took it; None with a reason
+    reason: str  # a clause; empty if the image is of use
 
 
 class DepthStream:
-    """Takes depth images and gives the newest away, once.
-
-    Args:
-        config: topics and how old an image may be.
-    """
+    """Takes depth images and gives the newest away, once."""
 
     def __init__(self, config: InputConfig) -> None:
         self._config = config

@@ -36,8 +36,6 @@ class ExecutionDisplay:
         """Publishes the state if it or its reason changed.
 
         Args:
-            execution: whose state it is.
-            grasp: that is executed.
             way: where the tool goes for it; None before the first execution.
         """
         shown = execution.episode, execution.state, execution.reason

@@ -52,14 +52,7 @@ class ExecutionArmConfig(ToolConfig):
 
 
 class ExecutionNode:
-    """Answers the services and runs the execution.
-
-    Args:
-        config: times and tolerances.
-        watch: how a grasp is seen.
-        tool: the hand on the tool.
-        arm: the arm.
-    """
+    """Answers the services and runs the execution."""
 
     def __init__(
         self, config: ExecutionConfig, watch: GraspWatchConfig, tool: ToolPoseConfig, arm: ExecutionArmConfig

@@ -51,7 +51,6 @@ def command(proposal: GraspProposal, between: float) -> Float32MultiArray:
     camera's image], and how far away the nearest thing between the fingers is [mm].
 
     Args:
-        proposal: the best grasp.
         between: the last of these [m].
     """
     x, y, z = proposal.T_camera_grasp[:3, 3]

@@ -53,13 +53,7 @@ RATE_WEIGHT = 0.1
 
 
 class GgcnnNode:
-    """Looks for grasps in the newest depth image, again and again.
-
-    Args:
-        settings: the whole configuration.
-        pipeline: from images to grasps.
-        about: the network, for diagnostics.
-    """
+    """Looks for grasps in the newest depth image, again and again."""
 
     def __init__(self, settings: GgcnnSettings, pipeline: GraspPipeline, about: dict[str, str]) -> None:
         self._settings, self._pipeline, self._about = settings, pipeline, about

@@ -25,12 +25,7 @@ AHEAD, UPRIGHT = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
 class ReachClient:
-    """Knows of each grasp whether the arm gets there, sooner or later.
-
-    Args:
-        config: how to ask.
-        tool: the hand on the tool.
-    """
+    """Knows of each grasp whether the arm gets there, sooner or later."""
 
     def __init__(self, config: ReachConfig, tool: ToolPoseConfig) -> None:
         self._config, self._tool = config, tool

@@ -47,10 +47,6 @@ def load_network(config: NetworkConfig) -> Loaded:
 def load_refinement(name: str, rig: Origin) -> MapRefiner:
     """Returns the refinement network of a weight file; one of this package must have the hash in its list.
 
-    Args:
-        name: of the file.
-        rig: on which it is to be used.
-
     Raises:
         RigError: the file is missing, has another hash, holds something else, or was not learned on such a rig.
     """

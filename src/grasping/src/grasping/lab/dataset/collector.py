@@ -23,25 +23,17 @@ BACK_S = 0.5
 
 
 class Finished(NamedTuple):
-    """A grasp whose fate is known.
+    """A grasp whose fate is known."""
 
-    Attributes:
-        grasp: where and when, and whether it held.
-        source: EXECUTION or TELEOPERATION.
-        frames: before it; None: it is no episode.
-    """
-
-    grasp: ObservedGrasp
-    source: str
-    frames: KeptFrames | None
+    grasp: ObservedGrasp  # where and when, and whether it held
+    source: str  # EXECUTION or TELEOPERATION
+    frames: KeptFrames | None  # before it; None: it is no episode
 
 
 class Collector:
     """The collection with its state.
 
     Args:
-        frames: which frames are kept.
-        watch: how a grasp is seen.
         up: the vertical in the base frame, shape (3,).
 
     Attributes:

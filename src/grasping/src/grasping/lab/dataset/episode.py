@@ -32,27 +32,16 @@ EXECUTION, TELEOPERATION = "execution", "teleoperation"
 
 @dataclass(frozen=True)
 class Metadata:
-    """What was known beside the images.
+    """What was known beside the images."""
 
-    Attributes:
-        version: of the package that wrote the file.
-        revision: of its source, empty where that is unknown.
-        date: of the grasp, UTC, as year-month-dayThour:minute:secondZ.
-        operator: who teleoperated.
-        object: what was grasped.
-        source: EXECUTION or TELEOPERATION.
-        reason: one sentence, how it was seen whether the object was held.
-        configuration: of the rig; what `fingerprint` is made of.
-    """
-
-    version: str
-    revision: str
-    date: str
-    operator: str
-    object: str
-    source: str
-    reason: str
-    configuration: Mapping[str, Any]
+    version: str  # of the package that wrote the file
+    revision: str  # of its source, empty where that is unknown
+    date: str  # of the grasp, UTC, as year-month-dayThour:minute:secondZ
+    operator: str  # who teleoperated
+    object: str  # what was grasped
+    source: str  # EXECUTION or TELEOPERATION
+    reason: str  # one sentence, how it was seen whether the object was held
+    configuration: Mapping[str, Any]  # of the rig; what `fingerprint` is made of
 
     @property
     def fingerprint(self) -> str:
@@ -63,27 +52,16 @@ class Metadata:
 
 
 class EpisodeFrame(NamedTuple):
-    """One frame of an episode.
+    """One frame of an episode."""
 
-    Attributes:
-        camera: that sees the image, real or imagined.
-        crop: the window of its image that is kept.
-        depth: that window, shape (side, side), uint16 [mm], 0 = no reading.
-        maps: of the network before smoothing, shape (4, m, m), float16: quality, cos, sin, width.
-        peak: GGCNN's own grasp, the best peak of the smoothed quality, in the network's 300 x 300 image.
-        T_base_camera: optical frame in `kuka/base_frame`, shape (4, 4) [m].
-        T_base_grasp: the operator's grasp there, shape (4, 4) [m], as `projection.CameraGrasp` has its axes.
-        opening: of the hand before it closed [m]; NaN where it is not known.
-    """
-
-    camera: CameraModel
-    crop: Crop
-    depth: np.ndarray
-    maps: np.ndarray
-    peak: Peak
-    T_base_camera: np.ndarray
-    T_base_grasp: np.ndarray
-    opening: float = float("nan")
+    camera: CameraModel  # that sees the image, real or imagined
+    crop: Crop  # the window of its image that is kept
+    depth: np.ndarray  # that window, shape (side, side), uint16 [mm], 0 = no reading
+    maps: np.ndarray  # of the network before smoothing, shape (4, m, m), float16: quality, cos, sin, width
+    peak: Peak  # GGCNN's own grasp, the best peak of the smoothed quality, in the network's 300 x 300 image
+    T_base_camera: np.ndarray  # optical frame in `kuka/base_frame`, shape (4, 4) [m]
+    T_base_grasp: np.ndarray  # the operator's grasp there, shape (4, 4) [m], as `projection.CameraGrasp` has its axes
+    opening: float = float("nan")  # of the hand before it closed [m]; NaN where it is not known
 
     @property
     def depth_m(self) -> np.ndarray:

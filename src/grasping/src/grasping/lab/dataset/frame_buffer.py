@@ -50,17 +50,11 @@ class KeptFrame(NamedTuple):
 
 
 class Optics(NamedTuple):
-    """How frames were taken.
+    """How frames were taken."""
 
-    Attributes:
-        camera: that sees what the network sees: a real or an imagined one.
-        crop: of its image.
-        real: the camera that took the depth images.
-    """
-
-    camera: CameraModel
-    crop: Crop
-    real: CameraModel
+    camera: CameraModel  # that sees what the network sees: a real or an imagined one
+    crop: Crop  # of its image
+    real: CameraModel  # the camera that took the depth images
 
 
 class KeptFrames(NamedTuple):

@@ -30,25 +30,15 @@ AGAINST_RAD = 1e-6
 
 
 class RelativeLabel(NamedTuple):
-    """An operator's grasp against GGCNN's.
+    """An operator's grasp against GGCNN's."""
 
-    Attributes:
-        row: of the operator's grasp in the map; may lie outside [px of the map].
-        column: likewise.
-        row_shift: that row less GGCNN's [px of the map].
-        column_shift: likewise.
-        depth: of the operator's grasp along the optical axis, less GGCNN's [m].
-        angle: in the image, anticlockwise, less GGCNN's, in [-pi/2, pi/2) [rad].
-        tilt: of the operator's approach about the camera's x and y axes, shape (2,) [rad]; GGCNN's is 0.
-    """
-
-    row: float
-    column: float
-    row_shift: float
-    column_shift: float
-    depth: float
-    angle: float
-    tilt: np.ndarray
+    row: float  # of the operator's grasp in the map; may lie outside [px of the map]
+    column: float  # likewise
+    row_shift: float  # that row less GGCNN's [px of the map]
+    column_shift: float  # likewise
+    depth: float  # of the operator's grasp along the optical axis, less GGCNN's [m]
+    angle: float  # in the image, anticlockwise, less GGCNN's, in [-pi/2, pi/2) [rad]
+    tilt: np.ndarray  # of the operator's approach about the camera's x and y axes, shape (2,) [rad]; GGCNN's is 0
 
 
 def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:

@@ -21,19 +21,12 @@ LARGEST_MM = np.iinfo(np.uint16).max
 
 
 class NetworkView(NamedTuple):
-    """What is kept.
+    """What is kept."""
 
-    Attributes:
-        depth: shape (side, side), uint16 [mm], 0 = no reading.
-        maps: shape (4, MAP_SIDE, MAP_SIDE), float16: quality, cos, sin, width.
-        mean: what was taken off the network's image [m].
-        peak: the best that the node ggcnn would find, or the highest pixel where it would find none.
-    """
-
-    depth: np.ndarray
-    maps: np.ndarray
-    mean: float
-    peak: Peak
+    depth: np.ndarray  # shape (side, side), uint16 [mm], 0 = no reading
+    maps: np.ndarray  # shape (4, MAP_SIDE, MAP_SIDE), float16: quality, cos, sin, width
+    mean: float  # what was taken off the network's image [m]
+    peak: Peak  # the best that the node ggcnn would find, or the highest pixel where it would find none
 
 
 def look(
@@ -41,11 +34,6 @@ def look(
 ) -> tuple[NetworkView, np.ndarray | None]:
     """Returns what is kept of a view, and GGCNN's own grasp before its camera, shape (4, 4) [m], None where it has no
     place for want of a reading.
-
-    Args:
-        network: as `networks.frozen` returns it.
-        view: what the network sees.
-        settings: how GGCNN's grasp is looked for.
 
     Raises:
         ValueError: the network says something that is not finite.

@@ -16,30 +16,18 @@ SHORT = 12
 
 
 class OffsetStatistics(NamedTuple):
-    """The operator's grasp as GGCNN's sees it.
+    """The operator's grasp as GGCNN's sees it."""
 
-    Attributes:
-        position: in the frame of GGCNN's grasp, shape (3,) [m]: x through its fingers, z its approach.
-        angle: less GGCNN's [rad].
-        tilt: between both approaches [rad].
-    """
-
-    position: np.ndarray
-    angle: float
-    tilt: float
+    position: np.ndarray  # in the frame of GGCNN's grasp, shape (3,) [m]: x through its fingers, z its approach
+    angle: float  # less GGCNN's [rad]
+    tilt: float  # between both approaches [rad]
 
 
 class Entry(NamedTuple):
-    """What the tables need of an episode.
+    """What the tables need of an episode."""
 
-    Attributes:
-        name: of its file.
-        size: of its file [bytes].
-        offsets: of the frames where they have a label.
-    """
-
-    name: str
-    size: int
+    name: str  # of its file
+    size: int  # of its file [bytes]
     object: str
     operator: str
     source: str
@@ -49,7 +37,7 @@ class Entry(NamedTuple):
     span: float
     fingerprint: str
     configuration: Mapping[str, Any]
-    offsets: list[OffsetStatistics]
+    offsets: list[OffsetStatistics]  # of the frames where they have a label
 
 
 def entry(name: str, size: int, episode: Episode) -> Entry:

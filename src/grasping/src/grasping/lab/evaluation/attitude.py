@@ -48,9 +48,6 @@ def expected(
 
     Args:
         seen: its input, shape (n, LEAN_Y + 1, h, w).
-        target: of n images, without `offset`.
-        network: the second one.
-        offset: constant one, which the answer has.
     """
     at = target.place.flatten(1).argmax(1)
     n = torch.arange(len(at))
@@ -72,12 +69,7 @@ def expected(
 
 
 def persons(target: RefinementTargets, offset: OperatorOffset) -> Expected:
-    """Returns what the persons did, without any spread.
-
-    Args:
-        target: of n images, without `offset`.
-        offset: constant one, which the answer has.
-    """
+    """Returns what the persons did, without any spread."""
     cos, sin, x, y, opening = (
         value.double().numpy() for value in (target.cos, target.sin, target.tilt_x, target.tilt_y, target.opening)
     )
@@ -101,13 +93,7 @@ def log_likelihoods(found: Expected, did: Expected) -> np.ndarray:
 
 
 def with_constant_spread(found: Expected, known: Expected, did: Expected) -> Expected:
-    """Returns what is expected with the constant spread that suits best what is known.
-
-    Args:
-        found: what is expected.
-        known: the same of other episodes.
-        did: what the operator did in these.
-    """
+    """Returns what is expected with the constant spread that suits best what is known."""
     b = 0.5 * float(np.hypot(did.tilt_x - known.tilt_x, did.tilt_y - known.tilt_y).mean())
 
     def spread(one: Expected, k: float) -> Expected:

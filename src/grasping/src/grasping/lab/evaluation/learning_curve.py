@@ -21,7 +21,6 @@ def draw(
     """Draws the median error, and the share of errors below a distance, each with its 95 % interval.
 
     Args:
-        path: of the image.
         learned: errors of the refinement network [mm] by the number of episodes.
         others: errors of other methods [mm] by their names; lines.
         near_mm: the distance [mm].

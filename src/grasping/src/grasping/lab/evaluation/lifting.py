@@ -46,28 +46,19 @@ REST = """<equality><joint joint1="finger0" joint2="finger1" polycoef="0 1 0 0 0
 
 
 class LiftResult(NamedTuple):
-    """What came of a trial.
+    """What came of a trial."""
 
-    Attributes:
-        lifted: an object rose by more than `RISE_M` and was still up at the end.
-        rise: of the object that rose most [m].
-        reached: the hand came within 5 mm of the grasp before it closed.
-    """
-
-    lifted: bool
-    rise: float
-    reached: bool
+    lifted: bool  # an object rose by more than `RISE_M` and was still up at the end
+    rise: float  # of the object that rose most [m]
+    reached: bool  # the hand came within 5 mm of the grasp before it closed
 
 
 def lift(scene: HeapScene, T_world_grasp: np.ndarray, opening: float, gripper: Gripper, friction: float) -> LiftResult:
     """Returns what happens when the gripper grasps there.
 
     Args:
-        scene: a settled scene.
         T_world_grasp: surface point between the fingers; z is the approach, x goes through both, shape (4, 4) [m].
         opening: between the pads before closing [m]; cut to what the gripper has.
-        gripper: its measures.
-        friction: coefficient of all contacts.
     """
     opening = float(np.clip(opening, 0.005, gripper.opening))
     R, approach = T_world_grasp[:3, :3], T_world_grasp[:3, 2]

@@ -20,15 +20,10 @@ SHARPNESSES = (5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0)
 
 
 class Calibration(NamedTuple):
-    """How a quality map becomes a distribution.
+    """How a quality map becomes a distribution."""
 
-    Attributes:
-        blur: standard deviation [px].
-        sharpness: logits by quality.
-    """
-
-    blur: float
-    sharpness: float
+    blur: float  # standard deviation [px]
+    sharpness: float  # logits by quality
 
 
 def log_likelihoods(qualities: np.ndarray, places: np.ndarray, calibration: Calibration) -> np.ndarray:
@@ -37,7 +32,6 @@ def log_likelihoods(qualities: np.ndarray, places: np.ndarray, calibration: Cali
     Args:
         qualities: maps, shape (n, h, w), float32.
         places: bells of sum 1 about the operator's pixels, shape (n, h, w).
-        calibration: of the maps.
     """
     smooth = np.stack([gaussian(quality, calibration.blur) for quality in qualities])
     logits = torch.from_numpy(calibration.sharpness * smooth.reshape(len(smooth), -1))

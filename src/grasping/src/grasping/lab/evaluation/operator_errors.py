@@ -21,15 +21,10 @@ HALF_TURN = rotation_about(2, np.pi)
 
 
 class Miss(NamedTuple):
-    """A predicted grasp against the operator's.
+    """A predicted grasp against the operator's."""
 
-    Attributes:
-        position: distance [m].
-        rotation: angle between the attitudes, half a turn about the approach being none [rad].
-    """
-
-    position: float
-    rotation: float
+    position: float  # distance [m]
+    rotation: float  # angle between the attitudes, half a turn about the approach being none [rad]
 
     @property
     def is_near(self) -> bool:

@@ -31,55 +31,32 @@ Method = Callable[[NetworkImage, float, np.random.Generator], "Peak | None"]
 
 
 class TrialScene(NamedTuple):
-    """A scene and all that is needed to judge grasps in it.
+    """A scene and all that is needed to judge grasps in it."""
 
-    Attributes:
-        number: of the scene in its split.
-        view: what the camera sees.
-        image: what the network sees.
-        widest: opening of the gripper at the table [px].
-        best: labels in the image.
-        rectangles: labelled grasps in all directions.
-    """
-
-    number: int
-    view: SceneView
-    image: NetworkImage
-    widest: float
-    best: labels.Labels
-    rectangles: list[Peak]
+    number: int  # of the scene in its split
+    view: SceneView  # what the camera sees
+    image: NetworkImage  # what the network sees
+    widest: float  # opening of the gripper at the table [px]
+    best: labels.Labels  # labels in the image
+    rectangles: list[Peak]  # labelled grasps in all directions
 
 
 class TrialOutcome(NamedTuple):
-    """What came of one grasp.
+    """What came of one grasp."""
 
-    Attributes:
-        found: the method returned a grasp.
-        lifted: an object was lifted.
-        reached: the hand met nothing on its way.
-        rectangle: right by the rectangle metric.
-        quality: that the method gave it.
-    """
-
-    found: bool
-    lifted: bool
-    reached: bool
-    rectangle: bool
-    quality: float
+    found: bool  # the method returned a grasp
+    lifted: bool  # an object was lifted
+    reached: bool  # the hand met nothing on its way
+    rectangle: bool  # right by the rectangle metric
+    quality: float  # that the method gave it
 
 
 class Executed(NamedTuple):
-    """A grasp with the arm's error.
+    """A grasp with the arm's error."""
 
-    Attributes:
-        T_world_grasp: shape (4, 4) [m].
-        width: opening [m].
-        friction: of the scene.
-    """
-
-    T_world_grasp: np.ndarray
-    width: float
-    friction: float
+    T_world_grasp: np.ndarray  # shape (4, 4) [m]
+    width: float  # opening [m]
+    friction: float  # of the scene
 
 
 def situation(split: str, number: int, count: int) -> TrialScene:

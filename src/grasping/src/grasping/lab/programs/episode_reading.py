@@ -35,7 +35,6 @@ def read(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) ->
     Args:
         folder: where they are.
         only: things of which one was grasped or lay there; all where it is empty.
-        without: things of which none was.
 
     Raises:
         RigError: there is none, or a file is none.
@@ -59,7 +58,6 @@ def origin_of(named: list[Named], mixed: bool = False) -> Origin:
     """Returns the rig of which all episodes are.
 
     Args:
-        named: the episodes.
         mixed: whether they may be of several rigs; the origin does not know what differs among them.
 
     Raises:

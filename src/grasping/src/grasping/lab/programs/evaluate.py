@@ -44,15 +44,10 @@ NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
 
 
 class Trained(NamedTuple):
-    """A network to be tried.
+    """A network to be tried."""
 
-    Attributes:
-        file: of its weights.
-        tool: the hand whose openings it prefers, None where it knows no hand.
-    """
-
-    file: Path
-    tool: ToolPoseConfig | None
+    file: Path  # of its weights
+    tool: ToolPoseConfig | None  # the hand whose openings it prefers, None where it knows no hand
 
 
 class Task(NamedTuple):

@@ -68,10 +68,6 @@ MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = 
 def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Named]) -> dict[str, MapRefiner]:
     """Returns the refinement networks of weight files by their names.
 
-    Args:
-        files: names and weight files.
-        test: episodes on which they are to be tested.
-
     Raises:
         RigError: a weight file cannot be used, or not for these episodes.
         OSError: likewise.
@@ -87,13 +83,7 @@ def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Nam
 def methods(
     training: list[episode_reading.Named], offset: OperatorOffset, second: dict[str, MapRefiner]
 ) -> dict[str, Method]:
-    """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first.
-
-    Args:
-        training: episodes that teach the neighbours.
-        offset: the operator's.
-        second: refinement networks by their names.
-    """
+    """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first."""
     neighbours = Neighbours([f for named in training if named.episode.held for f in named.episode.frames()])
 
     def own(frame: EpisodeFrame) -> list[tuple[EpisodeFrame, CameraGrasp]]:
@@ -136,11 +126,8 @@ def row(
     """Returns the line of one method's grasp in an episode.
 
     Args:
-        named: the episode.
         scene: that it shows, None where it is no simulated one; only then the bound is known, and grasps are lifted.
-        name: of the method.
         method: as `methods` has it; None: the bound.
-        lift: whether to lift.
     """
     frame = named.episode.frame(len(named.episode) - 1)
     line: dict[str, str | float] = dict.fromkeys(COLUMNS, "")
@@ -163,17 +150,11 @@ def row(
 
 
 class EvaluationData(NamedTuple):
-    """Images as refinement networks see them.
+    """Images as refinement networks see them."""
 
-    Attributes:
-        seen: input of a refinement network.
-        target: what the operator did.
-        pixel_size: of a pixel of the network's image, by the distance, shape (n,).
-    """
-
-    seen: torch.Tensor
-    target: RefinementTargets
-    pixel_size: np.ndarray
+    seen: torch.Tensor  # input of a refinement network
+    target: RefinementTargets  # what the operator did
+    pixel_size: np.ndarray  # of a pixel of the network's image, by the distance, shape (n,)
 
 
 def _within(millimetres: str | float) -> bool:
@@ -183,11 +164,6 @@ def _within(millimetres: str | float) -> bool:
 def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
     """Returns the results as Markdown, and the differences of the refinement networks to GGCNN alone and with the
     offset; in brackets the 95 % intervals.
-
-    Args:
-        rows: lines of results.csv.
-        names: of all methods.
-        second: of refinement networks.
     """
     of = {name: {r["episode"]: r for r in rows if r["method"] == name} for name in (*names, *second)}
     measures = {k: v for k, v in MEASURES.items() if k != "lifted %" or any(r["lifted"] != "" for r in rows)}
@@ -211,13 +187,7 @@ def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
 
 
 def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, MapRefiner]) -> str:
-    """Returns, as Markdown, how probable the maps make the operator's places, all with the same constant offset.
-
-    Args:
-        known: images that say how each map is best taken as a distribution.
-        test: others.
-        second: refinement networks by their names.
-    """
+    """Returns, as Markdown, how probable the maps make the operator's places, all with the same constant offset."""
     places = [of.target.place.numpy() for of in (known, test)]
 
     def found(network: RefinementNetwork) -> np.ndarray:
@@ -244,9 +214,6 @@ def attitudes(
 
     Args:
         known: images that say how spread the attitudes are where a method does not say it.
-        test: others.
-        offset: the operator's.
-        second: refinement networks by their names.
     """
     untrained = RefinementNetwork()
     did = attitude.persons(test.target, offset)
@@ -289,13 +256,7 @@ def seen_of(part: list[episode_reading.Named], offset: OperatorOffset) -> Evalua
 
 
 def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
-    """Draws the learning curve if there is one.
-
-    Args:
-        rows: lines of results.csv.
-        second: names and weight files of refinement networks.
-        path: of the image.
-    """
+    """Draws the learning curve if there is one."""
     counts = {}
     for name, file in second:
         about = Path(file).with_name("settings.json")

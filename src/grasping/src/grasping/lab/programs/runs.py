@@ -31,8 +31,6 @@ def opened(folder: Path, wanted: str, anew: bool) -> dict[str, Any] | None:
     """Returns the checkpoint of a run that has begun, None where there is none; makes the folder.
 
     Args:
-        folder: of the run.
-        wanted: `identity` of the training.
         anew: whether to begin anew where there is another training; its files are kept in a folder `before_` and a
             number.
 

@@ -41,7 +41,6 @@ class EpisodeFiles:
 
     Args:
         folder: is made with the first episode.
-        on_written: is told each file that was written.
 
     Attributes:
         lost: how many episodes will not be written.

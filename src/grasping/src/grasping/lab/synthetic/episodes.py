@@ -32,33 +32,20 @@ SETTINGS_VERSION = 2
 
 
 class OperatorGrasp(NamedTuple):
-    """The operator's grasp.
+    """The operator's grasp."""
 
-    Attributes:
-        T_base_grasp: shape (4, 4) [m].
-        opening: of the hand before it closes [m].
-    """
-
-    T_base_grasp: np.ndarray
-    opening: float
+    T_base_grasp: np.ndarray  # shape (4, 4) [m]
+    opening: float  # of the hand before it closes [m]
 
 
 class EpisodeScene(NamedTuple):
-    """A scene and what an operator and a network know of it.
+    """A scene and what an operator and a network know of it."""
 
-    Attributes:
-        view: the scene, as the camera sees it.
-        labels: of the pixels of the network's image.
-        depth: exact, in that image [m].
-        friction: of the scene.
-        T_base_world: shape (4, 4) [m].
-    """
-
-    view: samples.SceneView
-    labels: labels.Labels
-    depth: np.ndarray
-    friction: float
-    T_base_world: np.ndarray
+    view: samples.SceneView  # the scene, as the camera sees it
+    labels: labels.Labels  # of the pixels of the network's image
+    depth: np.ndarray  # exact, in that image [m]
+    friction: float  # of the scene
+    T_base_world: np.ndarray  # shape (4, 4) [m]
 
 
 def file_name(split: str, number: int) -> str:
@@ -87,10 +74,6 @@ def situation(split: str, number: int) -> EpisodeScene:
 def intended(of: EpisodeScene, made: Episode) -> np.ndarray:
     """Returns the grasp of an episode as the simulated operator meant it, without its tremor, T_base_grasp, shape (4,
     4) [m]: no prediction can be expected to be nearer.
-
-    Args:
-        of: the scene of the episode.
-        made: the episode.
     """
     who = simulated_operator.SimulatedOperator(**made.metadata.configuration["person"])
     steady = who._replace(tremor_m=0.0, tremor_rad=0.0)
@@ -116,11 +99,6 @@ def episode(
     """Returns the episode of a scene, None where the operator finds nothing to grasp.
 
     Args:
-        split: one of `samples.SPLITS`.
-        number: of the scene.
-        network: GGCNN, as `networks.infer` takes it.
-        network_sha256: of its weights.
-        who: grasps.
         frames: images, each with the camera's faults drawn anew.
     """
     of = situation(split, number)

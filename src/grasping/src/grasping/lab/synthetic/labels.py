@@ -29,57 +29,33 @@ FREE = 1e3
 
 
 class Gripper(NamedTuple):
-    """A parallel gripper; all in metres but the friction.
+    """A parallel gripper; all in metres but the friction."""
 
-    Attributes:
-        opening: between the pads when open.
-        thickness: of a finger along the closing direction.
-        breadth: of a finger across it.
-        reach: from the surface down to the tips.
-        ground: lowest height of the tips above the table.
-        clearance: on each side between object and pad when the hand comes down.
-        palm: from the tips to the palm.
-        friction: coefficient that a grasp may count on.
-    """
-
-    opening: float = 0.10
-    thickness: float = 0.008
-    breadth: float = 0.020
-    reach: float = 0.025
-    ground: float = 0.006
-    clearance: float = 0.005
-    palm: float = 0.060
-    friction: float = 0.5
+    opening: float = 0.10  # between the pads when open
+    thickness: float = 0.008  # of a finger along the closing direction
+    breadth: float = 0.020  # of a finger across it
+    reach: float = 0.025  # from the surface down to the tips
+    ground: float = 0.006  # lowest height of the tips above the table
+    clearance: float = 0.005  # on each side between object and pad when the hand comes down
+    palm: float = 0.060  # from the tips to the palm
+    friction: float = 0.5  # coefficient that a grasp may count on
 
 
 class Grasps(NamedTuple):
-    """All grasps of a height map.
+    """All grasps of a height map."""
 
-    Attributes:
-        angles: directions, shape (k,) [rad].
-        scores: 0 where there is no grasp, up to 1, shape (k, n, n).
-        openings: between the pads before closing, shape (k, n, n) [m].
-    """
-
-    angles: np.ndarray
-    scores: np.ndarray
-    openings: np.ndarray
+    angles: np.ndarray  # directions, shape (k,) [rad]
+    scores: np.ndarray  # 0 where there is no grasp, up to 1, shape (k, n, n)
+    openings: np.ndarray  # between the pads before closing, shape (k, n, n) [m]
 
 
 class Labels(NamedTuple):
-    """The best grasp at each cell or pixel, each shape (h, w).
+    """The best grasp at each cell or pixel, each shape (h, w)."""
 
-    Attributes:
-        quality: 0 to 1.
-        angle: modulo pi [rad].
-        opening: [m] on a height map, [px] in an image.
-        known: where the label holds.
-    """
-
-    quality: np.ndarray
-    angle: np.ndarray
-    opening: np.ndarray
-    known: np.ndarray
+    quality: np.ndarray  # 0 to 1
+    angle: np.ndarray  # modulo pi [rad]
+    opening: np.ndarray  # [m] on a height map, [px] in an image
+    known: np.ndarray  # where the label holds
 
 
 def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper, directions: int = 12) -> Grasps:
@@ -89,8 +65,6 @@ def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper
         surface: depth of what is seen in a parallel view, shape (n, n) [m].
         table: depth of the bare table, shape (n, n) [m].
         cell: width of a cell [m].
-        gripper: what closes.
-        directions: how many, evenly over half a turn.
     """
     n = len(surface)
     angles = np.pi * np.arange(directions) / directions
@@ -138,7 +112,6 @@ def in_image(labels: Labels, surface: np.ndarray, cell: float, depth: np.ndarray
     lies the bare table.
 
     Args:
-        labels: of the height map.
         surface: the height map, shape (n, n) [m].
         cell: width of its cells [m].
         depth: exact depth of the pixels, shape (h, w) [m].

@@ -31,49 +31,30 @@ SPLITS = {
 
 
 class SceneView(NamedTuple):
-    """A scene as a camera sees it.
+    """A scene as a camera sees it."""
 
-    Attributes:
-        scene: what lies there.
-        camera: how it is seen.
-        exact: depth without faults, shape (400, 400) [m].
-        observed: depth as the camera gives it, NaN where it sees nothing.
-        surface: height map about the optical axis, shape (CELLS, CELLS) [m].
-        table: the same of the bare table.
-    """
-
-    scene: scene.HeapScene
-    camera: scene.SceneCamera
-    exact: np.ndarray
-    observed: np.ndarray
-    surface: np.ndarray
-    table: np.ndarray
+    scene: scene.HeapScene  # what lies there
+    camera: scene.SceneCamera  # how it is seen
+    exact: np.ndarray  # depth without faults, shape (400, 400) [m]
+    observed: np.ndarray  # depth as the camera gives it, NaN where it sees nothing
+    surface: np.ndarray  # height map about the optical axis, shape (CELLS, CELLS) [m]
+    table: np.ndarray  # the same of the bare table
 
 
 class Sample(NamedTuple):
-    """A training example, each shape (300, 300).
+    """A training example, each shape (300, 300)."""
 
-    Attributes:
-        depth: the network's image with its mean, float16 about that mean [m].
-        quality: uint8, 255 is 1.
-        angle: uint8, 256 is pi.
-        width: uint8, 255 is `WIDTH_SCALE_PX`.
-        known: bool.
-    """
-
-    depth: np.ndarray
-    quality: np.ndarray
-    angle: np.ndarray
-    width: np.ndarray
-    known: np.ndarray
+    depth: np.ndarray  # the network's image with its mean, float16 about that mean [m]
+    quality: np.ndarray  # uint8, 255 is 1
+    angle: np.ndarray  # uint8, 256 is pi
+    width: np.ndarray  # uint8, 255 is `WIDTH_SCALE_PX`
+    known: np.ndarray  # bool
 
 
 def view(split: str, seed: int, count: int | None = None) -> SceneView:
     """Returns the scene number `seed` of a split; the same for the same number.
 
     Args:
-        split: one of `SPLITS`.
-        seed: number of the scene.
         count: of objects; drawn at random when left out.
     """
     number, families = SPLITS[split]

@@ -35,35 +35,21 @@ WORLD = """<mujoco><compiler angle="radian"/>
 
 
 class SceneCamera(NamedTuple):
-    """A depth camera above the table.
+    """A depth camera above the table."""
 
-    Attributes:
-        position: of the optical centre in the world, shape (3,) [m].
-        R: attitude of the camera's axes in the world, shape (3, 3).
-        focal: focal length [px].
-        side: rows and columns of its square image [px].
-    """
-
-    position: np.ndarray
-    R: np.ndarray
-    focal: float
-    side: int
+    position: np.ndarray  # of the optical centre in the world, shape (3,) [m]
+    R: np.ndarray  # attitude of the camera's axes in the world, shape (3, 3)
+    focal: float  # focal length [px]
+    side: int  # rows and columns of its square image [px]
 
 
 class HeapScene(NamedTuple):
-    """A settled scene.
+    """A settled scene."""
 
-    Attributes:
-        xml: the model.
-        state: positions of all joints, as MuJoCo counts them.
-        objects: the shapes in the order of the bodies `object0`, `object1`, ...
-        families: their names.
-    """
-
-    xml: str
-    state: np.ndarray
-    objects: tuple[shapes.Shape, ...]
-    families: tuple[str, ...]
+    xml: str  # the model
+    state: np.ndarray  # positions of all joints, as MuJoCo counts them
+    objects: tuple[shapes.Shape, ...]  # the shapes in the order of the bodies `object0`, `object1`, ..
+    families: tuple[str, ...]  # their names
 
 
 def world_xml(
@@ -139,11 +125,8 @@ def height_map(model: mujoco.MjModel, data: mujoco.MjData, camera: SceneCamera, 
     """Returns the depth below the camera in a parallel view along its axis, shape (side, side) [m].
 
     Args:
-        model: the world.
-        data: its state.
         camera: gives the axes; the map's middle is the optical axis.
         cell: width of a cell [m].
-        side: cells a row.
     """
     eye = SceneCamera(camera.position - FAR_M * camera.R[:, 2], camera.R, FAR_M / cell, side)
     return _cast(model, data, eye.position, rays(eye) @ camera.R.T, side) - FAR_M

@@ -37,7 +37,6 @@ def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
     Args:
         depth: exact distances along the optical axis, shape (h, w) [m], at the scale of `FOCAL_PX`.
-        rng: source of all chance.
     """
     h, w = depth.shape
     angle = _incidence(depth)

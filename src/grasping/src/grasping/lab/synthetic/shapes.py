@@ -16,21 +16,13 @@ ALONG_X = (0.70710678, 0.0, 0.70710678, 0.0)
 
 
 class Geom(NamedTuple):
-    """One primitive of an object.
+    """One primitive of an object."""
 
-    Attributes:
-        kind: MuJoCo's name of it; "mesh" is the convex hull of `vertices`.
-        size: half sizes as MuJoCo counts them [m].
-        position: x, y, z in the object [m].
-        quaternion: w, x, y, z in the object.
-        vertices: corners of a mesh [m].
-    """
-
-    kind: str
-    size: tuple[float, ...]
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    quaternion: tuple[float, float, float, float] = UPRIGHT
-    vertices: tuple[tuple[float, float, float], ...] = ()
+    kind: str  # MuJoCo's name of it; "mesh" is the convex hull of `vertices`
+    size: tuple[float, ...]  # half sizes as MuJoCo counts them [m]
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x, y, z in the object [m]
+    quaternion: tuple[float, float, float, float] = UPRIGHT  # w, x, y, z in the object
+    vertices: tuple[tuple[float, float, float], ...] = ()  # corners of a mesh [m]
 
 
 Shape = Tuple[Geom, ...]

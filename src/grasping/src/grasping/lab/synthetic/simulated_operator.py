@@ -27,37 +27,21 @@ EYE_M = 0.02
 
 
 class SimulatedOperator(NamedTuple):
-    """An operator's taste and hand.
+    """An operator's taste and hand."""
 
-    Attributes:
-        holds: lowest quality of a grasp that the operator considers.
-        higher: what height is worth, in quality a metre.
-        slender: what a narrow opening is worth, in quality a metre less.
-        blur: standard deviation of the eye's blur of all that [px].
-        turn: of the line through the fingers, anticlockwise in the image, by the height [rad/m].
-        lean: away from the operator, on the table [rad]; less with the height, none from
-        upright: this height on [m].
-        follow: share of the surface's lean that the hand leans, too.
-        margin: that the hand opens wider than it must, on the table [m].
-        generous: how much more by the height [m/m].
-        bias: x, y, z [m] beside the chosen place, in the base frame.
-        tremor_m: standard deviation of a position along each axis [m].
-        tremor_rad: standard deviation of a turn about each axis [rad].
-    """
-
-    holds: float = 0.3
-    higher: float = 8.0
-    slender: float = 6.0
-    blur: float = 2.0
-    turn: float = 4.0
-    lean: float = 0.3
-    upright: float = 0.12
-    follow: float = 0.4
-    margin: float = 0.005
-    generous: float = 0.15
-    bias: tuple[float, float, float] = (0.008, 0.006, 0.0)
-    tremor_m: float = 0.005
-    tremor_rad: float = np.radians(5.0)
+    holds: float = 0.3  # lowest quality of a grasp that the operator considers
+    higher: float = 8.0  # what height is worth, in quality a metre
+    slender: float = 6.0  # what a narrow opening is worth, in quality a metre less
+    blur: float = 2.0  # standard deviation of the eye's blur of all that [px]
+    turn: float = 4.0  # of the line through the fingers, anticlockwise in the image, by the height [rad/m]
+    lean: float = 0.3  # away from the operator, on the table [rad]; less with the height, none from
+    upright: float = 0.12  # this height on [m]
+    follow: float = 0.4  # share of the surface's lean that the hand leans, too
+    margin: float = 0.005  # that the hand opens wider than it must, on the table [m]
+    generous: float = 0.15  # how much more by the height [m/m]
+    bias: tuple[float, float, float] = (0.008, 0.006, 0.0)  # x, y, z [m] beside the chosen place, in the base frame
+    tremor_m: float = 0.005  # standard deviation of a position along each axis [m]
+    tremor_rad: float = np.radians(5.0)  # standard deviation of a turn about each axis [rad]
 
 
 def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
@@ -75,8 +59,6 @@ def chosen_pixel(
     """Returns row and column of the grasp the operator likes best, None where nothing holds.
 
     Args:
-        operator: who chooses.
-        labels: of the pixels.
         height: above the table, shape (h, w) [m].
         opening: that the grasp needs, shape (h, w) [m].
     """
@@ -95,7 +77,6 @@ def points(depth: np.ndarray, camera: scene.SceneCamera) -> np.ndarray:
 
     Args:
         depth: shape (h, w) [m].
-        camera: that took it; the image may be scaled.
     """
     scaled = camera._replace(focal=camera.focal * len(depth) / camera.side, side=len(depth))
     rays = scene.rays(scaled).reshape(*depth.shape, 3)
@@ -106,7 +87,6 @@ def lean(operator: SimulatedOperator, height: np.ndarray, pixel_m: float, at: tu
     """Returns how much the hand leans about the base frame's x and y axes, shape (2,) [rad].
 
     Args:
-        operator: who grasps.
         height: above the table, shape (h, w) [m].
         pixel_m: what a pixel shows of the scene [m].
         at: row and column of the chosen place.
@@ -126,11 +106,9 @@ def grasp_pose(
     """Returns the operator's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach.
 
     Args:
-        operator: who grasps.
         place: the chosen place, shape (3,) [m].
         line: direction of the line through the fingers, shape (3,); both in the base frame.
         leant: about the base frame's x and y axes, shape (2,) [rad].
-        rng: of the tremor.
     """
     x = line - (line @ DOWN) * DOWN
     x /= np.linalg.norm(x)
@@ -143,10 +121,8 @@ def opening(operator: SimulatedOperator, needed: float, height: float, rng: np.r
     """Returns how wide the operator opens the hand [m], as wide as it goes at most.
 
     Args:
-        operator: who grasps.
         needed: opening that the thing needs [m].
         height: of the place above the table [m].
-        rng: of the tremor.
     """
     wanted = needed + operator.margin + operator.generous * max(0.0, height) + rng.normal(0.0, operator.tremor_m)
     return float(np.clip(wanted, needed, GRIPPER.opening))

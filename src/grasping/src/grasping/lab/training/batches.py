@@ -21,23 +21,14 @@ Samples = Mapping[str, np.ndarray]
 
 
 class MapTargets(NamedTuple):
-    """What the network should say; each shape (n, h, w).
+    """What the network should say; each shape (n, h, w)."""
 
-    Attributes:
-        quality: 0 to 1.
-        cos: of twice the angle.
-        sin: of twice the angle.
-        width: in units of `WIDTH_SCALE_PX`.
-        known: where the quality counts, bool.
-        graspable: where cos, sin and width count, bool.
-    """
-
-    quality: torch.Tensor
-    cos: torch.Tensor
-    sin: torch.Tensor
-    width: torch.Tensor
-    known: torch.Tensor
-    graspable: torch.Tensor
+    quality: torch.Tensor  # 0 to 1
+    cos: torch.Tensor  # of twice the angle
+    sin: torch.Tensor  # of twice the angle
+    width: torch.Tensor  # in units of `WIDTH_SCALE_PX`
+    known: torch.Tensor  # where the quality counts, bool
+    graspable: torch.Tensor  # where cos, sin and width count, bool
 
 
 def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, MapTargets]:
@@ -46,9 +37,6 @@ def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: i
     Args:
         samples: arrays `depth`, `quality`, `angle`, `width`, `known`, each shape (m, 300, 300), as
             `synthetic.samples.Sample` has them.
-        rng: source of all chance.
-        count: windows.
-        side: rows and columns of a window.
     """
     windows = [_window(samples, rng, side) for _ in range(count)]
     depth, target = batch({name: np.stack([w[name] for w in windows]) for name in windows[0]})

@@ -18,27 +18,16 @@ SIGMA_PX = 1.25
 
 
 class RefinementTargets(NamedTuple):
-    """What the refinement network should say of n images; the constant offset is taken off all.
+    """What the refinement network should say of n images; the constant offset is taken off all."""
 
-    Attributes:
-        place: about the operator's pixel, sum 1, shape (n, SIDE, SIDE).
-        held: 1 where the operator's grasp held, 0 where it failed, shape (n,).
-        height: of the grasp above the table, along the optical axis, shape (n,) [m].
-        cos: of twice the angle of the line through the fingers, shape (n,).
-        sin: likewise.
-        tilt_x: of the approach, shape (n,) [rad].
-        tilt_y: likewise.
-        opening: of the hand, shape (n,) [GGCNN's unit x m]; NaN where it is not known.
-    """
-
-    place: torch.Tensor
-    held: torch.Tensor
-    height: torch.Tensor
-    cos: torch.Tensor
-    sin: torch.Tensor
-    tilt_x: torch.Tensor
-    tilt_y: torch.Tensor
-    opening: torch.Tensor
+    place: torch.Tensor  # about the operator's pixel, sum 1, shape (n, SIDE, SIDE)
+    held: torch.Tensor  # 1 where the operator's grasp held, 0 where it failed, shape (n,)
+    height: torch.Tensor  # of the grasp above the table, along the optical axis, shape (n,) [m]
+    cos: torch.Tensor  # of twice the angle of the line through the fingers, shape (n,)
+    sin: torch.Tensor  # likewise
+    tilt_x: torch.Tensor  # of the approach, shape (n,) [rad]
+    tilt_y: torch.Tensor  # likewise
+    opening: torch.Tensor  # of the hand, shape (n,) [GGCNN's unit x m]; NaN where it is not known
 
     def to(self, device: torch.device) -> RefinementTargets:
         """Returns the targets on a device."""
@@ -46,12 +35,7 @@ class RefinementTargets(NamedTuple):
 
 
 def batch(examples: list[Example], offset: OperatorOffset) -> tuple[torch.Tensor, RefinementTargets]:
-    """Returns examples as the network's input, shape (n, features, SIDE, SIDE), and what it should say.
-
-    Args:
-        examples: n of them.
-        offset: the constant one, which is taken off.
-    """
+    """Returns examples as the network's input, shape (n, features, SIDE, SIDE), and what it should say."""
     seen = torch.from_numpy(np.stack([np.float32(e.features) for e in examples]))
     places = torch.from_numpy(np.stack([place_target(*place(e, offset)) for e in examples]))
     rest = [

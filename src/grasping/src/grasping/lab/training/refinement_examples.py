@@ -21,53 +21,30 @@ SAME_PLACE_M = 0.04
 
 
 class Example(NamedTuple):
-    """A frame of an operator's episode.
+    """A frame of an operator's episode."""
 
-    Attributes:
-        features: as `refinement.features` has them, float16.
-        row: of the operator's grasp; may lie outside.
-        column: likewise.
-        height: of the grasp above the table, along the optical axis [m].
-        angle: of the line through the fingers in the image, anticlockwise [rad].
-        tilt_x: of the approach about the camera's x axis [rad].
-        tilt_y: likewise about its y axis.
-        opening: of the hand [GGCNN's unit x m]; NaN where it is not known.
-        held: whether the grasp held.
-        mean: of the image's depth [m].
-    """
-
-    features: np.ndarray
-    row: float
-    column: float
-    height: float
-    angle: float
-    tilt_x: float
-    tilt_y: float
-    opening: float
-    held: bool
-    mean: float
+    features: np.ndarray  # as `refinement.features` has them, float16
+    row: float  # of the operator's grasp; may lie outside
+    column: float  # likewise
+    height: float  # of the grasp above the table, along the optical axis [m]
+    angle: float  # of the line through the fingers in the image, anticlockwise [rad]
+    tilt_x: float  # of the approach about the camera's x axis [rad]
+    tilt_y: float  # likewise about its y axis
+    opening: float  # of the hand [GGCNN's unit x m]; NaN where it is not known
+    held: bool  # whether the grasp held
+    mean: float  # of the image's depth [m]
 
 
 class OperatorOffset(NamedTuple):
-    """What an operator adds to GGCNN's grasp wherever it is.
+    """What an operator adds to GGCNN's grasp wherever it is."""
 
-    Attributes:
-        x: to the right, and
-        y: down [px of the network's image x m: divided by the distance it is a shift].
-        depth: along the optical axis [m].
-        angle: in the image, anticlockwise [rad].
-        tilt_x: of the approach [rad].
-        tilt_y: likewise.
-        opening: of the hand [GGCNN's unit x m: divided by the distance it is GGCNN's unit].
-    """
-
-    x: float = 0.0
-    y: float = 0.0
-    depth: float = 0.0
-    angle: float = 0.0
-    tilt_x: float = 0.0
-    tilt_y: float = 0.0
-    opening: float = 0.0
+    x: float = 0.0  # to the right, and
+    y: float = 0.0  # down [px of the network's image x m: divided by the distance it is a shift]
+    depth: float = 0.0  # along the optical axis [m]
+    angle: float = 0.0  # in the image, anticlockwise [rad]
+    tilt_x: float = 0.0  # of the approach [rad]
+    tilt_y: float = 0.0  # likewise
+    opening: float = 0.0  # of the hand [GGCNN's unit x m: divided by the distance it is GGCNN's unit]
 
 
 def example(frame: EpisodeFrame, held: bool) -> Example | None:
@@ -89,11 +66,7 @@ def example(frame: EpisodeFrame, held: bool) -> Example | None:
 
 
 def constant_offset(frames: list[EpisodeFrame]) -> OperatorOffset:
-    """Returns the median of what the operator added to GGCNN's grasps, where both meant about the same place.
-
-    Args:
-        frames: of grasps that held.
-    """
+    """Returns the median of what the operator added to GGCNN's grasps, where both meant about the same place."""
     shifts, turns, openings = [], [], []
     for frame in frames:
         label = relative_label(frame)

@@ -49,7 +49,6 @@ def losses(seen: torch.Tensor, said: torch.Tensor, target: RefinementTargets) ->
     Args:
         seen: its input, shape (n, LEAN_Y + 1, h, w).
         said: its output, shape (n, len(CHANGES), h, w).
-        target: what it should be.
     """
     change = RefinementOutput.of(said)
     quality = seen[:, 0] + change.quality

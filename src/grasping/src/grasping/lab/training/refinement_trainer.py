@@ -21,27 +21,16 @@ VALIDATION_BATCH = 16
 
 @dataclass(frozen=True)
 class RefinementTraining:
-    """How to train.
+    """How to train."""
 
-    Attributes:
-        steps: most steps; the rate falls to zero over them.
-        count: images a step.
-        rate: learning rate at first.
-        weight_decay: of AdamW.
-        memory: of the mean of the weights, a step.
-        hidden: units of each of the network's two inner layers.
-        patience: validations without a better one, after which training ends.
-        seed: of weights and batches.
-    """
-
-    steps: int = 600
-    count: int = 16
-    rate: float = 1e-2
-    weight_decay: float = 1e-4
-    memory: float = 0.98
-    hidden: int = HIDDEN
-    patience: int = 8
-    seed: int = 1
+    steps: int = 600  # most steps; the rate falls to zero over them
+    count: int = 16  # images a step
+    rate: float = 1e-2  # learning rate at first
+    weight_decay: float = 1e-4  # of AdamW
+    memory: float = 0.98  # of the mean of the weights, a step
+    hidden: int = HIDDEN  # units of each of the network's two inner layers
+    patience: int = 8  # validations without a better one, after which training ends
+    seed: int = 1  # of weights and batches
 
 
 class RefinementTrainer(MeanTrainer[RefinementNetwork]):

@@ -20,31 +20,18 @@ from grasping.network.networks import NETWORKS
 
 @dataclass(frozen=True)
 class NetworkTraining:
-    """How to train.
+    """How to train."""
 
-    Attributes:
-        network: name in `NETWORKS`.
-        steps: in all; the last `decay` share of them lowers the rate to zero.
-        count: windows a step.
-        side: of the windows [px].
-        rate: learning rate.
-        warm_up: steps.
-        decay: share of the steps.
-        memory: of the mean of the weights, a step.
-        seed: of weights and batches.
-        half: compute in bfloat16, which is faster where the device knows it.
-    """
-
-    network: str = "ggcnn2"
-    steps: int = 6000
-    count: int = 16
-    side: int = 156
-    rate: float = 1.5e-3
-    warm_up: int = 200
-    decay: float = 0.25
-    memory: float = 0.998
-    seed: int = 1
-    half: bool = True
+    network: str = "ggcnn2"  # name in `NETWORKS`
+    steps: int = 6000  # in all; the last `decay` share of them lowers the rate to zero
+    count: int = 16  # windows a step
+    side: int = 156  # of the windows [px]
+    rate: float = 1.5e-3  # learning rate
+    warm_up: int = 200  # steps
+    decay: float = 0.25  # share of the steps
+    memory: float = 0.998  # of the mean of the weights, a step
+    seed: int = 1  # of weights and batches
+    half: bool = True  # compute in bfloat16, which is faster where the device knows it
 
 
 class NetworkTrainer(MeanTrainer[nn.Module]):
