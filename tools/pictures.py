@@ -34,8 +34,8 @@ WIDTH, COLOURS = 1200, 128
 SHEETS, SHEET_WIDTH = ("pick-cup.png", "assisted_grasp.png"), 1920
 """Contact sheets and their width [px], at which their text can be read."""
 
-FILM_OPTIONS = ("--view", "150", "-16", "1.75", "--size", "640", "440", "--rate", "12")
-FILM_WIDTH, FILM_SPEED, FILM_FRAME_MS, FILM_QUALITY = 560, 2.0, 80, 55
+FILM_OPTIONS = ("--view", "118", "-16", "1.35", "--size", "800", "500", "--rate", "15")
+FILM_WIDTH, FILM_SPEED, FILM_FRAME_MS, FILM_QUALITY = 760, 2.0, 60, 60
 """Of the animated image: width [px], times real time, duration of a frame [ms], and WebP quality."""
 
 SCREEN = (1400, 900)
@@ -114,7 +114,7 @@ def film() -> None:
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "film.mp4"
         _record("pick_cup", recording, FILM_OPTIONS)
-        _animate(recording, PICTURES / "film.webp")
+        _animate(recording, PICTURES / "film.webp", begin_s=5.0)
 
 
 def pick_cup() -> None:
