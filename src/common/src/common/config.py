@@ -1,21 +1,21 @@
 """Typed configuration: a frozen dataclass is the schema of one yaml mapping.
 
-Each field says its type, unit and range; `parse` reports every fault at once, each as one sentence that names the key,
-the value and what is allowed. A missing key is a fault, and so is an unknown one: defaults live in the yaml alone.
+Each field states its type, unit and range. `parse` reports every fault at once, each as one sentence that names the
+key, the value and what is allowed. A missing key is a fault, and so is an unknown one: defaults live in the yaml alone.
 
     @dataclass(frozen=True)
     class TeleopConfig:
-        time_out: float = number("s", above=0.0, doc="go home after so long without a new transform")
+        time_out: float = number("s", above=0.0, doc="go home after this long without a new transform")
 
         def faults(self):                       # optional: what no single field can check
             return []
 
         @staticmethod
-        def faults_among(read):                 # optional: the same, of the fields that are right while others are not
+        def faults_among(read):                 # optional: the same, of the valid fields while others are not valid
             return []
 
-A field made with `absent` may be missing, which means that value: it came later than the files that people have, or
-it is a node's private parameter, for which there is no file.
+A field with `absent` may be missing and then has that value: the key is newer than the files that people have, or it is
+a private parameter of a node, for which there is no file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple, Optional, Protocol, TypeVar
+from typing import Any, Callable, NamedTuple, Optional, TypeVar
 
 import numpy as np
 
@@ -31,10 +31,10 @@ from common.errors import ConfigError
 
 Schema = TypeVar("Schema")
 Bound = Optional[float]
-"""An end of a range; None: there is none."""
+"""An end of a range; None: unbounded."""
 
 REQUIRED = object()
-"""A key that must be there."""
+"""Stands for the value of a key that must be given."""
 
 
 def number(
@@ -48,12 +48,18 @@ def number(
     absent: Any = REQUIRED,
 ) -> Any:
     """A finite number. `low` and `high` belong to the range, `above` and `below` do not."""
-    return _field(_Number(unit, low, high, above, below), doc, absent)
+    limits = _Range(low, high, above, below)
+    return _field(_Kind(limits.number, f"a finite number{limits.within}", "number", str(limits), unit), doc, absent)
 
 
 def integer(unit: str = "", *, low: Bound = None, high: Bound = None, doc: str = "", absent: Any = REQUIRED) -> Any:
     """A whole number within [low, high]."""
-    return _field(_Integer(unit, low, high, None, None), doc, absent)
+    limits = _Range(low, high)
+
+    def read(value: Any) -> int:
+        return int(limits.number(_instance(value, int)))
+
+    return _field(_Kind(read, f"a whole number{limits.within}", "whole number", str(limits), unit), doc, absent)
 
 
 def vector(
@@ -68,27 +74,57 @@ def vector(
     absent: Any = REQUIRED,
 ) -> Any:
     """A list of `length` finite numbers, each in the range; becomes a read-only array, shape (length,)."""
-    return _field(_Vector(length, _Number(unit, low, high, above, below)), doc, absent)
+    limits = _Range(low, high, above, below)
+
+    def read(value: Any) -> np.ndarray:
+        if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != length:
+            raise ValueError
+        array = np.array([limits.number(item) for item in value])
+        array.setflags(write=False)
+        return array
+
+    each = f", each{limits.within}" if limits.within else ""
+    return _field(_Kind(read, f"{length} finite numbers{each}", f"{length} numbers", str(limits), unit), doc, absent)
 
 
 def flag(doc: str = "", absent: Any = REQUIRED) -> Any:
     """true or false."""
-    return _field(_Flag(), doc, absent)
+    return _field(_Kind(lambda value: _instance(value, bool), "true or false", "true or false"), doc, absent)
 
 
 def text(doc: str = "", absent: Any = REQUIRED, empty: bool = False) -> Any:
-    """A string that is not empty, unless it may be."""
-    return _field(_Text(empty), doc, absent)
+    """A string, which is not empty unless `empty`."""
+
+    def read(value: Any) -> str:
+        if not (_instance(value, str).strip() or empty):
+            raise ValueError
+        return value
+
+    kind = ("a string", "text, or empty") if empty else ("a string that is not empty", "text")
+    return _field(_Kind(read, *kind), doc, absent)
 
 
 def path(doc: str = "", absent: Any = REQUIRED) -> Any:
     """The absolute path of a file, or an empty string for none."""
-    return _field(_Path(), doc, absent)
+
+    def read(value: Any) -> str:
+        if _instance(value, str) and not value.startswith("/"):
+            raise ValueError
+        return value
+
+    return _field(_Kind(read, "an absolute path, or empty", "absolute path, or empty"), doc, absent)
 
 
 def choice(*options: str, doc: str = "", absent: Any = REQUIRED) -> Any:
     """One of the given strings."""
-    return _field(_Choice(options), doc, absent)
+
+    def read(value: Any) -> str:
+        if value not in options:
+            raise ValueError
+        return value
+
+    names = ", ".join(options)
+    return _field(_Kind(read, f"one of {names}", "one of", names), doc, absent)
 
 
 def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", others: Iterable[str] = ()) -> Schema:
@@ -96,9 +132,9 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
 
     Args:
         schema: a frozen dataclass whose fields were made by the functions above.
-        values: what the yaml or the parameter server holds.
+        values: of the yaml file or the parameter server.
         prefix: stands before each key in the messages, such as "kuka/".
-        others: keys that may stand beside the schema's own and belong to somebody else.
+        others: keys of another owner that may stand beside the schema's own.
 
     Raises:
         ConfigError: with all faults.
@@ -113,16 +149,16 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     ]
     read = {}
     for name, field in fields.items():
-        if name not in values and field.metadata["absent"] is not REQUIRED:
+        kind: _Kind = field.metadata["kind"]
+        if name in values:
+            try:
+                read[name] = kind.read(values[name])
+            except ValueError:
+                faults.append(f"{prefix}{name} is {values[name]!r}, but must be {kind.allowed_with_unit}.")
+        elif field.metadata["absent"] is REQUIRED:
+            faults.append(f"{prefix}{name} is missing; it must be {kind.allowed_with_unit}.")
+        else:
             read[name] = field.metadata["absent"]
-            continue
-        if name not in values:
-            faults.append(f"{prefix}{name} is missing; it must be {field.metadata['kind'].allowed()}.")
-            continue
-        try:
-            read[name] = field.metadata["kind"].read(values[name])
-        except ValueError:
-            faults.append(f"{prefix}{name} is {values[name]!r}, but must be {field.metadata['kind'].allowed()}.")
     if not faults:
         config = schema(**read)
         faults = [f"{prefix}{fault}" for fault in getattr(config, "faults", list)()]
@@ -137,7 +173,7 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
 def parse_part(
     schema: type[Schema], values: Mapping[str, Any], prefix: str, faults: list[str], others: Iterable[str] = ()
 ) -> Schema | None:
-    """Returns one part of a file as `parse` does, or None after adding what is wrong with it to `faults`."""
+    """Returns one part of a file as `parse` does, or None after adding its faults to `faults`."""
     try:
         return parse(schema, values, prefix, others)
     except ConfigError as error:
@@ -146,8 +182,7 @@ def parse_part(
 
 
 class Key(NamedTuple):
-    """One key of a schema, for tables: its type in a word, its range and unit where it has them, its meaning, and the
-    value that stands for a missing key, REQUIRED where it must be there."""
+    """One key of a schema, for tables; `absent` is the value of a missing key, REQUIRED if it must be given."""
 
     name: str
     type: str
@@ -159,46 +194,41 @@ class Key(NamedTuple):
 
 def keys(schema: type) -> list[Key]:
     """Returns the keys of the schema in their order."""
-    columns = ((f, f.metadata["kind"].columns()) for f in dataclasses.fields(schema))
-    return [
-        Key(f.name, kind, interval, unit, f.metadata["doc"], f.metadata["absent"])
-        for f, (kind, interval, unit) in columns
-    ]
+    columns = ((f.name, f.metadata["kind"], f.metadata) for f in dataclasses.fields(schema))
+    return [Key(name, kind.type, kind.range, kind.unit, more["doc"], more["absent"]) for name, kind, more in columns]
 
 
 def required(schema: type) -> tuple[str, ...]:
-    """Returns the keys without which there is no configuration."""
+    """Returns the keys that must be given."""
     return tuple(f.name for f in dataclasses.fields(schema) if f.metadata["absent"] is REQUIRED)
 
 
-def _field(kind: _Kind, doc: str, absent: Any = REQUIRED) -> Any:
-    """Returns the field; `absent` is the value that a missing key stands for, and may be None."""
-    absent = absent if absent is REQUIRED or absent is None else kind.read(absent)
-    return dataclasses.field(metadata={"kind": kind, "doc": doc, "absent": absent})
+class _Kind(NamedTuple):
+    """The values that a key may have; `read` returns the value, or raises a ValueError."""
+
+    read: Callable[[Any], Any]
+    allowed: str
+    type: str
+    range: str = ""
+    unit: str = ""
+
+    @property
+    def allowed_with_unit(self) -> str:
+        return f"{self.allowed} {self.unit}".rstrip()
 
 
-class _Kind(Protocol):
-    """What a key may hold."""
+class _Range(NamedTuple):
+    low: Bound = None
+    high: Bound = None
+    above: Bound = None
+    below: Bound = None
 
-    def read(self, value: Any) -> Any:
-        """Returns the value; raises ValueError where it is not allowed."""
+    def number(self, value: Any) -> float:
+        """Returns a finite number in the range.
 
-    def allowed(self) -> str:
-        """Returns what is allowed, as a part of a sentence."""
-
-    def columns(self) -> tuple[str, str, str]:
-        """Returns type, range and unit."""
-
-
-@dataclasses.dataclass(frozen=True)
-class _Number:
-    unit: str
-    low: float | None
-    high: float | None
-    above: float | None
-    below: float | None
-
-    def read(self, value: Any) -> Any:
+        Raises:
+            ValueError: it is not one.
+        """
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise ValueError
         if (
@@ -210,113 +240,24 @@ class _Number:
             raise ValueError
         return float(value)
 
-    def allowed(self) -> str:
-        return f"a finite number{self._range()}{self._unit()}"
+    @property
+    def within(self) -> str:
+        return f" in {self}" if str(self) else ""
 
-    def columns(self) -> tuple[str, str, str]:
-        return "number", self._interval(), self.unit
-
-    def _unit(self) -> str:
-        return f" {self.unit}" if self.unit else ""
-
-    def _range(self) -> str:
-        interval = self._interval()
-        return f" in {interval}" if interval else ""
-
-    def _interval(self) -> str:
-        if self.low is None and self.high is None and self.above is None and self.below is None:
+    def __str__(self) -> str:
+        if all(bound is None for bound in self):
             return ""
         left = f"[{self.low:g}" if self.low is not None else f"({self.above:g}" if self.above is not None else "(-inf"
         right = f"{self.high:g}]" if self.high is not None else f"{self.below:g})" if self.below is not None else "inf)"
         return f"{left}, {right}"
 
 
-class _Integer(_Number):
-    def read(self, value: Any) -> Any:
-        if not isinstance(value, int):
-            raise ValueError
-        return int(super().read(value))
-
-    def allowed(self) -> str:
-        return f"a whole number{self._range()}{self._unit()}"
-
-    def columns(self) -> tuple[str, str, str]:
-        return "whole number", self._interval(), self.unit
+def _instance(value: Any, kind: type) -> Any:
+    if not isinstance(value, kind):
+        raise ValueError
+    return value
 
 
-@dataclasses.dataclass(frozen=True)
-class _Vector:
-    length: int
-    item: _Number
-
-    def read(self, value: Any) -> Any:
-        if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != self.length:
-            raise ValueError
-        array = np.array([self.item.read(v) for v in value])
-        array.setflags(write=False)
-        return array
-
-    def allowed(self) -> str:
-        interval = self.item._range()
-        return f"{self.length} finite numbers{', each' + interval if interval else ''}{self.item._unit()}"
-
-    def columns(self) -> tuple[str, str, str]:
-        return f"{self.length} numbers", self.item._interval(), self.item.unit
-
-
-class _Flag:
-    def read(self, value: Any) -> Any:
-        if not isinstance(value, bool):
-            raise ValueError
-        return value
-
-    def allowed(self) -> str:
-        return "true or false"
-
-    def columns(self) -> tuple[str, str, str]:
-        return "true or false", "", ""
-
-
-@dataclasses.dataclass(frozen=True)
-class _Text:
-    empty: bool
-
-    def read(self, value: Any) -> Any:
-        if not isinstance(value, str) or not (self.empty or value.strip()):
-            raise ValueError
-        return value
-
-    def allowed(self) -> str:
-        return "a string" if self.empty else "a string that is not empty"
-
-    def columns(self) -> tuple[str, str, str]:
-        return "text, or empty" if self.empty else "text", "", ""
-
-
-class _Path:
-    def read(self, value: Any) -> Any:
-        if not isinstance(value, str) or (value and not value.startswith("/")):
-            raise ValueError
-        return value
-
-    def allowed(self) -> str:
-        return "an absolute path, or empty"
-
-    def columns(self) -> tuple[str, str, str]:
-        return "absolute path, or empty", "", ""
-
-
-@dataclasses.dataclass(frozen=True)
-class _Choice:
-    options: tuple[str, ...]
-
-    def read(self, value: Any) -> Any:
-        if value not in self.options:
-            raise ValueError
-        return value
-
-    def allowed(self) -> str:
-        return f"one of {', '.join(self.options)}"
-
-    def columns(self) -> tuple[str, str, str]:
-        return "one of", ", ".join(self.options), ""
+def _field(kind: _Kind, doc: str, absent: Any) -> Any:
+    absent = absent if absent is REQUIRED or absent is None else kind.read(absent)
+    return dataclasses.field(metadata={"kind": kind, "doc": doc, "absent": absent})
