@@ -54,7 +54,7 @@ def test_the_rectified_camera_has_no_distortion_and_the_projections_matrix(camer
 def test_a_distortion_that_folds_the_picture_over_is_refused():
     model = pinhole("wild", 640, 480, [[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]])
     wild = CameraModel(model.name, 640, 480, model.K, np.array([-5.0, 0, 0, 0, 0]), model.R, model.P)
-    with pytest.raises(ValueError, match="cannot be undone"), np.errstate(all="ignore"):
+    with pytest.raises(ValueError), np.errstate(all="ignore"):
         wild.rays([0.0, 0.0])
 
 

@@ -30,5 +30,5 @@ def test_a_port_in_use_is_not_returned(monkeypatch, kind):
         port = used.getsockname()[1]
         monkeypatch.setattr(ports, "FIRST", port)
         monkeypatch.setattr(ports, "LAST", port)
-        with pytest.raises(OSError, match="is free"):
+        with pytest.raises(OSError):
             ports.free_port(kind)

@@ -44,7 +44,7 @@ def test_quaternion_round_trip(a, b, c):
 @given(angles, angles, angles, st.floats(0.0, 1.0))
 def test_shares_of_a_rotation_add_up_to_it(a, b, c, share):
     R = rot.rotation_from_zyx(a, b, c)
-    first, rest = rot.share_of_rotation(R, share), rot.share_of_rotation(R, 1.0 - share)
+    first, rest = rot.scaled_rotation(R, share), rot.scaled_rotation(R, 1.0 - share)
     np.testing.assert_allclose(first @ rest, R, atol=1e-6)
     np.testing.assert_allclose(rot.rotation_angle(first), share * rot.rotation_angle(R), atol=1e-6)
 

@@ -144,7 +144,7 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
     from sensor_msgs.msg import TimeReference
 
     from common.ros.conversions import pose_from_message, pose_from_transform
-    from common.ros.images import picture_from_image
+    from common.ros.images import array_from_image
 
     classes = {name: roslib.message.get_message_class(kind) for name, kind in TYPES.items()}
     got = {name: ros.record(f"ggcnn/{name}", kind) for name, kind in classes.items()}
@@ -176,7 +176,7 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
         message = got[name].wait(1)[-1]
         side = 600 if name == "img/heat_map" else 300
         assert (message.width, message.height, message.header.frame_id) == (side, side, "ggcnn/view")
-        assert np.isfinite(np.asarray(picture_from_image(message), float)).all()
+        assert np.isfinite(np.asarray(array_from_image(message), float)).all()
     grippers = [m for m in got["markers"].wait(1)[-1].markers if m.ns == "grasps" and m.points]
     assert [len(m.points) for m in grippers] == [8] * len(grippers)
     wait_until(

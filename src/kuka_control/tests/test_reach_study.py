@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.mounting import directions
+from common.mounting import mounting_frame
 from common.poses import translation
 from iiwa_kinematics import IkFailure, Kinematics
 from iiwa_kinematics.robot_model import robot_model
@@ -35,21 +35,21 @@ def study(tolerances=WIDE, tool=TOOL_M, count=150, seed=0, attitudes=6, space=No
     positions = volume_samples(space, count, random)
     kinematics = Kinematics(MODEL, translation(0.0, 0.0, tool))
     q_home = home_pose(Kinematics(MODEL, TOOL), space).q
-    bearings = directions(space.center_line)
-    return study_reach(kinematics, bearings, q_home, positions, tolerances, attitudes, random)
+    mounting = mounting_frame(space.center_line)
+    return study_reach(kinematics, mounting, q_home, positions, tolerances, attitudes, random)
 
 
 @given(headings)
 def test_at_zero_the_tool_has_the_attitude_of_the_home_position(heading):
     space = workspace(heading)
     R_home = home_pose(Kinematics(MODEL, TOOL), space).T_base_tool[:3, :3]
-    np.testing.assert_allclose(tool_attitude(directions(space.center_line), 0.0, 0.0, 0.0), R_home, atol=1e-9)
+    np.testing.assert_allclose(tool_attitude(mounting_frame(space.center_line), 0.0, 0.0, 0.0), R_home, atol=1e-9)
 
 
 @given(headings, angles, angles, angles)
 def test_the_tool_is_turned_by_yaw_about_the_vertical_and_tilted_by_pitch_and_roll(heading, yaw, pitch, roll):
     space = workspace(heading)
-    R = tool_attitude(directions(space.center_line), yaw, pitch, roll)
+    R = tool_attitude(mounting_frame(space.center_line), yaw, pitch, roll)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert R[2, 2] == pytest.approx(-math.cos(pitch) * math.cos(roll), abs=1e-12)
     forward = R[:, 0] if space.center_line[0] < 0.0 else -R[:, 0]
@@ -107,7 +107,7 @@ def test_nothing_to_study_is_refused(count, attitudes):
     with pytest.raises(ValueError, match="a study needs"):
         study_reach(
             Kinematics(MODEL),
-            directions(space.center_line),
+            mounting_frame(space.center_line),
             np.zeros(7),
             np.zeros((count, 3)),
             WIDE,

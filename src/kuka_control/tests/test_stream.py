@@ -48,7 +48,7 @@ def test_old_and_future_stamps_are_refused_with_the_measured_skew_once(skew, sid
         (desired(CLOCK, (np.nan, 0.0, 0.4)), "finite"),
         (desired(CLOCK, (500.0, 0.0, 400.0)), "metres"),
         (desired(CLOCK, R=2.0 * np.eye(3)), "orthonormal"),
-        (desired(CLOCK, R=np.diag([1.0, 1.0, -1.0])), "mirror"),
+        (desired(CLOCK, R=np.diag([1.0, 1.0, -1.0])), "reflection"),
     ],
 )
 def test_frames_that_are_none_are_refused(frame, word):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.errors import ConfigError
-from common.mounting import directions, rotation_of_mounting
+from common.mounting import mounting_frame, rotation_of_mounting
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 from leap_kuka.teleop import RUNNING, Teleop
@@ -32,7 +32,7 @@ def test_a_level_straight_hand_asks_for_the_home_tool_at_the_centre(leap, arm, p
     result = player(teleop).steps(12, sample(yaw=yaw))[-1]
     assert result.state == RUNNING, result.reason
     T = result.T_base_virtual @ result.T_virtual_tool
-    np.testing.assert_allclose(T[:3, :3], directions(line, mounting).R_base_tool, atol=1e-7)
+    np.testing.assert_allclose(T[:3, :3], mounting_frame(line, mounting).R_base_tool, atol=1e-7)
     np.testing.assert_allclose(T[:3, 3], [0.5 * line[0], 0.5 * line[1], 0.4], atol=1e-7)
 
 
@@ -43,9 +43,8 @@ def test_the_tool_moves_in_the_world_as_the_hand_does(leap, arm, player, sample,
     frames.steps(12, sample())
     result = frames.steps(30, sample(position=(right, BOX_HEIGHT + up, back)))[-1]
     moved = (result.T_base_virtual @ result.T_virtual_tool)[:3, 3] - [0.5 * line[0], 0.5 * line[1], 0.4]
-    bearings = directions(line, mounting)
     assert (rotation_of_mounting(mounting) @ moved)[2] == pytest.approx(up, abs=1e-7)
-    assert moved @ bearings.ahead == pytest.approx(-back, abs=1e-7)
+    assert moved @ mounting_frame(line, mounting).forward == pytest.approx(-back, abs=1e-7)
     assert np.linalg.norm(moved) == pytest.approx(math.hypot(right, up, back), abs=1e-7)
 
 
@@ -72,5 +71,5 @@ def test_the_desired_flange_carries_the_tool(leap, arm, a, b, c, x, y, z):
 
 
 def test_a_tool_that_mirrors_is_refused(arm):
-    with pytest.raises(ConfigError, match="kuka/tool_transform .* mirror"):
+    with pytest.raises(ConfigError, match="kuka/tool_transform"):
         arm(use_tool_transform=True, tool_transform=np.diag([1.0, 1.0, -1.0, 1.0]).ravel().tolist())

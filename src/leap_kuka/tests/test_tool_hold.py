@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from common.mounting import directions
+from common.mounting import mounting_frame
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle
 from leap_kuka.teleop import RUNNING, WAITING, Teleop, TrackingFrame
 from leap_kuka.tool_hold import FADE_S, HELD, NONE, TAKEN
 
-DOWN = directions((1.0, -1.0, 0.0)).R_base_tool
+DOWN = mounting_frame((1.0, -1.0, 0.0)).R_base_tool
 BOX_HEIGHT = 0.35
 level = st.floats(-19.0, 19.0)
 in_box = st.floats(-0.09, 0.09)

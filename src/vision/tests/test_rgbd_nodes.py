@@ -202,7 +202,7 @@ def test_registered_depth_and_cloud_come_only_while_somebody_listens(ros, camera
     import rospy
     from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-    from common.ros.images import picture_from_image
+    from common.ros.images import array_from_image
 
     process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
     status = diagnostics(ros, "register_rgbd")
@@ -224,7 +224,7 @@ def test_registered_depth_and_cloud_come_only_while_somebody_listens(ros, camera
     wait_until(lambda: len(newest) == len(kinds), 30.0, "all topics")
     cloud, colour, raw, metric, info = (newest[topic] for topic in kinds)
     assert (colour.encoding, raw.encoding, metric.encoding) == ("rgb8", "16UC1", "32FC1")
-    depth = picture_from_image(metric)
+    depth = array_from_image(metric)
     u, v = np.rint(RGB.rectified().project(TRUTH[:3, 3])).astype(int)
     assert depth[v, u] == pytest.approx(TRUTH[2, 3], abs=0.005)
     assert info.D == (0.0,) * 5
@@ -315,7 +315,7 @@ def test_the_nodelets_have_the_same_topics(ros, camera, wait_until):
     import rospkg
     from sensor_msgs.msg import Image, PointCloud2
 
-    from common.ros.images import picture_from_image
+    from common.ros.images import array_from_image
     from vision.ros.camera.register_start import missing_packages
 
     missing = missing_packages(rospkg.RosPack())
@@ -325,7 +325,7 @@ def test_the_nodelets_have_the_same_topics(ros, camera, wait_until):
     clouds = ros.record("camera/depth_registered/points", PointCloud2)
     ros.launch("vision", "register_rgbd.launch", camera="false", rviz="false", nodelets="true")
     u, v = np.rint(RGB.rectified().project(TRUTH[:3, 3])).astype(int)
-    assert picture_from_image(metric.wait(1, 40.0)[-1])[v, u] == pytest.approx(TRUTH[2, 3], abs=0.005)
+    assert array_from_image(metric.wait(1, 40.0)[-1])[v, u] == pytest.approx(TRUTH[2, 3], abs=0.005)
     cloud = clouds.wait(1, 40.0)[-1]
     point = np.frombuffer(cloud.data, "<f4").reshape(480, 640, -1)[v, u]
     np.testing.assert_allclose(point[:3], TRUTH[:3, 3], atol=0.006)

@@ -112,9 +112,9 @@ def start_web(ros, wait_until, **changes):
 
 def middle(message):
     """The colour above the middle of each eye's picture, left and right of its middle column."""
-    from common.ros.images import picture_from_image
+    from common.ros.images import array_from_image
 
-    picture = picture_from_image(message)
+    picture = array_from_image(message)
     return [picture[420, c] for c in (350, 600, 960 + 350, 960 + 600)]
 
 

@@ -9,18 +9,15 @@ from numpy.typing import ArrayLike
 
 
 class Window:
-    """First-in, first-out buffer of the newest `size` samples; its mean exists once it is full.
-
-    Samples are float arrays of one shape; the mean is taken element by element.
-    """
+    """The newest `size` samples, float arrays of one shape; their mean exists once the window is full."""
 
     def __init__(self, size: int) -> None:
         if size < 1:
-            raise ValueError(f"a window holds at least one sample, not {size}")
+            raise ValueError(f"a window needs a size of at least 1, not {size}")
         self._samples: deque[np.ndarray] = deque(maxlen=size)
 
     def add(self, sample: ArrayLike) -> None:
-        """Takes a sample in; the oldest goes out when the window is full.
+        """Adds a sample; a full window drops its oldest one.
 
         Raises:
             ValueError: the sample is not finite.
@@ -36,7 +33,7 @@ class Window:
 
     @property
     def full(self) -> bool:
-        """Whether as many samples came in as the window holds."""
+        """Whether there are `size` samples."""
         return len(self._samples) == self._samples.maxlen
 
     def mean(self) -> np.ndarray | None:

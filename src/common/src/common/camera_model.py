@@ -1,8 +1,8 @@
 """A pinhole camera with the distortion that ROS calls plumb_bob, as `sensor_msgs/CameraInfo` describes it.
 
 Optical frame: x right, y down, z forward. Pixel coordinates (u, v) have the CENTRE of the first pixel at (0, 0), as
-OpenCV and CameraInfo have it; the picture reaches from -0.5 to width - 0.5. AprilTag libraries count from the pixel's
-corner: their coordinates are larger by 0.5.
+in OpenCV and CameraInfo; the image reaches from -0.5 to width - 0.5. AprilTag libraries count from the pixel's corner:
+their coordinates are larger by 0.5.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from common.poses import read_only
 PLUMB_BOB = "plumb_bob"
 MAX_ITERATIONS = 50
 TOLERANCE = 1e-10
-"""Of the undistorted direction, where the iteration ends."""
+"""Of the undistorted direction, at which the iteration stops."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,8 @@ class CameraModel:
     """Intrinsics of one camera.
 
     Attributes:
-        name: of the camera, as its calibration file says it.
-        width: of the picture [px].
-        height: of the picture [px].
+        name: of the camera in its calibration file.
+        width, height: of the image [px].
         K: camera matrix, shape (3, 3) [px].
         D: distortion k1, k2, p1, p2, k3, shape (5,).
         R: rotation from the camera to the rectified camera, shape (3, 3).
@@ -51,10 +50,10 @@ class CameraModel:
         return self._to_pixels(self._distort(points[..., :2] / points[..., 2:]))
 
     def rays(self, pixels: ArrayLike) -> np.ndarray:
-        """Returns the directions x, y, 1, shape (..., 3), that the pixels, shape (..., 2) [px], look into.
+        """Returns the directions x, y, 1, shape (..., 3), of the pixels, shape (..., 2) [px].
 
         Raises:
-            ValueError: the distortion cannot be undone there; it folds the picture over.
+            ValueError: the distortion is not invertible there.
         """
         pixels = np.asarray(pixels, dtype=float)
         distorted = np.stack(
@@ -66,14 +65,14 @@ class CameraModel:
             direction = direction + step
             if np.max(np.abs(step), initial=0.0) < TOLERANCE:
                 return np.concatenate((direction, np.ones((*direction.shape[:-1], 1))), axis=-1)
-        raise ValueError(f"the distortion {self.D.tolist()} of the camera {self.name} cannot be undone everywhere")
+        raise ValueError(f"the distortion {self.D.tolist()} of {self.name} is not invertible; calibrate it again")
 
     def rectified(self) -> CameraModel:
-        """Returns the camera that the rectified picture seems to come from: without distortion, with P's matrix."""
+        """Returns the camera of the rectified image: without distortion, with the matrix of P."""
         return pinhole(self.name, self.width, self.height, self.P[:, :3])
 
     def _distort(self, xy: np.ndarray) -> np.ndarray:
-        """Returns where the undistorted directions xy, shape (..., 2), land (Brown-Conrady, as OpenCV has it)."""
+        """Returns the undistorted directions xy, shape (..., 2), after distortion (Brown-Conrady, as in OpenCV)."""
         k1, k2, p1, p2, k3 = self.D
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
@@ -101,8 +100,7 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
     """Returns the camera that a calibration file in the format of camera_calibration_parsers describes.
 
     Args:
-        values: the yaml file's mapping: image_width, image_height, camera_name, camera_matrix, distortion_model,
-            distortion_coefficients, rectification_matrix, projection_matrix.
+        values: the mapping of the yaml file.
 
     Raises:
         ConfigError: with all faults.

@@ -1,17 +1,17 @@
-"""Errors that a person reads: every message is one plain sentence that names the value and what is wrong with it."""
+"""Errors for the user: each message names the value, what is wrong with it, and what to do."""
 
 from __future__ import annotations
 
 
 class RigError(Exception):
-    """Base of the errors that end a program with one sentence instead of a traceback."""
+    """Base of the errors that a program reports with one sentence instead of a traceback."""
 
 
 class ConfigError(RigError):
-    """A configuration holds values that the rig must not run with.
+    """A configuration has invalid values.
 
     Attributes:
-        faults: one sentence per fault, all that were found.
+        faults: all faults, one sentence each.
     """
 
     def __init__(self, faults: list[str] | tuple[str, ...]) -> None:

@@ -1,7 +1,7 @@
 """Whether a stream of tracking frames is alive: frames are new, carry the present time and leave no long gap.
 
-Times are handed in as seconds of a monotonic clock; only `age`, the difference between a frame's stamp and the moment
-of its arrival, belongs to the clock of the stamps.
+Times are seconds of a monotonic clock; only `age`, the time of arrival less the frame's stamp, uses the clock of the
+stamps.
 """
 
 from __future__ import annotations
@@ -9,16 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 MAX_SKEW_S = 0.5
-"""How far a frame's stamp may be off the present time (reference: faults, 29)."""
+"""How far a frame's stamp may be from the present time [s]."""
 
 
 @dataclass(frozen=True)
-class Arrival:
-    """What a frame is.
+class FrameArrival:
+    """The verdict on a frame.
 
     Attributes:
-        usable: whether it is a new frame of the present; otherwise it is to be left aside.
-        broken: why the stream before it must not be continued, or None.
+        usable: whether it is new and of the present; otherwise it must be ignored.
+        broken: why it must not continue the stream before it, or None.
     """
 
     usable: bool
@@ -38,11 +38,11 @@ class FrameWatch:
         self._last_time: float | None = None
         self._refusal: tuple[str, float] | None = None
 
-    def arrived(self, frame_id: int, age: float, now: float) -> Arrival:
-        """Takes a frame in.
+    def arrived(self, frame_id: int, age: float, now: float) -> FrameArrival:
+        """Judges a frame.
 
-        A repeated number is a tracker that hangs: the frame is left aside, so that the silence runs on. A number that
-        went back is a tracker that started again.
+        A repeated number means that the tracker hangs: the frame is ignored, and the silence continues. A lower number
+        means that the tracker has restarted.
 
         Args:
             frame_id: number of the frame.
@@ -52,17 +52,17 @@ class FrameWatch:
         if not abs(age) <= MAX_SKEW_S:
             skewed = f"the stamps of the tracking frames are {abs(age):.1f} s {'old' if age > 0 else 'in the future'}"
             self._refusal = (skewed, now)
-            return Arrival(False, skewed)
+            return FrameArrival(False, skewed)
         if frame_id == self._last_id:
             self._refusal = (f"the tracker repeats frame {frame_id}", now)
-            return Arrival(False)
+            return FrameArrival(False)
         broken = None
         if self._last_id is not None and frame_id < self._last_id:
             broken = f"the tracker's frame number went back from {self._last_id} to {frame_id}"
         elif self._last_time is not None and now - self._last_time > self._max_silence:
             broken = f"no tracking frame came for {now - self._last_time:.1f} s"
         self._last_id, self._last_time = frame_id, now
-        return Arrival(True, broken)
+        return FrameArrival(True, broken)
 
     def silence(self, now: float) -> str | None:
         """Returns why no usable frame came for longer than `max_silence`, or None where one came."""

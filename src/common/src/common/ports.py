@@ -1,4 +1,4 @@
-"""Ports for programs that are told their port before they open it: tests and benchmarks."""
+"""Free ports for programs that get their port before they open it: tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import socket
 
 FIRST = 15000
 LAST = 29999
-"""Below the ports that Linux (32768 on) gives to outgoing connections and for port 0: such a port could be taken by any
-other program before the one that it is meant for opens it.
-"""
+"""Below the ports from 32768 on, which Linux gives to outgoing connections and for port 0."""
 
 TRIES = 200
 
@@ -21,7 +19,7 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
         kind: `SOCK_STREAM` for TCP, `SOCK_DGRAM` for UDP.
 
     Raises:
-        OSError: all that were tried are in use.
+        OSError: no free port was found.
     """
     generator = random.SystemRandom()
     for _ in range(TRIES):
@@ -32,4 +30,4 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
             except OSError:
                 continue
             return port
-    raise OSError(f"none of {TRIES} ports between {FIRST} and {LAST} is free")
+    raise OSError(f"{TRIES} random ports between {FIRST} and {LAST} are all in use")

@@ -9,7 +9,7 @@ from common.rotations import check_rotation
 
 
 def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> np.ndarray:
-    """Returns the pose with rotation R, shape (3, 3), and position p, shape (3,) [m]; identity where left out."""
+    """Returns the pose with rotation R, shape (3, 3), and position p, shape (3,) [m]; identity if omitted."""
     T = np.eye(4)
     if R is not None:
         T[:3, :3] = R
@@ -19,7 +19,7 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> np.ndarray:
 
 
 def translation(x: float, y: float, z: float) -> np.ndarray:
-    """Returns the pose that only shifts, by x, y, z [m]."""
+    """Returns the pose without rotation at x, y, z [m]."""
     return pose(p=(x, y, z))
 
 
@@ -33,7 +33,7 @@ def check_pose(T: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     """Returns T as a float array, shape (4, 4).
 
     Raises:
-        ValueError: not finite, not rigid (scale, shear, mirror), or the last row is not 0 0 0 1.
+        ValueError: not finite, not rigid (scale, shear, reflection), or the last row is not 0 0 0 1.
     """
     T = np.asarray(T, dtype=float)
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):

@@ -1,7 +1,7 @@
 """Rotations as 3x3 matrices and unit quaternions (x, y, z, w), refused when they are not rotations.
 
-The arithmetic is Pinocchio's; here stand the conventions of the rig and the checks at its borders. `R_a_b` is the
-attitude of b in a: its columns are the axes of b written in a.
+Pinocchio does the arithmetic; this module adds the conventions of the rig and the checks of its inputs. `R_a_b` is the
+orientation of b in a: its columns are the axes of b written in a.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 UNIT_TOLERANCE = 1e-3
-"""How far the norm of a quaternion or of an axis may be off and still be normalised (reference: faults, 20)."""
+"""How far the norm of a quaternion or axis may be from 1 for it to be normalised instead of refused."""
 
 
 def unit(vector: ArrayLike) -> np.ndarray:
@@ -40,7 +40,7 @@ def check_rotation(R: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     """Returns R as a float array, shape (3, 3).
 
     Raises:
-        ValueError: R is not finite, not orthonormal within `tolerance`, or a mirror.
+        ValueError: R is not finite, not orthonormal within `tolerance`, or a reflection.
     """
     R = np.asarray(R, dtype=float)
     if R.shape != (3, 3) or not np.all(np.isfinite(R)):
@@ -48,7 +48,7 @@ def check_rotation(R: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     if np.abs(R @ R.T - np.eye(3)).max() > tolerance:
         raise ValueError(f"the matrix {R.tolist()} is not orthonormal")
     if np.linalg.det(R) < 0.0:
-        raise ValueError(f"the matrix {R.tolist()} is a mirror, not a rotation")
+        raise ValueError(f"the matrix {R.tolist()} is a reflection, not a rotation")
     return R
 
 
@@ -89,6 +89,6 @@ def rotation_angle(R: ArrayLike) -> float:
     return float(np.linalg.norm(pin.log3(np.asarray(R, dtype=float))))
 
 
-def share_of_rotation(R: ArrayLike, share: float) -> np.ndarray:
-    """Returns the rotation about the axis of R, shape (3, 3), by `share` of its angle, shape (3, 3)."""
-    return pin.exp3(share * pin.log3(np.asarray(R, dtype=float)))
+def scaled_rotation(R: ArrayLike, factor: float) -> np.ndarray:
+    """Returns the rotation about the axis of R, shape (3, 3), by `factor` times its angle, shape (3, 3)."""
+    return pin.exp3(factor * pin.log3(np.asarray(R, dtype=float)))

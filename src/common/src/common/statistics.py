@@ -1,4 +1,7 @@
-"""Shares, medians and differences with their confidence intervals."""
+"""Proportions, medians and differences with their 95 % confidence intervals.
+
+Kept instead of scipy.stats: scipy would be 40 MB more to install for these formulas.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,8 @@ Z_95 = 1.959964
 RESAMPLES = 2000
 
 
-class Share(NamedTuple):
-    """Successes among trials, and the 95 % Wilson interval of their share."""
+class Proportion(NamedTuple):
+    """Successes among trials, with the Wilson interval of their proportion."""
 
     successes: int
     trials: int
@@ -22,16 +25,16 @@ class Share(NamedTuple):
 
     @property
     def value(self) -> float:
-        """The share itself."""
+        """Successes per trial."""
         return self.successes / self.trials
 
     def __str__(self) -> str:
-        """Returns share and interval in percent, and the number of trials."""
+        """Returns proportion and interval in percent, and the number of trials."""
         return f"{100 * self.value:.0f} ({100 * self.low:.0f} to {100 * self.high:.0f}), n = {self.trials}"
 
 
-def share(outcomes: ArrayLike) -> Share:
-    """Returns the share of true outcomes.
+def proportion(outcomes: ArrayLike) -> Proportion:
+    """Returns the proportion of true outcomes.
 
     Raises:
         ValueError: there are no outcomes.
@@ -39,14 +42,14 @@ def share(outcomes: ArrayLike) -> Share:
     hits = np.asarray(outcomes, dtype=bool)
     n, k = len(hits), int(hits.sum())
     if n == 0:
-        raise ValueError("a share of no trials has no value")
+        raise ValueError("no trials: their proportion is undefined")
     middle = (k + 0.5 * Z_95**2) / (n + Z_95**2)
     half = Z_95 / (n + Z_95**2) * np.sqrt(k * (n - k) / n + 0.25 * Z_95**2)
-    return Share(k, n, float(max(0.0, middle - half)), float(min(1.0, middle + half)))
+    return Proportion(k, n, float(max(0.0, middle - half)), float(min(1.0, middle + half)))
 
 
 class Median(NamedTuple):
-    """A median and its 95 % bootstrap interval."""
+    """A median with its bootstrap interval."""
 
     value: float
     low: float
@@ -58,21 +61,21 @@ class Median(NamedTuple):
 
 
 def median(values: ArrayLike, seed: int = 0) -> Median:
-    """Returns the median of values that are independent of each other.
+    """Returns the median of independent values.
 
     Raises:
         ValueError: there are no values.
     """
     values = np.asarray(values, dtype=float)
     if not len(values):
-        raise ValueError("no values have no median")
+        raise ValueError("no values: their median is undefined")
     rng = np.random.default_rng(seed)
     found = np.median(rng.choice(values, (RESAMPLES, len(values))), axis=1)
     return Median(float(np.median(values)), *(float(v) for v in np.percentile(found, (2.5, 97.5))))
 
 
 class Difference(NamedTuple):
-    """How much more one thing has than another, tried on the same cases, and its 95 % bootstrap interval."""
+    """The difference of two statistics over the same cases, with its bootstrap interval."""
 
     value: float
     low: float
@@ -80,7 +83,7 @@ class Difference(NamedTuple):
 
     @property
     def is_clear(self) -> bool:
-        """Whether the interval leaves out zero."""
+        """Whether zero lies outside the interval."""
         return self.low > 0.0 or self.high < 0.0
 
     def __str__(self) -> str:
@@ -88,7 +91,7 @@ class Difference(NamedTuple):
         return format(self, ".1f")
 
     def __format__(self, precision: str) -> str:
-        """Returns difference and interval with their signs, each written with the precision, as `.2f`."""
+        """Returns difference and interval with their signs, each in the format given, such as `.2f`."""
         value, low, high = (format(v, f"+{precision or '.1f'}") for v in self)
         return f"{value} ({low} to {high})"
 
@@ -96,23 +99,24 @@ class Difference(NamedTuple):
 def paired_difference(
     one: ArrayLike, other: ArrayLike, statistic: Callable[..., np.ndarray] = np.mean, seed: int = 0
 ) -> Difference:
-    """Returns a statistic of one thing's values less that of the other's.
+    """Returns the statistic of `one` less that of `other`.
 
-    Whole cases are drawn anew, so that what is common to both, as how hard a case is, does not widen the interval.
+    The bootstrap draws whole cases, so that what is common to both, such as the difficulty of a case, does not widen
+    the interval.
 
     Args:
-        one: its value in each case, shape (n,).
-        other: the other thing's in the same cases, shape (n,).
+        one: a value for each case, shape (n,).
+        other: likewise for the same cases, shape (n,).
         statistic: numpy's mean or median.
         seed: of the bootstrap.
 
     Raises:
-        ValueError: there are no cases, or not as many of the one as of the other.
+        ValueError: no cases, or different numbers of values.
     """
     pairs = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     n = len(pairs[0])
     if not n or len(pairs[1]) != n:
-        raise ValueError(f"{n} values and {len(pairs[1])} make no pairs")
+        raise ValueError(f"{n} and {len(pairs[1])} values are not pairs")
     drawn = np.random.default_rng(seed).integers(0, n, (RESAMPLES, n))
     a, b = (statistic(values[drawn], axis=1) for values in pairs)
     value = float(statistic(pairs[0]) - statistic(pairs[1]))

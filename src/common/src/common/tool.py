@@ -1,7 +1,6 @@
-"""The tool on the arm's flange, as the parameters under `kuka/` describe it, for all who read them.
+"""The tool on the arm's flange, as the parameters under `kuka/` describe it.
 
-Most tools are a length along the flange's z axis. A tool that is turned, or stands beside that axis, is given as a
-whole pose instead.
+Most tools are a length along the flange's z axis. A rotated or offset tool is given as a whole pose instead.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from common.config import flag, number, vector
 from common.poses import check_pose, read_only, translation
 
 MAX_TOOL_M = 1.0
-"""A tool point farther from the flange is taken for a mix-up of millimetres and metres."""
+"""A tool point farther from the flange is probably given in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -31,22 +30,25 @@ class ToolConfig:
     )
 
     def tool_faults(self) -> list[str]:
-        """Returns what is wrong with tool_transform if it is used, one sentence each."""
+        """Returns the faults of tool_transform if it is used, one sentence each."""
         if not self.use_tool_transform:
             return []
         try:
             T = check_pose(self.tool_transform.reshape(4, 4))
         except ValueError as error:
             return [
-                f"tool_transform is not the pose of a tool: {error}; it needs a rotation without scale or mirror, "
-                "written with at least seven digits, and a position."
+                f"tool_transform is not a pose: {error}; give a rotation without scale or reflection, with at least "
+                "seven digits, and a position in m."
             ]
         if np.linalg.norm(T[:3, 3]) > MAX_TOOL_M:
-            return [f"tool_transform has its tool point at {T[:3, 3].tolist()} m; are these millimetres?"]
+            return [
+                f"tool_transform has its tool point at {T[:3, 3].tolist()} m, farther than {MAX_TOOL_M:g} m from the "
+                "flange; give metres."
+            ]
         return []
 
     def faults(self) -> list[str]:
-        """Returns what no single parameter can be blamed for, one sentence each."""
+        """Returns the faults that no single parameter can show, one sentence each."""
         return self.tool_faults()
 
     @cached_property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.config import integer, number, vector
-from common.mounting import EVEN, Directions, directions, mounting_field
+from common.mounting import EVEN, MountingFrame, mounting_field, mounting_frame
 from common.tool import ToolConfig
 
 
@@ -62,14 +62,14 @@ class ArmConfig(ToolConfig):
         return faults
 
     @property
-    def bearings(self) -> Directions:
-        """Which way is up and ahead, after the arm's mounting."""
-        return directions(self.center_line, self.mounting)
+    def mounting_frame(self) -> MountingFrame:
+        """The operator's directions in the base frame."""
+        return mounting_frame(self.center_line, self.mounting)
 
     @property
     def hangs(self) -> bool:
         """Whether z_upper_limit, and not z_lower_limit, is the lower one in the world."""
-        return bool(self.bearings.up[2] < -EVEN)
+        return bool(self.mounting_frame.up[2] < -EVEN)
 
     @property
     def depth(self) -> float:

@@ -102,7 +102,7 @@ class Teleop:
     """
 
     def __init__(self, leap: LeapConfig, arm: ArmConfig) -> None:
-        self._bearings = arm.bearings
+        self._mounting = arm.mounting_frame
         self._ws_center = arm.ws_center
         self._limits = Attitude(*np.radians([leap.run_tol_yaw, leap.run_tol_pitch, leap.run_tol_roll]).tolist())
         self.box: Box = interaction_box(leap, arm)
@@ -114,7 +114,7 @@ class Teleop:
         self._gate = StartGate(leap, self.box)
         self._hand: HandSample | None = None
         self._reason = NO_FRAMES
-        self._hold = ToolHold(self._bearings.up)
+        self._hold = ToolHold(self._mounting.up)
         self._hand_over: HandOver | None = None
         self._turn(0.0)
 
@@ -217,7 +217,7 @@ class Teleop:
         """Turns the virtual Leap so that the heading psi [rad] points ahead."""
         self._heading = psi
         height = float(self.box.center[1])
-        self._T_base_virtual = read_only(virtual_leap_pose(self._bearings, self._ws_center, height, psi))
+        self._T_base_virtual = read_only(virtual_leap_pose(self._mounting, self._ws_center, height, psi))
 
     def _take_over(self, mean: MeanHand, now: float) -> None:
         """Lets the hand go on from where the tool is held, if it is."""
@@ -225,7 +225,7 @@ class Teleop:
         if T_base_held is None:
             return
         T_virtual_tool, _, _ = self._tool(mean)
-        R_virtual_level = tool_rotation(Attitude(0.0, 0.0, 0.0), self._heading, self._bearings.turned)
+        R_virtual_level = tool_rotation(Attitude(0.0, 0.0, 0.0), self._heading, self._mounting.tool_reversed)
         self._hand_over = hand_over(T_base_held, self._T_base_virtual, T_virtual_tool, R_virtual_level, now)
         self._T_base_virtual = self._hand_over.T_base_virtual
 
@@ -242,7 +242,7 @@ class Teleop:
         """
         measured = attitude(mean.T_leap_hand[:3, :3], self._heading)
         clipped = measured.clipped(self._limits)
-        R_virtual_tool = tool_rotation(clipped, self._heading, self._bearings.turned)
+        R_virtual_tool = tool_rotation(clipped, self._heading, self._mounting.tool_reversed)
         return pose(R_virtual_tool, mean.palm), measured, clipped
 
     def _result(self, usable: bool, now: float) -> TeleopResult:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import check_pose, pose, read_only
-from common.rotations import rotation_about, share_of_rotation
+from common.rotations import rotation_about, scaled_rotation
 
 NONE, HELD, TAKEN = "none", "held", "taken"
 """No hold; the tool is held for a hand; a hand has taken it over."""
@@ -142,7 +142,7 @@ class HandOver:
         """Returns the attitude of the tool, shape (3, 3), where the hand alone would ask for the given one."""
         s = min(max((now - self.start) / FADE_S, 0.0), 1.0)
         share = 1.0 - s * s * (3.0 - 2.0 * s)
-        return R_virtual_tool @ share_of_rotation(self.R_rest, share)
+        return R_virtual_tool @ scaled_rotation(self.R_rest, share)
 
 
 def hand_over(

@@ -69,7 +69,7 @@ def test_detections_tf_and_drawing(ros, pictures, tags, wait_until):
 
     from apriltag_ros.msg import AprilTagDetectionArray
     from common.ros.conversions import pose_from_transform
-    from common.ros.images import picture_from_image
+    from common.ros.images import array_from_image
 
     arrays = ros.record("tag_detections", AprilTagDetectionArray)
     transforms = ros.record("tf", TFMessage)
@@ -87,7 +87,7 @@ def test_detections_tf_and_drawing(ros, pictures, tags, wait_until):
     (transform,) = transforms.wait(1)[-1].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("camera_optical", "tag_frame")
     np.testing.assert_allclose(pose_from_transform(transform.transform), TRUTH, atol=0.02)
-    drawing = picture_from_image(drawings.wait(1)[-1])
+    drawing = array_from_image(drawings.wait(1)[-1])
     assert np.any(np.all(drawing == (0, 0, 255), axis=2)), "no red edge"
 
 

@@ -171,11 +171,11 @@ def test_faults_are_switched_at_its_control_port(world, start, ros, wait_until):
 def test_garbled_pictures_are_refused_by_who_reads_them(world, start, ros, wait_until):
     from sensor_msgs.msg import Image
 
-    from common.ros.images import picture_from_image
+    from common.ros.images import array_from_image
 
     def is_whole(message) -> bool:
         try:
-            return picture_from_image(message).shape[:2] == (120, 160)
+            return array_from_image(message).shape[:2] == (120, 160)
         except ValueError:
             return False
 

@@ -1,4 +1,4 @@
-"""Between ROS messages and arrays; bad numbers are refused here, at the border."""
+"""Between ROS messages and arrays; invalid numbers are refused here."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def stamped_pose(T: np.ndarray, frame: str, stamp: rospy.Time) -> PoseStamped:
 
 
 def pose_in(frame: str, message: PoseStamped) -> np.ndarray:
-    """Returns the pose, shape (4, 4), of a message that has to stand in `frame`.
+    """Returns the pose, shape (4, 4), of a message that must be in `frame`.
 
     Raises:
-        ValueError: it stands in another frame, a number is not finite, or the quaternion is not a unit quaternion.
+        ValueError: it is in another frame, a number is not finite, or the quaternion is not a unit quaternion.
     """
     if message.header.frame_id.lstrip("/") != frame:
         raise ValueError(f"its frame is {message.header.frame_id!r} instead of {frame}")

@@ -1,4 +1,4 @@
-"""What a node counts and what state it is in, on /diagnostics."""
+"""State and counters of a node on /diagnostics."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ PERIOD_S = 0.5
 
 
 class Diagnostics:
-    """Publishes a node's state and counters on /diagnostics twice a second, and once more when it ends.
+    """Publishes a node's state and counters on /diagnostics twice a second.
 
     Args:
         name: name of the status, such as "kuka_control".
-        read: returns (level, message, values): a DiagnosticStatus level, one sentence, and what was counted.
+        read: returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters.
     """
 
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]]) -> None:
@@ -28,7 +28,7 @@ class Diagnostics:
         rospy.on_shutdown(self._stop.set)
 
     def publish(self) -> None:
-        """Publishes the present state at once."""
+        """Publishes the present state."""
         level, message, values = self._read()
         status = DiagnosticStatus(level=level, name=self._name, message=message)
         status.values = [KeyValue(key, str(value)) for key, value in values.items()]

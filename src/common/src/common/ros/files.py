@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, whatever happens meanwhile."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def write_bytes_whole(path: Path, content: bytes) -> None:
-    """Writes a file in place of the one before, which stays as it is if that fails; makes its folder.
+    """Replaces a file, which stays as it is if that fails; makes its folder.
 
-    A process that dies meanwhile leaves a file behind whose name is a dot, the file's name, and eight characters.
+    A process that is killed meanwhile leaves a file named by a dot, the file's name, and eight characters.
 
     Raises:
-        OSError: it cannot be written, as on a full disk.
+        OSError: the file cannot be written, for example on a full disk.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}", dir=str(path.parent))

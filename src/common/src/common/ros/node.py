@@ -1,4 +1,4 @@
-"""The life of a node: start, run, and end with one sentence instead of a traceback."""
+"""The life of a node: start, run, and exit with one sentence instead of a traceback."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CLOCK_POLL_S = 0.05
 
 
 def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
-    """Starts the node `name`, runs `main` to its end and exits the process.
+    """Starts the node `name`, runs `main` and exits the process.
 
     The exit code is 0 when main returns or ROS shuts down, 1 after a RigError: its sentence goes to the log and to the
     standard error stream. Any other exception is a defect of the program and keeps its traceback.
@@ -28,9 +28,8 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     Args:
         name: of the node.
         main: what it does.
-        disposable: the process leaves as soon as ROS has shut down and what was given to rospy.on_shutdown is done,
-            wherever main is, and without taking the interpreter's objects apart. For nodes with torch: both take
-            seconds, and many times that where other programs come first.
+        disposable: the process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done,
+            wherever main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
     """
     try:
         rospy.init_node(name)
@@ -65,10 +64,10 @@ def _code_of(main: Callable[[], None]) -> int:
 
 
 def _leave(code: int) -> None:
-    """Ends the process here and now."""
+    """Exits the process immediately."""
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+        with contextlib.suppress(OSError, ValueError):  # the reader is gone
             stream.flush()
     os._exit(code)
 
@@ -77,7 +76,7 @@ def _wait_for_clock() -> None:
     """Waits until ROS time is known.
 
     Raises:
-        RigError: time is simulated, and nobody tells it.
+        RigError: time is simulated, and nobody publishes it.
         rospy.ROSInterruptException: ROS shut down while waiting.
     """
     deadline = time.monotonic() + CLOCK_S
@@ -95,11 +94,11 @@ def _wait_for_clock() -> None:
 def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands.
 
-    Its handler closes the topics in the main thread. If that was just publishing, it holds the lock of a topic's queue,
-    and the handler waits for that lock for ever: the node neither ends nor goes on.
+    rospy's handler closes the topics in the main thread. If that thread is publishing, it holds the lock of a topic's
+    queue, and the handler waits for this lock for ever: the node neither exits nor continues.
 
     Args:
-        leave: end the process afterwards.
+        leave: exit the process afterwards.
     """
 
     def shut_down(reason: str) -> None:
@@ -120,7 +119,7 @@ def _shut_down_beside_the_main_thread(leave: bool) -> None:
 
 @contextlib.contextmanager
 def while_running() -> Iterator[None]:
-    """For callbacks: a message that is published while ROS shuts down meets a closed topic, which is no fault."""
+    """For callbacks: ignores that a topic is closed because ROS shuts down."""
     try:
         yield
     except rospy.ROSException:

@@ -1,4 +1,4 @@
-"""Which nodes of the graph really run: the master still knows those that were killed."""
+"""Which nodes of the graph run: the master still lists those that were killed."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ ANSWER_S = 3.0
 
 
 def listens(uri: str) -> bool:
-    """Returns whether somebody listens at an address such as the master tells of a node, `http://host:port/`."""
+    """Returns whether somebody listens at a node's address, `http://host:port/`."""
     try:
         address = urlparse(uri)
         with socket.create_connection((address.hostname, address.port), ANSWER_S):
             return True
-    except (OSError, TypeError, ValueError):  # nobody there, no address, no port
+    except (OSError, TypeError, ValueError):  # no listener, no address, no port
         return False

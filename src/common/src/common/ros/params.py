@@ -14,16 +14,16 @@ from common.errors import ConfigError
 
 POLL_S = 0.2
 UPLOAD_S = 1.0
-"""A launch file has uploaded a yaml so long after its first key [s]."""
+"""A launch file uploads a yaml in this time after its first key [s]."""
 
 FEW = 3
-"""More missing keys than these are no slip in a file: the file was not loaded."""
+"""More missing keys than this: the file was not loaded at all."""
 
 REMIND_S = 5.0
 
 
 def private_values() -> dict[str, Any]:
-    """Returns what the node was given as private parameters."""
+    """Returns the private parameters of the node."""
     return rospy.get_param("~", {})
 
 
@@ -31,7 +31,7 @@ def private_config(schema: type[Schema], section: str = "", others: Iterable[str
     """Returns the node's private parameters, or those of one section.
 
     Args:
-        schema: a frozen dataclass of common.config; a key that nobody gave has its value `absent`.
+        schema: a frozen dataclass of common.config; a missing key has its value `absent`.
         section: the parameters ~section/...; empty: those of the node itself.
         others: keys that may stand beside the schema's own.
 
@@ -43,7 +43,7 @@ def private_config(schema: type[Schema], section: str = "", others: Iterable[str
 
 
 def wait_for_param(name: str):
-    """Returns the parameter `name` once it is there; says what it waits for.
+    """Returns the parameter `name`; waits for it and reports that.
 
     Raises:
         rospy.ROSInterruptException: ROS shut down while waiting.
@@ -62,40 +62,40 @@ def wait_for_param(name: str):
 def wait_for_config(
     schema: type[Schema], namespace: str, others: Iterable[str] = (), patience: float = UPLOAD_S
 ) -> Schema:
-    """Returns the configuration under `namespace` once its parameters are there; says so while it waits.
+    """Returns the configuration under `namespace`; waits for its parameters and reports that.
 
-    A launch file uploads a yaml key by key, so it waits until the last key of the schema has come.
+    A launch file uploads a yaml key by key: this waits until the last key of the schema is there.
 
     Args:
         schema: a frozen dataclass of common.config.
         namespace: of the parameters.
         others: keys that may stand beside the schema's own.
-        patience: how long it waits at most after the first key has come [s].
+        patience: longest wait after the first key [s].
 
     Raises:
-        ConfigError: the values are missing, unknown or out of range.
+        ConfigError: values are missing, unknown or out of range.
         rospy.ROSInterruptException: ROS shut down while waiting.
     """
     wait_for_param(namespace)
     names = [f.name for f in dataclasses.fields(schema)]
-    values = _all_uploaded(namespace, names, min(patience, UPLOAD_S))
+    values = _uploaded(namespace, names, min(patience, UPLOAD_S))
     missing = _missing(values, required(schema))
     if missing and patience > UPLOAD_S:
         rospy.logwarn("Waiting for parameters under %s/: %s.", rospy.resolve_name(namespace), ", ".join(missing))
-        values = _all_uploaded(namespace, required(schema), patience - UPLOAD_S)
+        values = _uploaded(namespace, required(schema), patience - UPLOAD_S)
         missing = _missing(values, required(schema))
     if len(missing) > FEW:
         raise ConfigError([
-            f"{namespace}/ holds no complete set of parameters, but only {', '.join(sorted(values)) or 'none'}; "
-            f"{len(missing)} are missing: {', '.join(missing)}."
+            f"{namespace}/ has only the parameters {', '.join(sorted(values)) or 'none'}; {len(missing)} are missing: "
+            f"{', '.join(missing)}. Load the parameter file of this node."
         ])  # fmt: skip
     config = parse(schema, values, prefix=f"{namespace}/", others=others)
     rospy.loginfo("%s: %s", namespace, ", ".join(f"{n}={getattr(config, n)}" for n in names))
     return config
 
 
-def _all_uploaded(namespace: str, names: Iterable[str], seconds: float):
-    """Returns what is under `namespace` once all the names are there, at the latest after so many seconds."""
+def _uploaded(namespace: str, names: Iterable[str], seconds: float):
+    """Returns the value of `namespace` once it has all the names, at the latest after `seconds`."""
     deadline = time.monotonic() + seconds
     values = rospy.get_param(namespace)
     while time.monotonic() < deadline and _missing(values, names):
@@ -107,5 +107,5 @@ def _all_uploaded(namespace: str, names: Iterable[str], seconds: float):
 
 
 def _missing(values, names: Iterable[str]) -> list[str]:
-    """Returns the names without a value; none where the namespace is a value of its own, which is another fault."""
+    """Returns the names without a value; a namespace that is a single value is a fault of another kind."""
     return [name for name in names if name not in values] if isinstance(values, dict) else []

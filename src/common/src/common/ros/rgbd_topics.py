@@ -1,7 +1,7 @@
 """The topics of an RGB-D camera, named as openni2_camera names them, in the node's namespace.
 
 `rgb/image_raw` (rgb8); `depth/image_raw` (16UC1, mm, 0 = none) and `depth/image` (32FC1, m, NaN = none);
-`depth_registered/image_raw` (16UC1, in the colour camera's pixels); `camera_info` beside each of the three pictures.
+`depth_registered/image_raw` (16UC1, in the colour camera's pixels); `camera_info` beside each of the three images.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ FRAMES = {"rgb": RGB_OPTICAL, "depth": DEPTH_OPTICAL, "depth_registered": RGB_OP
 
 
 class RgbdTopics:
-    """Publishes pictures, each only while somebody listens.
+    """Publishes images, each only while it has subscribers.
 
     Args:
         rgb, depth: intrinsics of the two cameras.
-        outgoing: what each message of a picture becomes on its way out.
+        outgoing: applied to each image message before it is published.
     """
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, outgoing: Outgoing = lambda message: message) -> None:
@@ -40,27 +40,27 @@ class RgbdTopics:
         }
 
     def wanted(self, name: str) -> bool:
-        """Returns whether somebody takes the pictures of rgb, depth or depth_registered."""
+        """Returns whether rgb, depth or depth_registered has subscribers."""
         metric = name == "depth" and self._metric.get_num_connections() > 0
         return metric or self._raw[name].get_num_connections() > 0
 
-    def publish(self, name: str, picture: np.ndarray, stamp: rospy.Time) -> None:
-        """Publishes a picture: uint8 with three channels, red first, for rgb, else uint16 [mm]."""
+    def publish(self, name: str, image: np.ndarray, stamp: rospy.Time) -> None:
+        """Publishes an image: uint8 with three channels, red first, for rgb, else uint16 [mm]."""
         encoding = "rgb8" if name == "rgb" else "16UC1"
         if self._raw[name].get_num_connections():
-            self._raw[name].publish(self._outgoing(image_message(picture, encoding, FRAMES[name], stamp)))
+            self._raw[name].publish(self._outgoing(image_message(image, encoding, FRAMES[name], stamp)))
         if name == "depth" and self._metric.get_num_connections():
-            metric = image_message(metres_from_millimetres(picture), "32FC1", DEPTH_OPTICAL, stamp)
+            metric = image_message(metres_from_millimetres(image), "32FC1", DEPTH_OPTICAL, stamp)
             self._metric.publish(self._outgoing(metric))
 
     def publish_info(self, name: str, stamp: rospy.Time) -> None:
-        """Publishes the camera's description, with the stamp of the picture that it belongs to."""
+        """Publishes the camera_info of the image with this stamp."""
         info = copy.copy(self._templates[name])
         info.header = copy.copy(info.header)
         info.header.stamp = stamp
         self._infos[name].publish(info)
 
     def close(self) -> None:
-        """Takes the topics back."""
+        """Unregisters the topics."""
         for publisher in (*self._raw.values(), self._metric, *self._infos.values()):
             publisher.unregister()

@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 from common.config import parse, required, vector
 from common.errors import DeviceError
 from common.frames import BASE
-from common.mounting import directions, mounting_field
+from common.mounting import mounting_field, mounting_frame
 from common.ros.conversions import stamped_pose
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
@@ -58,7 +58,7 @@ class ExecutionNode:
         self, config: ExecutionConfig, watch: GraspWatchConfig, tool: ToolPoseConfig, arm: ExecutionArmConfig
     ) -> None:
         self._config, self._tool = config, tool
-        self._home = directions(arm.center_line, arm.mounting)
+        self._home = mounting_frame(arm.center_line, arm.mounting)
         self._execution = Execution(config, watch, self._home.up)
         self._lock = threading.Lock()
         self._asking = threading.Lock()

@@ -22,7 +22,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from common.camera_model import CameraModel
 from common.errors import RigError
 from common.ros.conversions import pose_from_message
-from common.ros.images import camera_model_from_info, depth_from_image, picture_from_image
+from common.ros.images import array_from_image, camera_model_from_info, depth_from_image
 from common.ros.node import run
 from grasp_msgs.msg import GraspList
 from grasping.pipeline import drawing
@@ -53,7 +53,7 @@ class NodeOutput:
                 stamp = found.header.stamp
                 if found.grasps and stamp in self._depth and stamp in self._heat:
                     with contextlib.suppress(ValueError):  # a torn image; others follow
-                        return found, depth_from_image(self._depth[stamp]), picture_from_image(self._heat[stamp])
+                        return found, depth_from_image(self._depth[stamp]), array_from_image(self._heat[stamp])
         return None
 
     def _keep(self, message: Image, into: dict) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import rospy
 
 from common.frames import BASE
-from common.mounting import directions
+from common.mounting import mounting_frame
 from common.ros.conversions import stamped_pose
 from common.ros.service_calls import ServiceFailed, call
 from grasping.pipeline.pipeline import GraspProposal
@@ -80,7 +80,7 @@ class ReachClient:
         """Returns what the controller says, None if it does not answer."""
         try:
             line, mounting = rospy.get_param("kuka/center_line", AHEAD), rospy.get_param("kuka/mounting", UPRIGHT)
-            home = directions(line, mounting)
+            home = mounting_frame(line, mounting)
             T = tool_pose(T_base_grasp, self._tool, home.R_base_tool, home.up)
         except (TypeError, ValueError) as error:
             return Reachability(False, str(error), True)

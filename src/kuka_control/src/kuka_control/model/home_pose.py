@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.errors import RigError
-from common.mounting import Directions, directions
+from common.mounting import MountingFrame, mounting_frame
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about
 from iiwa_kinematics import Kinematics
@@ -56,27 +56,27 @@ class Home:
     centre: np.ndarray
 
 
-def home_pose(kinematics: Kinematics, workspace: Workspace, bearings: Directions | None = None) -> Home:
+def home_pose(kinematics: Kinematics, workspace: Workspace, mounting: MountingFrame | None = None) -> Home:
     """Returns the home position above the workspace's center_line.
 
     Args:
         kinematics: of the arm with its tool.
         workspace: of the tool.
-        bearings: which way is down and ahead; None: the arm stands upright.
+        mounting: the operator's directions; None: the arm stands upright.
 
     Raises:
         HomeError: the workspace centre is out of reach or a joint would be out of its range.
     """
-    bearings = directions(workspace.center_line) if bearings is None else bearings
+    mounting = mounting_frame(workspace.center_line) if mounting is None else mounting
     model, T_flange_tool = kinematics.model, kinematics.T_flange_tool
-    T_base_tool = pose(bearings.R_base_tool, workspace.centre)
+    T_base_tool = pose(mounting.R_base_tool, workspace.centre)
     T_base_flange = T_base_tool @ inverse(T_flange_tool)
     wrist = T_base_flange[:3, 3] - model.wrist_flange * T_base_flange[:3, 2]
     side = -1.0 if wrist[:2] @ workspace.center_line[:2] < 0.0 else 1.0  # a wrist behind the base axis counts as -out
     out, up = side * math.hypot(wrist[0], wrist[1]), wrist[2] - model.base_shoulder
     reach = math.hypot(out, up)
     upper_arm, forearm = model.shoulder_elbow, model.elbow_wrist
-    cause = _cause(up, T_flange_tool, bearings)
+    cause = _cause(up, T_flange_tool, mounting)
     if not abs(upper_arm - forearm) < reach <= upper_arm + forearm:
         raise HomeError(
             f"The home position is out of reach: with {_tool(T_flange_tool)} that points down to the workspace "
@@ -167,9 +167,9 @@ def _tool(T_flange_tool: np.ndarray) -> str:
     return f"a tool of {np.linalg.norm(T_flange_tool[:3, 3]):g} m"
 
 
-def _cause(up: float, T_flange_tool: np.ndarray, bearings: Directions) -> str:
+def _cause(up: float, T_flange_tool: np.ndarray, mounting: MountingFrame) -> str:
     """Returns what is probably wrong, as a part of a sentence; `up` is the height of wrist over shoulder [m]."""
-    if bearings.up[2] < UPRIGHT_COSINE:
+    if mounting.up[2] < UPRIGHT_COSINE:
         return (
             "an arm that is not mounted upright needs a workspace of its own: on a ceiling far from the base, "
             "on a wall with center_line down or sideways"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.mounting import Directions
+from common.mounting import MountingFrame
 from common.poses import pose, read_only
 from common.rotations import rotation_from_zyx
 from iiwa_kinematics import IkFailure, Kinematics
@@ -51,14 +51,14 @@ class ReachStudy:
         return 100.0 * float(np.mean(self.down & (self.share == 1.0)))
 
 
-def tool_attitude(bearings: Directions, yaw: float, pitch: float, roll: float) -> np.ndarray:
+def tool_attitude(mounting: MountingFrame, yaw: float, pitch: float, roll: float) -> np.ndarray:
     """Returns R_base_tool, shape (3, 3), for a hand's attitude [rad]; at zero that of the calculated home position."""
-    return bearings.turned_hand(bearings.R_base_hand @ rotation_from_zyx(yaw, pitch, roll))
+    return mounting.tool_from_hand(mounting.R_base_hand @ rotation_from_zyx(yaw, pitch, roll))
 
 
 def study_reach(
     kinematics: Kinematics,
-    bearings: Directions,
+    mounting: MountingFrame,
     q_home: np.ndarray,
     positions: np.ndarray,
     tolerances: tuple[float, float, float],
@@ -69,7 +69,7 @@ def study_reach(
 
     Args:
         kinematics: of the arm with its tool.
-        bearings: which way is down and ahead.
+        mounting: the operator's directions.
         q_home: joints that the search starts from, shape (7,) [rad].
         positions: of the tool, shape (n, 3) [m], n > 0.
         tolerances: greatest yaw, pitch and roll either way [rad].
@@ -82,7 +82,7 @@ def study_reach(
     if len(positions) < 1 or attitudes < 1:
         raise ValueError(f"a study needs positions and attitudes, not {len(positions)} and {attitudes}")
     limits = np.asarray(tolerances, dtype=float)
-    R_down = tool_attitude(bearings, 0.0, 0.0, 0.0)
+    R_down = tool_attitude(mounting, 0.0, 0.0, 0.0)
     down, share = [], []
     failures: Counter[IkFailure] = Counter()
     for position in positions:
@@ -91,6 +91,6 @@ def study_reach(
         if straight.failure is not None:
             failures[straight.failure] += 1
         drawn = random.uniform(-limits, limits, (attitudes, 3))
-        poses = (pose(tool_attitude(bearings, *angles), position) for angles in drawn)
+        poses = (pose(tool_attitude(mounting, *angles), position) for angles in drawn)
         share.append(np.mean([kinematics.inverse(T, q_seed=q_home).failure is None for T in poses]))
     return ReachStudy(read_only(positions), np.array(down), read_only(share), dict(failures))

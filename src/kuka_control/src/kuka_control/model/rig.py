@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.mounting import Directions, directions
+from common.mounting import MountingFrame, mounting_frame
 from common.poses import inverse
 from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, robot_model
 from kuka_control.model.calibration_file import DhDeviations
@@ -23,7 +23,7 @@ class Rig:
     Attributes:
         model: the arm.
         T_flange_tool: the tool, shape (4, 4) [m].
-        bearings: which way is up and ahead, after the arm's mounting.
+        mounting: the operator's directions in the base frame.
         kinematics: of the arm with its tool.
         workspace: of the tool point.
         home: the home position.
@@ -32,7 +32,7 @@ class Rig:
 
     model: RobotModel
     T_flange_tool: np.ndarray
-    bearings: Directions
+    mounting: MountingFrame
     kinematics: Kinematics
     workspace: Workspace
     home: Home
@@ -54,7 +54,7 @@ class Rig:
             raise ValueError(f"what {config.dh_parameters} says has to be read and handed in")
         model = robot_model(config.robot, config.flange)
         T_flange_tool = config.T_flange_tool
-        bearings = directions(config.center_line, config.mounting)
+        mounting = mounting_frame(config.center_line, config.mounting)
         deviations = None if dh is None else dh.parameters
         kinematics = kinematics_of(model, T_flange_tool, deviations, float(np.radians(config.elbow_preference)))
         workspace = Workspace(
@@ -69,9 +69,9 @@ class Rig:
         if config.use_home_pos:
             home = custom_home(kinematics, workspace, np.radians(config.home_pos))
         else:
-            home = home_pose(kinematics, workspace, bearings)
+            home = home_pose(kinematics, workspace, mounting)
         chain = TargetChain(home.centre, workspace, kinematics)
-        return cls(model, T_flange_tool, bearings, kinematics, workspace, home, chain)
+        return cls(model, T_flange_tool, mounting, kinematics, workspace, home, chain)
 
     def T_base_flange(self, T_base_tool: np.ndarray) -> np.ndarray:
         """Returns the flange, shape (4, 4) [m], of a tool frame."""

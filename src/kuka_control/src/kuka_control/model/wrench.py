@@ -8,7 +8,7 @@ import numpy as np
 from iiwa_kinematics import Kinematics
 
 RCOND = 0.02
-"""Directions in which the arm is so near to a singular pose that torques tell nothing about the wrench are left out."""
+"""Singular values of the Jacobian below this fraction of the greatest are ignored: there torques say nothing."""
 
 
 def wrench_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> None:
     random = np.random.default_rng(options.seed)
     positions = volume_samples(rig.workspace, options.samples, random)
     study = study_reach(
-        rig.kinematics, rig.bearings, rig.home.q, positions, np.radians(tolerances), options.attitudes, random
+        rig.kinematics, rig.mounting, rig.home.q, positions, np.radians(tolerances), options.attitudes, random
     )
     notes = workspace_report.sentences(config, rig, study, tolerances)
     print(workspace_report.title(config))

@@ -7,7 +7,7 @@ from typing import Any, Callable, Mapping, Sequence
 
 import numpy as np
 
-from common.statistics import median, share
+from common.statistics import median, proportion
 
 COLOURS = ("tab:gray", "tab:orange", "tab:green")
 
@@ -35,7 +35,7 @@ def draw(
         return found.value, found.low, found.high
 
     def near(errors: Sequence[float]) -> tuple[float, float, float]:
-        found = share(np.asarray(errors) < near_mm)
+        found = proportion(np.asarray(errors) < near_mm)
         return 100.0 * found.value, 100.0 * found.low, 100.0 * found.high
 
     _curve(left, learned, others, middle)

@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from common.config import parse
 from common.errors import RigError
-from common.statistics import share
+from common.statistics import proportion
 from grasping.lab.evaluation import heuristics, trials
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.scene import world_xml
@@ -160,7 +160,7 @@ def calibration(rows: list[dict], methods: Iterable[str]) -> str:
 
 
 def _cell(outcomes: list[bool]) -> str:
-    return str(share(outcomes)) if outcomes else "-"
+    return str(proportion(outcomes)) if outcomes else "-"
 
 
 def kept_rows(path: Path) -> list[dict]:

@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from common.errors import RigError
 from common.poses import inverse
-from common.statistics import median, paired_difference, share
+from common.statistics import median, paired_difference, proportion
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import own_grasp, pose_from_label
 from grasping.lab.evaluation import attitude, learning_curve
@@ -172,7 +172,7 @@ def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
         cells = []
         for statistic, value in measures.values():
             values = [value(r) for r in of[name].values()]
-            cells.append(str(median(values) if statistic is np.median else share(np.array(values) > 0.0)))
+            cells.append(str(median(values) if statistic is np.median else proportion(np.array(values) > 0.0)))
         lines.append(_line(name, *cells))
     lines += ["", _line("difference", *measures), _line(*["---"] * (1 + len(measures)))]
     for name in second:

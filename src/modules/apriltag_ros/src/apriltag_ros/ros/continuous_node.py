@@ -20,7 +20,7 @@ from apriltag_ros.ros.messages import detection_array
 from common.errors import ConfigError
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
-from common.ros.images import camera_model_from_info, image_message, picture_from_image
+from common.ros.images import array_from_image, camera_model_from_info, image_message
 from common.ros.node import run, while_running
 
 BUFFER_BYTES = 2**24
@@ -112,7 +112,7 @@ class ContinuousNode:
 
 def _grey(message: Image) -> np.ndarray:
     """Raises ValueError for a picture that cannot be made grey."""
-    picture = picture_from_image(message)
+    picture = array_from_image(message)
     if message.encoding in GREY:
         return cv2.cvtColor(picture, GREY[message.encoding])
     if picture.ndim == 2 and picture.dtype == np.uint8:

@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from common.errors import RigError
 from common.poses import check_pose
-from common.statistics import share
+from common.statistics import proportion
 from rig_simulation.world.lifting import lift
 
 SCHEMA = 1
@@ -97,7 +97,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     for method in dict.fromkeys(row["method"] for row in rows):
         own = [row for row in rows if row["method"] == method]
         cells = [[row["lifted"] for row in own if belongs(row)] for belongs in groups.values()]
-        lines.append(f"| {method} | {' | '.join(str(share(c)) if c else '-' for c in cells)} |")
+        lines.append(f"| {method} | {' | '.join(str(proportion(c)) if c else '-' for c in cells)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -17,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
 from common.ros.diagnostics import Diagnostics
-from common.ros.images import picture_from_image
+from common.ros.images import array_from_image
 from common.ros.params import private_config
 from vision.camera.stream_watch import Health, StreamWatch, WatchConfig
 
@@ -81,7 +81,7 @@ class WatchedStream:
 
     def _take_picture(self, message: Image) -> None:
         try:
-            picture = picture_from_image(message)
+            picture = array_from_image(message)
             if self._size not in (None, picture.shape[:2]):
                 raise ValueError(f"a picture of {message.width} x {message.height} is not of the size in camera_info")
         except ValueError as error:
