@@ -110,7 +110,7 @@ def test_heading_is_the_trackers_yaw():
 @pytest.mark.parametrize("center_line", [(1, -1, 0), (0, 1, 0), (0, -1, 0), (2, 0.5, 0), (-1, 0.2, 0), (-1, -1, 0)])
 @pytest.mark.parametrize("psi", [0.0, 0.6, -2.5])
 def test_a_level_hand_asks_for_the_rotation_of_the_home_tool_frame(center_line, psi):
-    """z down; x back to the base, or along the centre line where that points backwards (reference: behaviour, 1.5)."""
+    """z down; x back to the base, or along the centre line where that points backwards (docs/decisions/mounting.md)."""
     T = virtual_leap_pose(mounting_frame(center_line), (0.5, 0.0, 0.5), 0.45, psi)
     R = T[:3, :3] @ tool_rotation(attitude(hand(psi, 0.0, 0.0), psi), psi, turned=center_line[0] >= 0.0)
     check_rotation(R)

@@ -1,8 +1,8 @@
-"""The mean of the newest samples of one hand, and the gate that keeps single glitches out of it.
+"""The mean of the newest samples of one hand, without single outliers.
 
-A palm moves at most 20 mm from one frame to the next, or at most 2 m/s over longer gaps; beyond that a sample is a
-glitch of the tracker (reference: leap, 6.4) and is left out. So is a sample whose numbers are no hand. The mean stands
-still meanwhile. After a few left out in a row the hand counts as lost: what jumps and stays is not the same motion.
+A sample that moved more than 20 mm since the previous frame, or faster than 2 m/s over a longer gap, is an outlier of
+the tracker (docs/handbook/wire-protocols.md, "Tracker") and is skipped, like a sample with invalid numbers; the mean
+stays. After several skipped samples in a row the hand counts as lost: what jumps and stays is not the same motion.
 """
 
 from __future__ import annotations

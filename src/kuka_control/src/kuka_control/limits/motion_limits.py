@@ -39,9 +39,10 @@ ARM_S = 0.03
 """An arm with drives of 40 ms is about this far behind its goal [s]."""
 
 LEAD_RAD = (0.035, 0.065)
-"""The goal waits for an arm that falls behind more than that: slower from the first distance on, not further at the
-second [rad]. The servo law of the toolbox goes hardly faster for a goal that is further away (kst.md, 2.5), and an arm
-with such a way to make up for is too fast when its target slows down."""
+"""Lag of the arm [rad] from which on the goal slows down, and at which it waits.
+
+The toolbox's servo law hardly speeds up for a more distant goal (docs/handbook/wire-protocols.md, "Servo mode"), and an
+arm that has to make up such a lag is too fast when its target slows down."""
 
 LOOK_AHEAD_S = 0.005
 """The speed of the tool is taken over the way of this time [s]."""

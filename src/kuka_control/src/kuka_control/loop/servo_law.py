@@ -3,7 +3,7 @@
 Every millisecond the loop gives the drives a destination: measured joint + f(goal - measured joint). The published
 server has f(e) = sign(e) a (1 - exp(-(e/b)^2)), here called LTS; a build of its has f(e) = e. Under the LTS law small
 distances are worked off ever more slowly. Whoever sends measured joint + f^-1(wanted step) makes the destination the
-wanted one. (Source: kst.md, 2.5.)
+wanted one. (Source: docs/handbook/wire-protocols.md, "Servo mode".)
 
 The joints that are known here are some milliseconds old while the loop uses those of the moment. They are carried on at
 the speed that the goal had a moment ago. What remains is of second order: near the goal f is flat, so an error in them
