@@ -118,16 +118,17 @@ def ros_master(tmp_path_factory):
     port = free_port()
     uri = f"http://localhost:{port}"
     folder = tmp_path_factory.mktemp("ros")
-    os.environ.update(
-        ROS_MASTER_URI=uri, ROS_HOME=str(folder), ROS_LOG_DIR=str(folder / "log"), ROS_HOSTNAME="localhost"
-    )
-    starter = Processes(folder)
-    starter.start("roscore", "-p", str(port))
-    wait_until(lambda: _master_answers(uri), 30.0, "the ROS master")
-    rospy.init_node("test", anonymous=True, disable_signals=True)
-    yield uri
-    rospy.signal_shutdown("tests are over")
-    starter.end_all()
+    environment = {"ROS_MASTER_URI": uri, "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / "log")}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in {**environment, "ROS_HOSTNAME": "localhost"}.items():
+            patch.setenv(name, value)
+        starter = Processes(folder)
+        starter.start("roscore", "-p", str(port))
+        wait_until(lambda: _master_answers(uri), 30.0, "the ROS master")
+        rospy.init_node("test", anonymous=True, disable_signals=True)
+        yield uri
+        rospy.signal_shutdown("tests are over")
+        starter.end_all()
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ ALONE = {block.page: [] for block in BLOCKS if BESIDE_RIG not in block.marks}
 for block in BLOCKS:
     if block.page in ALONE:
         ALONE[block.page].append(block.text)
-USUAL_PORTS = (6437, 30001, 30011, 30021)
+USUAL_PORTS = (11311, 6437, 30001, 30011, 30021)
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,8 @@ class TestTerminal:
 
     def test_what_is_left_behind(self, terminal, monkeypatch):
         monkeypatch.setattr("tools.handbook.terminal.SOON_S", 1.0)
-        started = terminal(f"setsid sleep 1000 & trap 'exit 0' INT; {ON_AND_ON}")
+        until_it_runs = "until grep -q sleep /proc/$!/comm; do sleep 0.1; done"
+        started = terminal(f"setsid sleep 1000 & {until_it_runs}; trap 'exit 0' INT; {ON_AND_ON}")
         assert started.start() == ""
         assert started.interrupt() == "left behind: sleep 1000"
 

@@ -171,7 +171,7 @@ def main() -> None:
         environment = {
             **home,
             "DISPLAY": display,
-            "ROS_MASTER_URI": os.environ.get("ROS_MASTER_URI", "http://localhost:11311"),
+            "ROS_MASTER_URI": "http://localhost:11311",
             "ROS_HOSTNAME": "localhost",
             "ROS_LOG_DIR": str(folder / "log"),
         }

@@ -12,7 +12,7 @@ sys.path.append(str(Path(__file__).parent))
 
 @pytest.fixture(scope="module")
 def whole_rig(ros_master, tmp_path_factory, pytestconfig):
-    """The rig as demo.launch starts it, without a screen, on ports of its own."""
+    """The rig of rig_under_test.launch, on ports of its own."""
     from rig_under_test import RigUnderTest
 
     shared = pytestconfig.pluginmanager.get_plugin(str(pytestconfig.rootpath / "conftest.py"))

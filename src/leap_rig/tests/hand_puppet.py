@@ -21,9 +21,11 @@ from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.devices.leap.sensing import ReportedHand
 from rig_simulation.devices.leap.server import LeapService
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
-from rig_simulation.operator.sources import PERIOD_S
 
 HOST = "127.0.0.1"
+
+PERIOD_S = 1.0 / 50.0
+"""Half the tracker's frame rate, to leave the processor time for other things."""
 
 BOX_CENTRE_MM = np.array([0.0, 350.0, 0.0])
 """Centre of the interaction box with the parameters as shipped, in Leap axes."""

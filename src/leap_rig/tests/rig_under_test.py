@@ -30,7 +30,7 @@ CONTROLLER, DRIVER, TELEOP = "kuka_real_time_node", "leap_driver", "leap_kuka_no
 PROGRAMS = {
     CONTROLLER: ("kuka_control", "real_time_controller.py"),
     DRIVER: ("leap_motion", "leap_driver.py"),
-    TELEOP: ("leap_kuka", "leap_kuka_node.py"),
+    TELEOP: ("leap_rig", "patient_leap_kuka_node.py"),
 }
 START_S, MOVE_S, SOON_S = 60.0, 15.0, 5.0
 """Longest waits [s]: for the rig to start, for a motion, for a message."""
@@ -40,7 +40,7 @@ STANDING = 2e-3
 
 
 class RigUnderTest:
-    """One rig. The hand is the test's own, on the simulated Leap service; everything else comes from demo.launch.
+    """One rig. The hand is the test's own, on the simulated Leap service; the rest is in rig_under_test.launch.
 
     Attributes:
         hand: what the simulated Leap service shows.
@@ -84,18 +84,14 @@ class RigUnderTest:
         ]
         robot, hand = self._shared.free_port(), self._shared.free_port()
         arguments = {
-            **{"rviz": "false", "gui": "false", "auto_start": "false"},
             **{"robot_port": self._shared.free_port(), "robot_control_port": robot},
             **{"hand_port": self._shared.free_port(socket.SOCK_DGRAM), "hand_control_port": hand},
-            # The rig's own Leap service stands aside on other ports: driver and operator are to find the test's.
-            **{"leap_port": ready[1], "leap_control_port": ready[2]},
-            "leap_args": "--port 0 --control-port 0",
-            # The arm moves through free space here; what it touches is tested with the world's own tests.
-            "world": "false",
+            "leap_port": ready[1],
         }
         self._launch = self._processes.start(
-            "roslaunch", "--wait", "leap_rig", "demo.launch", *(f"{k}:={v}" for k, v in arguments.items())
-        )
+            "roslaunch", "--wait", str(Path(__file__).with_name("rig_under_test.launch")),
+            *(f"{k}:={v}" for k, v in arguments.items()),
+        )  # fmt: skip
         self.arm = ArmTrace("127.0.0.1", robot)
         self.robot_hand = ControlClient("127.0.0.1", hand)
         self.wait(lambda: self.mode == "home", "the arm at home", START_S)
@@ -206,11 +202,6 @@ class RigUnderTest:
         until = self.arm.now.time + seconds
         self.wait(lambda: self.arm.now.time >= until, f"{seconds} s on the arm's clock", seconds + SOON_S)
 
-    @property
-    def stream_broke(self) -> bool:
-        """Whether a stream ended because frames came too late, as on a machine that is too busy."""
-        return any(state == "waiting" and ("no tracking frame" in why or "jumped" in why) for state, why in self.stream)
-
     def wait_for_mode(self, *modes: str) -> None:
         """Waits until the controller is in one of these modes."""
         self.wait(lambda: self.mode in modes, f"mode {' or '.join(modes)} instead of {self.mode}", MOVE_S)
@@ -279,7 +270,7 @@ class RigUnderTest:
 
     @property
     def log(self) -> str:
-        """What demo.launch and the nodes that were started later printed so far."""
+        """What the launch file and the nodes that were started later printed so far."""
         return "".join(path.read_text(errors="replace") for path in sorted(self._launch.log_path.parent.glob("*.log")))
 
     def _take_mode(self, message: String) -> None:

@@ -13,7 +13,12 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.rig]
+pytestmark = [pytest.mark.ros, pytest.mark.rig, pytest.mark.timeout(400)]
+
+WITHOUT_WORLD = {"world": "false"}
+"""For tests in which nothing is touched: physics takes much of a small machine."""
+EASY = {"overrides": str(Path(__file__).with_name("rig_under_test.yaml"))}
+"""Lower rates and longer time-outs for the scenarios, which need physics and camera."""
 
 
 @pytest.fixture
@@ -61,60 +66,20 @@ def descendants(pid: int) -> set[int]:
     return found
 
 
-@pytest.mark.timeout(300)
-def test_a_scripted_hand_moves_arm_and_hand_and_nothing_is_left_behind(demo, wait_until):
-    process = demo("--duration", "15")
-    wait_until(lambda: len(descendants(process.pid)) > 12, 60.0, "the nodes")
-    nodes = descendants(process.pid)
-    assert process.wait(200) == 0, process.log_path.read_text()
-    summary = json.loads(process.report.read_text())
-    assert summary["faults"] == [] and summary["nodes_died"] == []
-    assert summary["servo_goals_sent"] > 500 and summary["frames_received"] > 500
-    assert len(summary["streams"]) >= 1 and summary["safety_stops"] == 0
-    assert summary["tracking_error"]["commanded"]["rms_mm"] < 50.0
-    assert max(summary["hand_travel_rad"]) > 0.5
-    assert summary["delay_ms"]["frame received to goal on the arm's wire"]["samples"] > 300
-    wait_until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes), 20.0, "the end of all nodes")
-
-
-@pytest.mark.timeout(300)
-def test_with_control_off_arm_and_hand_stand_still_and_the_demo_says_so(demo):
-    process = demo("--duration", "6", auto_start="false")
-    assert process.wait(200) == 1, process.log_path.read_text()
-    faults = json.loads(process.report.read_text())["faults"]
-    assert faults == ["The arm never followed a hand.", "The robot hand never moved."]
-
-
-@pytest.mark.timeout(300)
-def test_a_dead_node_is_named(demo, wait_until):
-    process = demo()
-
-    def driver():
-        for pid in descendants(process.pid):
-            try:
-                with open(f"/proc/{pid}/cmdline") as file:
-                    if "leap_driver.py" in file.read():
-                        return pid
-            except OSError:
-                continue
-        return None
-
+def test_with_control_off_nothing_moves_and_a_dead_node_is_named(demo, wait_until):
+    process = demo(auto_start="false", **WITHOUT_WORLD)
     wait_until(lambda: " s | arm " in process.log_path.read_text(), 90.0, "the arm at home")
-    os.kill(driver(), signal.SIGKILL)
+    (driver,) = (pid for pid in descendants(process.pid) if "leap_driver.py" in command_line(pid))
+    os.kill(driver, signal.SIGKILL)
     assert process.wait(100) == 1, process.log_path.read_text()
-    assert "leap_driver ended" in " ".join(json.loads(process.report.read_text())["faults"])
+    *dead, follows, moves = json.loads(process.report.read_text())["faults"]
+    assert "leap_driver" in " ".join(dead) and "arm never followed" in follows and "hand never moved" in moves
 
 
-@pytest.mark.timeout(300)
-def test_ctrl_c_ends_everything_and_prints_the_report(demo, wait_until):
-    process = demo()
-    wait_until(lambda: " s | arm servo" in process.log_path.read_text(), 120.0, "the arm following")
-    nodes = descendants(process.pid)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(60) in (0, 1), process.log_path.read_text()  # 1 where the arm had not followed yet
-    assert "Leap Rig: " in process.log_path.read_text()
-    assert json.loads(process.report.read_text())["frames_received"] > 0
-    wait_until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes), 20.0, "the end of all nodes")
+def command_line(pid: int) -> str:
+    with contextlib.suppress(OSError):
+        return Path("/proc", str(pid), "cmdline").read_text().replace("\0", " ")
+    return ""
 
 
 def started_by(folder) -> list[str]:
@@ -123,20 +88,17 @@ def started_by(folder) -> list[str]:
     for entry in os.listdir("/proc"):
         with contextlib.suppress(OSError):
             if entry.isdigit() and f"ROS_LOG_DIR={folder}/".encode() in Path("/proc", entry, "environ").read_bytes():
-                programs.append(Path("/proc", entry, "cmdline").read_text().replace("\0", " "))
+                programs.append(command_line(int(entry)))
     return programs
 
 
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("nodes", [3, 8, 14])
-def test_ctrl_c_while_the_rig_starts_ends_everything(demo, wait_until, tmp_path, nodes):
+@pytest.mark.parametrize(("nodes", "number"), [(3, signal.SIGINT), (8, signal.SIGTERM), (14, signal.SIGINT)])
+def test_an_interrupt_while_the_rig_starts_ends_everything(demo, wait_until, tmp_path, nodes, number):
     process = demo()
     wait_until(lambda: len(descendants(process.pid)) > nodes, 60.0, "the first nodes")
     assert len(started_by(tmp_path)) > nodes
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     assert process.wait(60) in (1, 2), process.log_path.read_text()
-    log = process.log_path.read_text()
-    assert "demo: interrupted" in log or "Leap Rig: " in log
     wait_until(lambda: not started_by(tmp_path), 10.0, "the end of all")
 
 
@@ -146,14 +108,13 @@ IN_THE_BACKGROUND = ("sh", "-c", 'trap "" INT; exec "$@"', "sh")
 """Runs a command without interrupts, as the shell of a script does with what ends by &."""
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("within", "number"),
-    [(IN_A_TERMINAL, signal.SIGKILL), (IN_THE_BACKGROUND, signal.SIGINT), ((), signal.SIGTERM)],
-    ids=["closed terminal", "interrupt in the background", "SIGTERM"],
+    [(IN_A_TERMINAL, signal.SIGKILL), (IN_THE_BACKGROUND, signal.SIGINT)],
+    ids=["closed terminal", "Ctrl-C in the background"],
 )
 def test_it_ends_with_everything_that_it_started(demo, wait_until, tmp_path, within, number):
-    process = demo(within=within)
+    process = demo(within=within, **WITHOUT_WORLD)
     wait_until(lambda: " s | arm servo" in process.log_path.read_text(), 90.0, "the arm to follow")
     everything = {process.pid, *descendants(process.pid)}
 
@@ -168,6 +129,9 @@ def test_it_ends_with_everything_that_it_started(demo, wait_until, tmp_path, wit
             os.kill(pid, signal.SIGKILL)
     logs = [path.read_text() for path in tmp_path.glob("log/*/kuka_real_time_node-*.log")]
     assert any("The connection to the robot is closed." in log for log in logs)
+    if number == signal.SIGINT:
+        assert "Leap Rig: " in process.log_path.read_text()
+        assert json.loads(process.report.read_text())["frames_received"] > 0
 
 
 def runs(pid: int) -> bool:
@@ -178,27 +142,24 @@ def runs(pid: int) -> bool:
         return False
 
 
-@pytest.mark.timeout(400)
-def test_the_simulated_person_picks_a_cup_up_and_puts_it_down(demo):
-    process = demo("--scenario", "pick_cup")
+def test_the_simulated_person_picks_a_cup_up_and_puts_it_down(demo, wait_until, tmp_path):
+    process = demo("--scenario", "pick_cup", **EASY)
     assert process.wait(350) == 0, process.log_path.read_text()
     summary = json.loads(process.report.read_text())
-    assert summary["scenario"]["step"] == "done" and summary["faults"] == []
+    assert summary["scenario"]["step"] == "done"
+    assert summary["faults"] == [] and summary["nodes_died"] == []
     cup = summary["objects"]["cup"]
     assert cup["picked_and_placed"] and cup["lifted_mm"] > 195.0 and cup["tilt_deg"] < 5.0
+    assert summary["servo_goals_sent"] > 500 and summary["frames_received"] > 500
+    assert summary["streams"] and summary["safety_stops"] == 0
+    assert summary["tracking_error"]["commanded"]["rms_mm"] < 50.0
+    assert max(summary["hand_travel_rad"]) > 0.5
+    assert summary["delay_ms"]["frame received to goal on the arm's wire"]["samples"] > 300
+    wait_until(lambda: not started_by(tmp_path), 20.0, "the end of all nodes")
 
 
-def machine_was_busy(process) -> bool:
-    """Whether frames or answers came too late, as on a machine that is too busy for the rig."""
-    log = process.log_path.read_text()
-    return "no tracking frame came" in log or "No answer in time" in log
-
-
-@pytest.mark.timeout(800)
 def test_a_proposed_grasp_is_corrected_by_hand_lifted_and_put_down(demo):
-    process = demo("--scenario", "assisted_grasp")
-    if process.wait(350) != 0 and machine_was_busy(process):
-        process = demo("--scenario", "assisted_grasp")
+    process = demo("--scenario", "assisted_grasp", **EASY)
     assert process.wait(350) == 0, process.log_path.read_text()
     summary = json.loads(process.report.read_text())
     assert summary["scenario"]["step"] == "done" and summary["faults"] == []
@@ -208,12 +169,11 @@ def test_a_proposed_grasp_is_corrected_by_hand_lifted_and_put_down(demo):
     assert summary["objects"][grasp["object"]]["picked_and_placed"]
 
 
-@pytest.mark.timeout(300)
 def test_a_recording_is_played_from_a_folder_with_a_space_in_its_name(demo, shared_data, tmp_path):
     folder = tmp_path / "my recordings"
     folder.mkdir()
     recording = shutil.copy(shared_data / "leap" / "rollAndPitchWithEntry.jsonl.gz", folder)
-    process = demo("--recording", recording, "--offset", "0", "150", "0", "--duration", "30")
+    process = demo("--recording", recording, "--offset", "0", "150", "0", "--duration", "15", **WITHOUT_WORLD)
     assert process.wait(200) == 0, process.log_path.read_text()
     summary = json.loads(process.report.read_text())
     assert summary["faults"] == [] and summary["safety_stops"] == 0

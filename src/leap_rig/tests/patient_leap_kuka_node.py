@@ -1,0 +1,15 @@
+#!/usr/bin/env python3
+"""The node leap_kuka_node for tests on a busy machine: late frames do not end a stream.
+
+What the limits of the node as shipped do is tested in leap_kuka, where the test has the clock.
+"""
+
+from common import frame_watch
+from leap_kuka import hand_average, teleop
+from leap_kuka.ros.teleop_node import main
+
+if __name__ == "__main__":
+    teleop.MAX_SILENCE_S = 1.0
+    frame_watch.MAX_SKEW_S = 2.0
+    hand_average.MAX_STEP_M = 0.1
+    main()
