@@ -12,7 +12,6 @@ import argparse
 import contextlib
 import fcntl
 import itertools
-import os
 import re
 import signal
 import socket
