@@ -11,5 +11,6 @@ from leap_kuka.ros.teleop_node import main
 if __name__ == "__main__":
     teleop.MAX_SILENCE_S = 1.0
     frame_watch.MAX_SKEW_S = 2.0
-    hand_average.MAX_STEP_M = 0.1
+    # An outlier is one whenever it comes, and a hand may move far between two frames.
+    hand_average.MAX_STEP_M, hand_average.MAX_SPEED_M_S = 0.18, 0.0
     main()
