@@ -41,7 +41,7 @@ NODES: dict[str, Node] = {
         {"": "apriltag_ros.settings:DetectorSettings"}, {"": APRILTAG_FILES}
     ),
     "grasping/collect.py": Node(
-        {"": "grasping.lab.dataset.collection_config:CollectionConfig"},
+        {"": "grasping.lab.ros.collection_setup:CollectionConfig"},
         {
             "": ("grasping/config/collection.yaml",),
             "ggcnn": ("grasping/config/ggcnn.yaml",),

@@ -53,7 +53,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "kuka_control/config/dh_parameters_example.yaml": (Part("kuka_control.model.calibration_file:DhDeviations"),),
     "leap_kuka/config/leap_params.yaml": (Part("leap_kuka.config:LeapConfig"),),
     "grasping/config/collection.yaml": (
-        Part("grasping.lab.dataset.collection_config:CollectionConfig", above=True),
+        Part("grasping.lab.ros.collection_setup:CollectionConfig", above=True),
         Part("grasping.lab.dataset.frame_buffer:FrameBufferConfig", ("frames",)),
         Part("grasping.execution.grasp_watch:GraspWatchConfig", ("watch",)),
     ),

@@ -120,9 +120,9 @@ def test_a_grasp_that_is_held_and_lifted():
         (lambda t: t.run(1.0, hand=FULL).lift(0.06).run(0.5).run(0.5, hand=OPEN), False, True, "held long enough"),
         (lambda t: t.run(1.0, hand=FULL).lift(0.04).run(21.0), False, True, "not lifted by 50 mm in 20 s"),
         (lambda t: t.run(1.0, hand=FULL).run(0.1, hold=NONE, hold_reason="it was lost"), False, True, "it was lost"),
-        (lambda t: t.run(0.1, hold=NONE, hold_reason="it was lost"), False, False, "followed no more: it was lost."),
+        (lambda t: t.run(0.1, hold=NONE, hold_reason="it was lost"), False, False, "no longer followed: it was lost."),
         (lambda t: t.run(1.0, hand=FULL).run(0.1, hand=None), False, True, "state of the robot hand is unknown"),
-        (lambda t: t.run(0.1, T_base_tool=None), False, False, "place of the tool is unknown"),
+        (lambda t: t.run(0.1, T_base_tool=None), False, False, "pose of the tool is unknown"),
         (lambda t: t.run(0.1, controller=None), False, False, "controller is silent"),
         (
             lambda t: t.run(0.1, controller=ControllerState(True, "home", "Home.")),
@@ -148,7 +148,7 @@ def test_how_the_grasp_of_a_person_ends(goes_on, held, closed, reason):
         ({"hold": HELD, "controller": dataclasses.replace(HOME, control_on=False)}, 0.1, "Control of the arm was sw"),
         ({"hold": HELD, "controller": ControllerState(True, "stopped", "It hit.")}, 0.1, "The arm stopped: It hit."),
         ({"hold": HELD, "controller": None}, 0.1, "The arm's controller is silent."),
-        ({"hold": HELD, "T_base_tool": None}, 0.1, "The place of the tool is unknown."),
+        ({"hold": HELD, "T_base_tool": None}, 0.1, "The pose of the tool is unknown."),
     ],
 )
 def test_how_an_approach_ends(changes, seconds, reason):
@@ -242,7 +242,7 @@ def test_the_best_grasp_is_executed_and_no_other_in_its_place():
             ProposalList(0.1, [ProposedPose(1, None)]),
             HOME,
             False,
-            "The place of the grasp is unknown: the camera's place is unknown.",
+            "The pose of the grasp is unknown: the camera pose is unknown.",
         ),
     ],
 )

@@ -271,7 +271,7 @@ def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(rig, asked, wait_until):
 def test_a_silent_controller_ends_the_execution(rig, asked):
     rig._stop.set()
     asked.wait_for("over")
-    assert asked.outcomes.wait()[0].reason in ("The arm's controller is silent.", "The place of the tool is unknown.")
+    assert asked.outcomes.wait()[0].reason in ("The arm's controller is silent.", "The pose of the tool is unknown.")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The execution of a proposed grasp: the arm approaches, an operator's hand takes over, and what it holds is noted.
+"""The execution of a proposed grasp: the arm approaches, an operator's hand takes over, and the result is reported.
 
     approaching -> waiting_for_hand -> operator -> over
 
@@ -19,7 +19,7 @@ from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMea
 
 IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
 NONE, HELD, TAKEN = "none", "held", "taken"
-"""What leap_kuka says of the tool: not held, held for a hand, taken over by one."""
+"""leap_kuka's state of the tool: not held, held for a hand, taken over by one."""
 
 FOLLOWING, AWAY = ("pick_up", "servo"), ("returning", "homing", "home")
 """Modes of the arm's controller on the way to the desired tool frame and there; and away from it."""
@@ -31,7 +31,7 @@ class ExecutionConfig:
 
     fresh: float = number("s", above=0.0, high=30.0, doc="proposals in an older image are refused")
     answer_time: float = number("s", above=0.0, high=30.0, doc="longest wait for an answer of another node")
-    silence: float = number("s", above=0.0, high=10.0, doc="what was not told for so long is unknown")
+    silence: float = number("s", above=0.0, high=10.0, doc="a state that is older than this is unknown")
     arrival_distance: float = number("m", above=0.0, high=0.1, doc="the tool has arrived when it is this near, and")
     arrival_angle: float = number("deg", above=0.0, high=45.0, doc="turned by no more than this")
     approach_time: float = number("s", above=0.0, high=120.0, doc="longest time for the way above the grasp")
@@ -41,19 +41,19 @@ class ExecutionConfig:
 
 @dataclass(frozen=True)
 class ExecutionObservation:
-    """What is known now."""
+    """The observed state of the rig."""
 
     clock: float  # ROS time [s]
-    controller: ControllerState | None  # what the arm's controller tells; None if it is silent
+    controller: ControllerState | None  # None if the arm's controller is silent
     hold: str  # HELD, TAKEN or NONE
-    hold_reason: str  # what leap_kuka says of its stream
+    hold_reason: str  # leap_kuka's reason for its stream's state
     T_base_tool: np.ndarray | None  # measured tool, shape (4, 4) [m]; None if it is unknown
     hand: HandMeasurement | None  # state of the robot hand; None if it is unknown
 
 
 @dataclass(frozen=True)
 class ExecutionOutcome:
-    """What became of an execution."""
+    """The outcome of an execution."""
 
     episode: int  # its number
     closed: ObservedGrasp | None  # where and when the fingers closed; None if they never did
@@ -70,7 +70,7 @@ class Execution:
 
     Attributes:
         state: IDLE before the first execution, OVER after each.
-        reason: one sentence: what is done, or how it ended.
+        reason: one sentence: the current step, or how the execution ended.
         episode: number of the execution, from 1 on.
     """
 
@@ -118,12 +118,12 @@ class Execution:
         if self.state != PERSON and seen.hold == TAKEN:
             self._watch.reset()
             self._enter(PERSON, "An operator's hand has taken over; close the fingers, then lift.", now)
-        why = self._hindrance(seen, now)
+        why = self._inhibit_reason(seen, now)
         if why is not None:
             return self.end(f"{why}.")
-        assert seen.T_base_tool is not None, "an unknown place is a hindrance"
+        assert seen.T_base_tool is not None, "an unknown tool pose inhibits the execution"
         if self.state == PERSON:
-            assert seen.hand is not None, "an unknown hand is a hindrance to the person"
+            assert seen.hand is not None, "an unknown hand inhibits the operator's part"
             grasp = self._watch.step(seen.hand, seen.T_base_tool, seen.clock)
             if grasp is not None:
                 return self._over(grasp, grasp.held, grasp.reason)
@@ -137,8 +137,8 @@ class Execution:
         """Ends the execution before its grasp is decided."""
         return self._over(self._watch.give_up(sentence), False, sentence)
 
-    def _hindrance(self, seen: ExecutionObservation, now: float) -> str | None:
-        """Returns why the execution cannot go on, a sentence without its full stop, or None."""
+    def _inhibit_reason(self, seen: ExecutionObservation, now: float) -> str | None:
+        """Returns why the execution cannot continue, a sentence without its full stop, or None."""
         arm = seen.controller
         if arm is None:
             return "The arm's controller is silent"
@@ -147,13 +147,17 @@ class Execution:
         if arm.mode in UNABLE:
             return f"The arm stopped: {arm.reason.rstrip('.')}"
         if seen.T_base_tool is None:
-            return "The place of the tool is unknown"
-        why = self._without_person(seen, now) if self.state == PERSON else self._without_hold(seen, now)
+            return "The pose of the tool is unknown"
+        why = (
+            self._operator_inhibit_reason(seen, now)
+            if self.state == PERSON
+            else self._approach_inhibit_reason(seen, now)
+        )
         if why is None and self._followed and arm.mode in AWAY:
             return f"The arm left the grasp: {arm.reason.rstrip('.')}"
         return why
 
-    def _without_hold(self, seen: ExecutionObservation, now: float) -> str | None:
+    def _approach_inhibit_reason(self, seen: ExecutionObservation, now: float) -> str | None:
         config = self._config
         if seen.hold == NONE and (self._held or now - self._began > config.silence):
             return f"The tool was not held for a hand: {seen.hold_reason}"
@@ -163,9 +167,9 @@ class Execution:
             return f"The tool was not above the grasp after {config.approach_time:g} s"
         return None
 
-    def _without_person(self, seen: ExecutionObservation, now: float) -> str | None:
+    def _operator_inhibit_reason(self, seen: ExecutionObservation, now: float) -> str | None:
         if seen.hold != TAKEN:
-            return f"The operator's hand is followed no more: {seen.hold_reason}"
+            return f"The operator's hand is no longer followed: {seen.hold_reason}"
         if seen.hand is None:
             return "The state of the robot hand is unknown"
         if now - self._since > self._config.person_time:

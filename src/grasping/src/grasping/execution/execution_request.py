@@ -1,4 +1,4 @@
-"""Which proposed grasp is executed when an operator asks for one, and where the tool goes for it; or why none is."""
+"""Chooses the grasp to execute on request and computes where the tool goes, or gives the reason for a refusal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from grasping.pipeline.tool_pose import ToolPoseConfig, above, tool_pose
 
 NOT_STARTED, ENDING, STOPPED = "starting", "zero", "stopped"
 UNABLE = (NOT_STARTED, ENDING, STOPPED)
-"""Modes of the arm's controller from which it follows no desired tool frame."""
+"""Modes of the arm's controller in which it follows no desired tool frame."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class ProposedPose:
 
     id: int  # its number
     T_base_grasp: np.ndarray | None  # shape (4, 4) [m]; None where it is unknown
-    reason: str = "the camera's place is unknown"  # why it is unknown, a clause
+    reason: str = "the camera pose is unknown"  # why it is unknown, a clause
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ProposalList:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """What the arm's controller tells: whether control is on, its mode, and why it is in it."""
+    """The published state of the arm's controller: whether control is on, its mode, and the reason for it."""
 
     control_on: bool
     mode: str
@@ -55,17 +55,17 @@ class ToolGoal:
 
     T_base_tool: np.ndarray  # the tool that takes the grasp, shape (4, 4) [m]
     T_base_above: np.ndarray  # where it waits for the hand, shape (4, 4) [m]
-    T_base_grip: np.ndarray  # what is then between the fingers, shape (4, 4) [m]: x through them, z the approach
+    T_base_grip: np.ndarray  # the grasp between the fingers then, shape (4, 4) [m]: x through them, z the approach
 
 
 def choose(
     proposals: ProposalList | None, controller: ControllerState | None, hand_followed: bool, fresh: float
 ) -> ProposedPose | Refusal:
-    """Returns the best grasp, which the arm's controller is to be asked about, or why there is none.
+    """Returns the best grasp, or why there is none.
 
     Args:
         proposals: the newest; None if none came yet.
-        controller: what it told last; None if it is silent.
+        controller: its newest state; None if it is silent.
         fresh: proposals in an older image are refused [s].
     """
     if controller is None:
@@ -83,7 +83,7 @@ def choose(
     if not proposals.grasps:
         return Refusal(f"No grasp is proposed: {proposals.reason or 'the list is empty'}.")
     best = proposals.grasps[0]
-    return best if best.T_base_grasp is not None else Refusal(f"The place of the grasp is unknown: {best.reason}.")
+    return best if best.T_base_grasp is not None else Refusal(f"The pose of the grasp is unknown: {best.reason}.")
 
 
 def tool_goal(
@@ -93,7 +93,7 @@ def tool_goal(
 
     Args:
         T_base_grasp: shape (4, 4) [m].
-        R_home: attitude of the home tool, R_base_tool, shape (3, 3); of two possible attitudes the nearer is taken.
+        R_home: orientation of the home tool, R_base_tool, shape (3, 3); of two possible ones the nearer is taken.
         up: the vertical in the base frame, shape (3,).
     """
     try:

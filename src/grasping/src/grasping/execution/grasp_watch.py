@@ -1,10 +1,10 @@
-"""Sees in the hand's state and the tool's height when an operator grasped something, and whether it was held.
+"""Detects from the hand's state and the tool's height when an operator grasped something, and whether it was held.
 
 The fingers have closed when the thumb and a finger beside it are bent and none moves any more. Then the tool has to be
 lifted: the hand holds something if the thumb and a finger still feel it a moment after the tool is up.
 
-A finger feels something if a tactile cell is pressed more than when the hand was last open, which no drift of the cells
-disturbs, or if its motor pulls harder than the finger's springs need where it is bent as much and holds nothing.
+A finger feels something if a taxel is pressed more than when the hand was last open, so that drift has no effect, or if
+its motor pulls harder than the finger's springs need where it is bent as much and holds nothing.
 """
 
 from __future__ import annotations
@@ -28,9 +28,12 @@ class GraspWatchConfig:
     closed_angle: float = number("rad", above=0.0, high=3.0, doc="a thumb and a finger bent more may have closed")
     rest_angle: float = number("rad", above=0.0, high=1.0, doc="fingers that moved less within rest_time are at rest")
     rest_time: float = number("s", above=0.0, high=5.0, doc="how long they have to rest")
-    touch_pressure: float = number("counts", above=0.0, high=1000.0, doc="a cell pressed more is a touch")
+    touch_pressure: float = number("counts", above=0.0, high=1000.0, doc="a taxel pressed more is a touch")
     touch_load: float = number(
-        "0.1 % of the largest torque", above=0.0, high=1000.0, doc="so much more than the springs need is a touch"
+        "0.1 % of the largest torque",
+        above=0.0,
+        high=1000.0,
+        doc="a motor that pulls this much more than the springs need is a touch",
     )
     spring_load: float = number(
         "0.1 % of the largest torque per rad", low=0.0, high=1000.0, doc="what the springs of an empty finger need"
@@ -48,16 +51,16 @@ class GraspWatchConfig:
 
 @dataclass(frozen=True)
 class HandMeasurement:
-    """What the hand tells of index, middle and thumb."""
+    """The state of index, middle and thumb."""
 
     angles: np.ndarray  # shape (3,) [rad], 0 = open
-    pressures: np.ndarray  # of the cells, shape (3, 9) [counts]
+    pressures: np.ndarray  # of the taxels, shape (3, 9) [counts]
     loads: np.ndarray  # of their motors, shape (3,), closing positive [0.1 % of the largest torque]
 
 
 @dataclass(frozen=True, eq=False)
 class ObservedGrasp:
-    """A grasp and what became of it."""
+    """A grasp and its result."""
 
     time: float  # when the fingers had closed [s]
     T_base_tool: np.ndarray  # the tool at that time, shape (4, 4) [m]
@@ -78,7 +81,7 @@ class GraspWatch:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets what it saw; the hand has to be seen open before it can close."""
+        """Forgets the past; the hand must be open once before it can close."""
         self._open_seen = False
         self._recent: deque[tuple[float, np.ndarray]] = deque()
         self._closed: tuple[float, np.ndarray] | None = None
@@ -91,14 +94,14 @@ class GraspWatch:
 
     @property
     def closed(self) -> bool:
-        """Whether the fingers have closed, and it is not known yet what became of it."""
+        """Whether the fingers have closed and the result is still open."""
         return self._closed is not None
 
     def step(self, hand: HandMeasurement, T_base_tool: np.ndarray, now: float) -> ObservedGrasp | None:
-        """Takes a state of the hand in and returns the grasp whose fate it decides, or None.
+        """Takes a state of the hand and returns the grasp whose result it decides, or None.
 
         Args:
-            hand: as it is now; one that is not finite is no state.
+            hand: its current state; a state that is not finite is ignored.
             T_base_tool: the measured tool, shape (4, 4) [m].
             now: time [s], not falling.
         """
@@ -114,7 +117,7 @@ class GraspWatch:
         return None
 
     def give_up(self, reason: str) -> ObservedGrasp | None:
-        """Returns the grasp whose fate is not known yet as one that was not held; None if the fingers are not closed.
+        """Returns the undecided grasp as one that was not held; None if the fingers are not closed.
 
         Args:
             reason: one sentence.

@@ -71,7 +71,7 @@ DEPTH_M, OPENING_UNITS, TILT_RAD = 0.01, 0.05, 0.1
 SHARPNESS = 20.0
 """Logits of the softmax over the pixels by quality."""
 LOBE_PX = 5
-"""So far about a pixel, in the refinement network's, the place is still the same one."""
+"""Grasps within this radius [px of the refinement network's image] count as one choice."""
 HIDDEN = 32
 AXES = ("x", "y", "depth", "angle", "tilt_x", "tilt_y", "opening")
 """Entries of the constant offset, with the units of `training.refinement_examples.OperatorOffset`."""
@@ -89,7 +89,7 @@ class RefinementOutput(NamedTuple):
         opening: to be added to GGCNN's [its unit x m: divided by the distance it is GGCNN's unit].
         tilt_x: of the approach about the camera's x axis [rad].
         tilt_y: likewise about its y axis.
-        follow: share of the surface's lean that is added to that.
+        follow: fraction of the surface's lean that is added to that.
         depth_scale: scale of the Laplace distribution of the depth [m].
         opening_scale: of the opening [as opening].
         tilt_scale: of the lean, whose density falls with its distance from the expected one [rad].

@@ -1,8 +1,8 @@
 """Weight files of the refinement network: a torch state dict with a description of the rig that it was trained on.
 
-What was learned with one first network, view, crop, table or hand is wrong with another: a constant offset of so many
-pixels is another distance, and another first network has other maps. So a file is refused where they differ. What a
-file does not know is not compared.
+A refinement network fits one first network, view, crop, table and hand: with another crop a constant offset in pixels
+is another distance, and another first network has other maps. So a file is refused where they differ. Values that a
+file does not contain are not compared.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def taste(network: RefinementNetwork, origin: Origin) -> dict[str, torch.Tensor]
 
 
 def load(data: bytes, sha256: str | None = None) -> tuple[MapRefiner, Origin]:
-    """Returns the refinement that a weight file holds, read without running what is in it, and of what rig it is.
+    """Returns the refinement network of a weight file and the rig that it was trained on; no code in the file is run.
 
     Args:
         sha256: what its hash must be, hexadecimal; not checked when left out.
@@ -101,7 +101,7 @@ def _with_about(state: dict[str, torch.Tensor], origin: Origin) -> dict[str, tor
 
 
 def _about(codes: torch.Tensor | None) -> dict[str, Any]:
-    """Returns what the entry says; nothing where there is none, or none that can be read."""
+    """Returns the description in a weight file; empty where it is missing or unreadable."""
     if codes is None:
         return {}
     try:

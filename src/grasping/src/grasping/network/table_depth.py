@@ -14,7 +14,7 @@ from grasping.network.planes import best_plane
 NOISE = 0.003
 """Standard deviation of a pixel's inverse depth [1/m]."""
 EVERY = 5
-"""One in so many rows and columns is looked at."""
+"""Step between the rows and columns that are used."""
 FARTHEST_M = 10.0
 """Of a table that is seen nearly edge on."""
 

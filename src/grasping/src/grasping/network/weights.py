@@ -1,4 +1,4 @@
-"""Weight files of the grasp networks: this package's own and the published ones, read without running what is in them.
+"""Weight files of the grasp networks: this package's and the published ones. No code in a file is run.
 
 Read are torch state dicts, whole pickled torch models and Keras HDF5 files. A file says by the names and shapes of its
 arrays which network it belongs to; nothing is guessed or cut to fit.

@@ -1,4 +1,4 @@
-"""Which grasps are worth telling: near enough, inside the space that may be used, and no wider than the hand."""
+"""The limits that a published grasp keeps: near enough, inside the usable space, and no wider than the hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from common.config import number, vector
 
 @dataclass(frozen=True)
 class LimitsConfig:
-    """What a grasp must keep to."""
+    """Limits of a grasp."""
 
     nearest: float = number("m", low=0.0, high=10.0, doc="least depth of a grasp before the camera")
     farthest: float = number("m", above=0.0, high=10.0, doc="largest depth")
@@ -34,7 +34,7 @@ class LimitsConfig:
 def rejection_reason(
     T_camera_grasp: np.ndarray, T_base_grasp: np.ndarray | None, width: float, opening: float, limits: LimitsConfig
 ) -> str:
-    """Returns why a grasp is not worth telling, a clause about "the grasp"; empty if it is.
+    """Returns why a grasp is rejected, a clause about the grasp; empty if it is accepted.
 
     Args:
         T_camera_grasp: shape (4, 4) [m].

@@ -1,7 +1,7 @@
-"""Which openings a hand holds best: the networks know no hand, and one may hold badly what another holds well.
+"""Prefers the openings that a hand holds best: the networks do not know the hand.
 
 Where a grasp needs another opening than the hand prefers, its quality shrinks towards the threshold below which there
-is no grasp. So such a grasp stands behind the others, but is told where there is no other.
+is no grasp. So such a grasp ranks behind the others, but is published where there is no other.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""How sure the refinement network is of a grasp: the distribution of the operator's grasp about a pixel.
+"""The grasp of the refined maps at a pixel, and its uncertainty: the distribution of the operator's grasp there.
 
 Over the pixels it is a softmax of the refined quality, and what lies near a pixel is the same choice of the operator's.
-There the pose is spread as the network says. Standard deviations are those of the grasp's own axes: x through the
-fingers, z the approach.
+The network gives the distribution of the pose there. Standard deviations are those of the grasp's own axes: x through
+the fingers, z the approach.
 """
 
 from __future__ import annotations
@@ -93,5 +93,5 @@ def _about(place: np.ndarray, row: float, column: float) -> tuple[float, np.ndar
     near = place * (np.hypot(rows - row, columns - column) <= LOBE_PX)
     mass = float(near.sum())
     off = np.stack([columns - column, rows - row]).reshape(2, -1)
-    # About the grasp that is told, not about the mean; within a pixel it may be anywhere.
+    # About the published grasp, not about the mean; within a pixel it may be anywhere.
     return mass, (off * near.ravel()) @ off.T / max(mass, 1e-12) + np.eye(2) / 12.0

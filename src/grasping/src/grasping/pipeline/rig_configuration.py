@@ -17,7 +17,7 @@ from grasping.pipeline.settings import GgcnnSettings
 from grasping.pipeline.tool_pose import ToolPoseConfig
 
 DIGITS = 3
-"""Of the camera's place: a millimetre and a milliradian; two live calibrations differ by more."""
+"""Decimals of the camera pose: a millimetre and a milliradian; two live calibrations differ by more."""
 
 
 def grasp_in_tool(settings: ToolPoseConfig) -> np.ndarray:

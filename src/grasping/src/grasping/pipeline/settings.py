@@ -27,12 +27,12 @@ ANY, LISTED = "any", "listed"
 
 @dataclass(frozen=True)
 class InputConfig:
-    """Where depth images come from."""
+    """The camera's topics."""
 
     depth_topic: str = text(doc="depth images, 16UC1 in mm or 32FC1 in m")
     info_topic: str = text(doc="description of the camera that takes them")
     max_age: float = number("s", above=0.0, high=60.0, doc="an image older than this, or as far ahead, is refused")
-    silence: float = number("s", above=0.0, high=60.0, doc="without an image for so long the camera counts as silent")
+    silence: float = number("s", above=0.0, high=60.0, doc="without an image for this long the camera counts as silent")
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """From a grasp to the pose of the arm's tool that takes it.
 
 Frame of a grasp: origin on the surface between the fingers, x through both fingers, z along the approach. A gripper
-does not care which of its fingers is on which side, so a grasp allows two attitudes half a turn apart.
+does not care which of its fingers is on which side, so a grasp allows two orientations half a turn apart.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class ToolPoseConfig:
         above=0.0,
         high=1.0,
         absent=1.0,
-        doc="share of the quality above peaks/threshold that is left where the opening is another; 1 = no preference",
+        doc="fraction of the quality above peaks/threshold that is left for other openings; 1 = no preference",
     )
     outside_ramp: float = number(
-        "m", above=0.0, high=0.1, absent=0.01, doc="the share falls to that over so much of the opening"
+        "m", above=0.0, high=0.1, absent=0.01, doc="change of the opening over which the fraction falls to that"
     )
 
     def faults(self) -> list[str]:
@@ -59,7 +59,7 @@ def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarr
 
     Args:
         T_base_grasp: shape (4, 4) [m].
-        near: an attitude R_base_tool, shape (3, 3); of the two possible ones the nearer is taken.
+        near: an orientation R_base_tool, shape (3, 3); of the two possible ones the nearer is taken.
         up: the vertical in the base frame, shape (3,).
 
     Raises:

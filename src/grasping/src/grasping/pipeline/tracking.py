@@ -1,7 +1,6 @@
-"""Grasps that stay the same from image to image: maps averaged over time, grasps recognised again, poses filtered.
+"""Tracks grasps from image to image: averages the maps over time, recognises grasps again, filters their poses.
 
-Settings as in the table of filters of the reference (ggcnn, 6.5). Poses are those of the grasp in a frame that does
-not move: the arm's base where the camera's place in it is known, else the camera.
+Poses are in a frame that does not move: the arm's base where the camera's pose in it is known, else the camera.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class AveragingConfig:
 
     weight: float = number(above=0.0, high=1.0, doc="of the newest maps; 1 = no averaging")
     step: float = number("m", above=0.0, high=1.0, doc="depth that changed by more is something that moved")
-    share: float = number(low=0.0, high=1.0, doc="of the image that may move before the average starts anew")
+    share: float = number(low=0.0, high=1.0, doc="fraction of the image that may move before the average starts again")
 
 
 class MapAverage:
@@ -81,7 +80,7 @@ class TrackingConfig:
     time_constant: float = number("s", low=0.0, high=1.0, doc="of the exponential filter behind it; 0 = none")
     gate_distance: float = number("m", above=0.0, high=0.5, doc="a pose farther from the median is not believed, and")
     gate_angle: float = number("deg", above=0.0, high=90.0, doc="one turned by more is not either")
-    gate_frames: int = integer(low=1, high=25, doc="until so many in a row agree with each other")
+    gate_frames: int = integer(low=1, high=25, doc="until this many in a row agree with each other")
 
 
 class GraspDetection(NamedTuple):
@@ -163,7 +162,7 @@ class GraspTracker:
         return owners
 
     def _choose(self, seen: list[_Track]) -> None:
-        """Lets the best grasp stay or change; a best one that is out of sight keeps its place until it is forgotten."""
+        """Lets the best grasp stay or change; a best one that is out of sight stays the best until it is forgotten."""
         if self._best not in self._tracks:
             self._best = None
         if not seen:

@@ -58,9 +58,9 @@ class GraspView(NamedTuple):
         depth: the whole image that it was cut from, shape (h, w) [m], NaN where nothing is known.
         rays: direction of each of its pixels, shape (h, w, 3).
         camera: that took it, a real or an imagined one.
-        T_camera_view: pose of that camera in the real one, shape (4, 4) [m]. Its axes are those of what the second
-            network says: an imagined camera's z axis is straight down on the table, its x axis the real camera's as far
-            as the table lets it.
+        T_camera_view: pose of that camera in the real one, shape (4, 4) [m]. The refinement
+            network's output has its axes: an imagined camera's z axis is straight down on the table, its x axis the
+            real camera's as far as the table lets it.
     """
 
     image: NetworkImage

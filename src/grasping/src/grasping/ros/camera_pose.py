@@ -1,4 +1,4 @@
-"""Where the camera stood when it took an image, from tf."""
+"""The camera pose at the stamp of an image, from tf."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from common.frames import BASE
 from common.ros.conversions import pose_from_transform
 
 PATIENCE_S = 0.1
-"""The place of the camera at the moment of an image may come so much later than the image."""
+"""The camera pose at an image's stamp may arrive this much later than the image."""
 
 
 class CameraPoseLookup:
-    """Looks frames up; what is missing or stale has a reason."""
+    """Looks camera poses up in tf; a missing or stale pose comes with the reason."""
 
     def __init__(self) -> None:
         self._buffer = tf2_ros.Buffer()
@@ -25,11 +25,11 @@ class CameraPoseLookup:
         try:
             return self._look_up(BASE, frame, stamp), ""
         except tf2_ros.ExtrapolationException:
-            return None, f"the camera's place is stale: tf does not know {frame} in {BASE} at the image's moment"
+            return None, f"the camera pose is stale: tf has no {frame} in {BASE} at the image's stamp"
         except tf2_ros.TransformException:
-            return None, f"the camera's place is unknown: tf has no way from {frame} to {BASE}; calibrate the camera"
+            return None, f"the camera pose is unknown: tf does not connect {frame} and {BASE}; calibrate the camera"
         except ValueError as error:
-            return None, f"the camera's place in tf is wrong: {error}"
+            return None, f"the camera pose in tf is invalid: {error}"
 
     def fixed(self, parent: str, child: str) -> np.ndarray | None:
         """Returns the pose of a frame in another one to which it is fixed, shape (4, 4) [m]; None if tf has it not."""

@@ -1,4 +1,4 @@
-"""The newest depth image of a camera, with what is wrong with it."""
+"""The newest depth image of a camera, or why it cannot be used."""
 
 from __future__ import annotations
 
@@ -79,8 +79,10 @@ class DepthStream:
         try:
             depth, camera = depth_from_image(image), camera_model_from_info(self._info)
         except ValueError as error:
-            return refused(f"the depth image is of no use: {error}")
+            return refused(f"the depth image is invalid: {error}")
         if depth.shape != (camera.height, camera.width):
-            seen, told = depth.shape[::-1], (camera.width, camera.height)
-            return refused(f"the depth image is {seen[0]} x {seen[1]}, and its camera_info says {told[0]} x {told[1]}")
+            size, stated = depth.shape[::-1], (camera.width, camera.height)
+            return refused(
+                f"the depth image is {size[0]} x {size[1]}, but its camera_info says {stated[0]} x {stated[1]}"
+            )
         return DepthImage(image.header, depth, camera, "")

@@ -1,4 +1,4 @@
-"""What people and other nodes see of an execution: its state, its outcome, and the grasp in RViz."""
+"""Publishes an execution: its state, its outcome, and the grasp in RViz."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class ExecutionDisplay:
         shapes = [] if way is None or execution.state == OVER else _ghost(grasp, way, execution.reason)
         self._marker.publish(MarkerArray([Marker(ns="execution", action=Marker.DELETEALL), *shapes]))
 
-    def tell(self, outcome: ExecutionOutcome, grasp: Grasp) -> None:
+    def publish(self, outcome: ExecutionOutcome, grasp: Grasp) -> None:
         """Publishes an outcome."""
         message = GraspOutcome(episode=outcome.episode, proposal=grasp, held=outcome.held, reason=outcome.reason)
         message.header.frame_id = BASE

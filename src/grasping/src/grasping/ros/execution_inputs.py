@@ -1,4 +1,4 @@
-"""What the node grasp_execution hears: proposals, the arm's controller, leap_kuka, the robot hand, and tf."""
+"""Inputs of the node grasp_execution: proposals, the arm's controller, leap_kuka, the robot hand, and tf."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ExecutionInputs:
 
     Args:
         T_flange_tool: the tool, shape (4, 4) [m].
-        silence: what was not told for so long is unknown [s].
+        silence: a state that is older than this is unknown [s].
     """
 
     def __init__(self, T_flange_tool: np.ndarray, silence: float) -> None:
@@ -32,7 +32,7 @@ class ExecutionInputs:
         self._grasps: GraspList | None = None
         self._controller: tuple[KukaStatus, float] | None = None
         self._hand: tuple[Hand, float] | None = None
-        self._hold, self._hold_reason, self.hand_followed = NONE, "leap_kuka has not said anything yet", False
+        self._hold, self._hold_reason, self.hand_followed = NONE, "leap_kuka has not published yet", False
         self._tf = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._tf)
         rospy.Subscriber("ggcnn/out/grasps", GraspList, self._on_grasps, queue_size=1)
@@ -47,12 +47,12 @@ class ExecutionInputs:
 
     @property
     def controller(self) -> ControllerState | None:
-        """What the arm's controller tells, None if it is silent."""
+        """The newest state of the arm's controller, None if it is silent."""
         status = self._fresh(self._controller)
         return None if status is None else ControllerState(status.control_on, status.mode, status.reason)
 
     def observe(self) -> ExecutionObservation:
-        """Returns what is known now."""
+        """Returns the observed state of the rig."""
         hand = self._fresh(self._hand)
         return ExecutionObservation(
             clock=rospy.get_time(),
@@ -102,7 +102,7 @@ def _proposal(grasp: Grasp) -> ProposedPose:
     try:
         return ProposedPose(grasp.id, pose_in(BASE, grasp.pose_base))
     except ValueError as error:
-        return ProposedPose(grasp.id, None, f"its pose is of no use: {error}")
+        return ProposedPose(grasp.id, None, f"its pose is invalid: {error}")
 
 
 def _hand_state(hand: Hand) -> HandMeasurement:

@@ -41,7 +41,7 @@ PERIOD_S = 0.05
 
 @dataclass(frozen=True)
 class ExecutionArmConfig(ToolConfig):
-    """What the parameters under kuka/ tell of the arm."""
+    """The arm's parameters under kuka/."""
 
     center_line: np.ndarray = vector(3, doc="middle of the workspace seen from above")
     mounting: np.ndarray = mounting_field()
@@ -76,13 +76,13 @@ class ExecutionNode:
         while not rospy.is_shutdown():
             with while_running(), self._lock:
                 outcome = self._execution.step(self._inputs.observe(), time.monotonic())
-                self._tell(outcome)
+                self._publish(outcome)
             self._release(outcome)
             time.sleep(PERIOD_S)
 
     def _on_execute(self, _) -> TriggerResponse:
         if not self._asking.acquire(blocking=False):
-            return TriggerResponse(False, "Another execution is being asked for.")
+            return TriggerResponse(False, "Another execution is being requested.")
         try:
             refusal = self._refusal()
         finally:
@@ -107,9 +107,9 @@ class ExecutionNode:
         way = tool_goal(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
         if isinstance(way, Refusal):
             return way.sentence
-        hindrance = self._not_held(way)
-        if hindrance is not None:
-            return hindrance
+        refusal = self._not_held(way)
+        if refusal is not None:
+            return refusal
         with self._lock:
             self._grasp, self._way = next(g for g in message.grasps if g.id == chosen.id), way
             self._counts["executed"] += 1
@@ -118,20 +118,20 @@ class ExecutionNode:
         return None
 
     def _check(self, T_base_tool: np.ndarray) -> tuple[Pose, str | None]:
-        """Returns what the desired tool frame has to be, and why the arm does not get there."""
+        """Returns the desired tool frame, and why the arm does not reach it, None if it does."""
         tool = stamped_pose(T_base_tool, BASE, rospy.Time.now())
         try:
             answer = call("kuka/check_tool_pose", CheckToolPose, tool, timeout=self._config.answer_time)
         except DeviceError as error:
-            return Pose(), f"It is unknown whether the arm gets there: {error}."
+            return Pose(), f"It is unknown whether the arm reaches the grasp: {error}."
         return answer.desired, None if answer.success else answer.message
 
     def _not_held(self, way: ToolGoal) -> str | None:
-        """Has the tool held above the grasp; returns why it is not, one sentence, or None."""
+        """Requests that the tool is held above the grasp; returns why it is not, one sentence, or None."""
         for T_base_tool in (way.T_base_tool, way.T_base_above):
-            desired, hindrance = self._check(T_base_tool)
-            if hindrance is not None:
-                return hindrance
+            desired, refusal = self._check(T_base_tool)
+            if refusal is not None:
+                return refusal
         tool = PoseStamped(pose=desired)
         tool.header.frame_id = BASE
         config = self._config
@@ -144,11 +144,11 @@ class ExecutionNode:
 
     def _on_cancel(self, _) -> TriggerResponse:
         with self._asking:
-            if not self._end("The operator cancelled it."):
+            if not self._end("The operator cancelled the execution."):
                 if self._inputs.observe().hold == HELD:
                     self._let_go()
                 return TriggerResponse(True, "No grasp is being executed.")
-        return TriggerResponse(True, "The execution is over; a hand that steers the arm goes on.")
+        return TriggerResponse(True, "The execution is over; a hand that steers the arm keeps control.")
 
     def _end(self, sentence: str) -> bool:
         """Ends the execution; returns whether there was one."""
@@ -156,14 +156,14 @@ class ExecutionNode:
             if not self._execution.running:
                 return False
             outcome = self._execution.end(sentence)
-            self._tell(outcome)
+            self._publish(outcome)
         self._release(outcome)
         return True
 
-    def _tell(self, outcome: ExecutionOutcome | None) -> None:
+    def _publish(self, outcome: ExecutionOutcome | None) -> None:
         if outcome is not None:
             self._counts["held" if outcome.held else "not_held"] += 1
-            self._display.tell(outcome, self._grasp)
+            self._display.publish(outcome, self._grasp)
         self._display.show(self._execution, self._grasp, self._way)
 
     def _release(self, outcome: ExecutionOutcome | None) -> None:
@@ -171,7 +171,7 @@ class ExecutionNode:
             self._let_go()
 
     def _let_go(self) -> None:
-        """Ends the hold; without an answer it ends by itself when its time is over."""
+        """Ends the hold; unanswered, it ends by itself when its time is over."""
         try:
             call("leap_kuka/hold_tool", HoldTool, PoseStamped(), 0.0, timeout=self._config.answer_time)
         except DeviceError as error:

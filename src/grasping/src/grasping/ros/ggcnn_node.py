@@ -7,6 +7,7 @@ camera_target_frame below camera_depth_frame, and, with a view of the table, ggc
 
 from __future__ import annotations
 
+import re
 import time
 
 import cv2
@@ -42,7 +43,6 @@ from grasping.ros import ggcnn_messages as messages
 from grasping.ros.camera_pose import CameraPoseLookup
 from grasping.ros.depth_stream import DepthImage, DepthStream
 from grasping.ros.reach_client import ReachClient
-from grasping.ros.reasons import ReasonLog
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
 
 WAIT_S = 0.2
@@ -50,6 +50,33 @@ SILENT_PERIOD_S = 0.5
 WARM_UP = 5
 RATE_WEIGHT = 0.1
 """Weight of the newest value in the times that diagnostics show."""
+
+
+NUMBERS = re.compile(r"-?\d+(\.\d+)?")
+
+
+class ReasonLog:
+    """Logs a reason when it changes, except for the numbers in it.
+
+    Attributes:
+        present: the newest reason, a clause; empty where there is none.
+    """
+
+    def __init__(self) -> None:
+        self.present = "no depth image has been looked at"
+        self._kind = self.present
+
+    def update(self, reason: str) -> None:
+        """Takes the newest reason."""
+        self.present = reason
+        kind = NUMBERS.sub("#", reason)
+        if kind == self._kind:
+            return
+        self._kind = kind
+        if reason:
+            rospy.logwarn("No grasp, or none that is known to be reachable: %s.", reason)
+        else:
+            rospy.loginfo("There are grasps, and the best is reachable.")
 
 
 class GgcnnNode:
@@ -70,39 +97,39 @@ class GgcnnNode:
         self._markers = rospy.Publisher("ggcnn/markers", MarkerArray, queue_size=1)
         self._broadcaster = tf2_ros.TransformBroadcaster()
         self._times = StageTimes("ggcnn")
-        self._place = CameraPoseLookup()
+        self._camera_pose = CameraPoseLookup()
         self._reach = ReachClient(settings.reach, settings.tool)
         self._stream = DepthStream(settings.input)
         Diagnostics("ggcnn", self._diagnose)
 
     def run(self) -> None:
         """Works until ROS shuts down."""
-        told_silence = 0.0
+        reported_silence = 0.0
         while not rospy.is_shutdown():
             image = self._stream.newest(WAIT_S)
             if image is not None:
                 self._take(image)
                 continue
             silence = self._stream.silence()
-            if silence and time.monotonic() - told_silence >= SILENT_PERIOD_S:
-                told_silence = time.monotonic()
+            if silence and time.monotonic() - reported_silence >= SILENT_PERIOD_S:
+                reported_silence = time.monotonic()
                 self._pipeline.reset()
-                self._tell(Header(stamp=rospy.Time.now()), [], silence)
+                self._publish(Header(stamp=rospy.Time.now()), [], silence)
 
     def _take(self, image: DepthImage) -> None:
         if image.reason:
-            self._tell(image.header, [], image.reason)
+            self._publish(image.header, [], image.reason)
             return
         started, header = time.perf_counter(), image.header
-        T_base_camera, unknown = self._place.in_base(header.frame_id, header.stamp)
+        T_base_camera, unknown = self._camera_pose.in_base(header.frame_id, header.stamp)
         found = self._pipeline.step(image.depth, image.camera, T_base_camera, header.stamp.to_sec())
         proposals = self._reach.look_up(found.grasps)
         if unknown:
             proposals = [(p, Reachability(False, unknown)) for p, _ in proposals]
-        self._tell(header, proposals, found.reason)
+        self._publish(header, proposals, found.reason)
         best = proposals[0][0] if proposals and not proposals[0][1].refused else None
         if best is not None:
-            self._tell_best(image, best)
+            self._publish_best(image, best)
         self._times.done(header.stamp)
         published = time.perf_counter()
         self._draw(header, found, proposals, best)
@@ -112,22 +139,22 @@ class GgcnnNode:
         stages = {**found.seconds, "draw": time.perf_counter() - published, "all": published - started}
         self._time({**stages, "latency": latency})
 
-    def _tell(self, header: Header, proposals: list[tuple[GraspProposal, Reachability]], reason: str) -> None:
+    def _publish(self, header: Header, proposals: list[tuple[GraspProposal, Reachability]], reason: str) -> None:
         self._grasps = len(proposals)
         self._list.publish(messages.grasp_list(header, proposals, reason))
         self._markers.publish(messages.markers(header, proposals))
         why = reason or proposals[0][1].reason
         if why not in (ASKED, OUT_OF_SIGHT):  # they last for an image or two only
-            self._reasons.tell(why)
+            self._reasons.update(why)
 
-    def _tell_best(self, image: DepthImage, best: GraspProposal) -> None:
+    def _publish_best(self, image: DepthImage, best: GraspProposal) -> None:
         header, crop = image.header, self._settings.crop
         window = centre_crop(image.depth.shape, crop.side, crop.rows_up)
         self._command.publish(messages.command(best, depth_between_fingers(image.depth, window)))
         known = best.T_base_grasp is not None
         T, frame = (best.T_base_grasp, BASE) if known else (best.T_camera_grasp, header.frame_id)
         self._target.publish(stamped_pose(T, frame, header.stamp))
-        T_depth_optical = self._place.fixed(DEPTH, header.frame_id)
+        T_depth_optical = self._camera_pose.fixed(DEPTH, header.frame_id)
         if T_depth_optical is not None:
             T = T_depth_optical @ best.T_camera_grasp
             self._broadcaster.sendTransform(stamped_transform(T, DEPTH, GRASP_TARGET, header.stamp))
@@ -202,7 +229,7 @@ def _run() -> None:
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:
-        raise RigError(f"The parameter kuka/mounting is no roll, pitch and yaw: {error}.") from None
+        raise RigError(f"The parameter kuka/mounting is not roll, pitch and yaw: {error}.") from None
     pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refiner, time.perf_counter)
     rospy.loginfo(
         "%s (%s, SHA-256 %s...) takes %.0f ms an image on %d threads.",

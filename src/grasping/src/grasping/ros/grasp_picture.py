@@ -1,4 +1,4 @@
-"""Writes what the running node ggcnn sees and finds into an image file, and says how fast it is.
+"""Writes the input and the grasps of the running node ggcnn to an image file and prints its speed.
 
 Left the camera's depth image with the grippers as the camera sees them, right the network's image with its heat
 map.
@@ -32,7 +32,7 @@ POLL_S = 0.05
 
 
 class NodeOutput:
-    """What the node said of the newest images."""
+    """The node's newest messages."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -102,7 +102,7 @@ def report(collected: NodeOutput) -> list[str]:
 def _run() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path, help="image file that is written, such as grasp.png")
-    parser.add_argument("--pictures", type=int, default=30, help="so many images are waited for, default 30")
+    parser.add_argument("--pictures", type=int, default=30, help="number of images to wait for, default 30")
     arguments = parser.parse_args(rospy.myargv()[1:])
     collected, deadline = NodeOutput(), time.monotonic() + PATIENCE_S
     info = None

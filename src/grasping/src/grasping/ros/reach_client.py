@@ -1,4 +1,4 @@
-"""Asks the arm's controller whether it reaches grasps, beside the way of the images, which never waits for it."""
+"""Asks the arm's controller in its own thread whether it reaches grasps; the images never wait for it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from rig_msgs.srv import CheckToolPose
 SERVICE = "kuka/check_tool_pose"
 POLL_S = 0.2
 AHEAD, UPRIGHT = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-"""Until there are parameters of an arm."""
+"""Used until the arm's parameters are set."""
 
 
 class ReachClient:
-    """Knows of each grasp whether the arm gets there, sooner or later."""
+    """Looks up whether the arm reaches a grasp."""
 
     def __init__(self, config: ReachConfig, tool: ToolPoseConfig) -> None:
         self._config, self._tool = config, tool
@@ -38,9 +38,9 @@ class ReachClient:
             threading.Thread(target=self._loop, name="reach", daemon=True).start()
 
     def look_up(self, proposals: tuple[GraspProposal, ...]) -> list[tuple[GraspProposal, Reachability]]:
-        """Returns the grasps with what is known of each: first those that the controller has not refused.
+        """Returns each grasp with its reachability: first those that the controller has not refused.
 
-        Only the best of them are asked for; of the others it is unknown.
+        The controller is asked about the best of them only; for the others it is unknown.
         """
         now = time.monotonic()
         with self._lock:
@@ -48,13 +48,13 @@ class ReachClient:
             known = [(p, self._known(p, i, now)) for i, p in enumerate(proposals)]
         return sorted(known, key=lambda pair: pair[1].refused)
 
-    def _known(self, proposal: GraspProposal, place: int, now: float) -> Reachability:
+    def _known(self, proposal: GraspProposal, rank: int, now: float) -> Reachability:
         if proposal.T_base_grasp is None:
-            return Reachability(False, "the camera's place in kuka/base_frame is unknown")
+            return Reachability(False, "the camera pose in kuka/base_frame is unknown")
         if not self._config.ask:
             return Reachability(True, "")
-        if place >= self._config.best:
-            return Reachability(False, f"only the {self._config.best} best grasps are asked for")
+        if rank >= self._config.best:
+            return Reachability(False, f"only the {self._config.best} best grasps are checked")
         if self._book.wanted(proposal.id, proposal.T_base_grasp, now):
             try:
                 self._questions.put_nowait((proposal.id, proposal.T_base_grasp))

@@ -14,12 +14,11 @@ import rospkg
 import rospy
 import torch
 
-from common.config import parse, path, required, text
+from common.config import flag, number, parse, path, required, text
 from common.mounting import mounting_field, rotation_of_mounting
 from common.ros.params import private_config, private_values, wait_for_param
 from common.tool import ToolConfig
 from grasping.execution.grasp_watch import GraspWatchConfig
-from grasping.lab.dataset.collection_config import CollectionConfig
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig
 from grasping.network.networks import frozen
 from grasping.pipeline.rig_configuration import grasp_in_tool
@@ -30,6 +29,17 @@ SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
 GGCNN = "ggcnn"
 """Section with the parameters of the node ggcnn, whose network and view are used here."""
 GIT_S = 5.0
+
+
+@dataclass(frozen=True)
+class CollectionConfig:
+    """The node's parameters beside the sections."""
+
+    folder: str = path(doc="folder of the episodes; empty: leap_rig/grasps in ROS's home, ~/.ros")
+    object: str = text(doc="what is grasped; may be set anew while the node runs")
+    operator: str = text(doc="who teleoperates")
+    tf_wait: float = number("s", above=0.0, high=5.0, doc="longest wait for the poses at an image's time")
+    from_bag: bool = flag(doc="start the recording that collection_bag is about to play")
 
 
 @dataclass(frozen=True)
@@ -50,34 +60,20 @@ class KukaConfig(ToolConfig):
 
 @dataclass(frozen=True, eq=False)
 class CollectionSetup:
-    """All that the node needs.
-
-    Attributes:
-        config: its own parameters.
-        ggcnn: the network, what it sees, and the hand on the tool.
-        frames: which frames are kept.
-        watch: how a grasp is seen.
-        kuka: the arm and its tool.
-        T_tool_grasp: grasp in the tool, shape (4, 4) [m].
-        up: the vertical in the base frame, shape (3,).
-        network: ready to be run.
-        weights_sha256: of its file.
-        folder: of the episodes.
-        version, revision: of this package.
-    """
+    """Everything that the node needs."""
 
     config: CollectionConfig
-    ggcnn: GgcnnSettings
+    ggcnn: GgcnnSettings  # the network, its view, and the hand on the tool
     frames: FrameBufferConfig
     watch: GraspWatchConfig
     kuka: KukaConfig
-    T_tool_grasp: np.ndarray
-    up: np.ndarray
+    T_tool_grasp: np.ndarray  # shape (4, 4) [m]
+    up: np.ndarray  # the vertical in the base frame, shape (3,)
     network: torch.jit.ScriptModule
     weights_sha256: str
-    folder: Path
-    version: str
-    revision: str
+    folder: Path  # of the episodes
+    version: str  # of this package
+    revision: str  # its commit
 
 
 def read_setup() -> CollectionSetup:
