@@ -128,18 +128,11 @@ def assisted_grasp() -> None:
 
 
 def grasping() -> None:
-    """What the network sees and proposes in three scenes, and the same in RViz."""
-    for scene in ("cup", "objects", "scattered"):
+    """What the network sees and proposes in two scenes."""
+    for scene in ("cup", "objects"):
         with _grasps(scene) as master:
             file = PICTURES / f"grasping_{scene}.png"
             _run("rosrun", "grasping", "grasp_picture.py", str(file), ROS_MASTER_URI=master)
-    with _screen() as display:
-        environment = {"DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1", "QT_X11_NO_MITSHM": "1"}
-        with _grasps("objects", "rviz:=true", **environment):
-            time.sleep(FOLLOWING_S)
-            _run(
-                sys.executable, "-m", "tools.pictures", "--shoot", str(PICTURES / "grasping_rviz.png"), DISPLAY=display
-            )
 
 
 def tag_pose() -> None:
@@ -269,18 +262,18 @@ def _started(*command: str, **environment: str) -> Iterator[subprocess.Popen[byt
 
 
 @contextlib.contextmanager
-def _grasps(scene: str, *arguments: str, **environment: str) -> Iterator[str]:
+def _grasps(scene: str) -> Iterator[str]:
     """Runs the simulated world, its camera and the network; yields the address of their ROS master."""
     world, *others = (str(free_port()) for _ in range(5))
     options = ("--port", "--control-port", "--hand-port", "--hand-control-port")
     ports = (word for pair in zip(options, others) for word in pair)
     launch = ("roslaunch", "grasping", "grasping.launch", f"port:={world}", "control_port:=0", "image_view:=false")
     truth = ("rosrun", "rig_simulation", "camera_truth_node.py", f"_port:={world}")
-    master = {"ROS_MASTER_URI": f"http://localhost:{free_port()}", **environment}
+    master = f"http://localhost:{free_port()}"
     with _started(
         "rosrun", "rig_simulation", "world.py", "--scene", scene, "--seed", "1", "--world-port", world, *ports
-    ), _started(*launch, *arguments, **master), _started(*truth, **master):
-        yield master["ROS_MASTER_URI"]
+    ), _started(*launch, ROS_MASTER_URI=master), _started(*truth, ROS_MASTER_URI=master):
+        yield master
 
 
 @contextlib.contextmanager
