@@ -114,7 +114,7 @@ def film() -> None:
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "film.mp4"
         _record("pick_cup", recording, FILM_OPTIONS)
-        _animate(recording, PICTURES / "film.webp", begin_s=5.0)
+        _animate(recording, PICTURES / "film.webp", begin_s=10.0)
 
 
 def pick_cup() -> None:
