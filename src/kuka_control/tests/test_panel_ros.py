@@ -191,7 +191,7 @@ def test_a_controller_that_comes_goes_and_comes_again(panel, start, see):
     click(panel.control)
     see(panel.control.isChecked, "green")
     first.kill()
-    see(lambda: "has ended" in panel.status.full, "the sentence")
+    see(lambda: "has exited" in panel.status.full, "the sentence")
     assert not panel.control.isChecked() and not panel.control.isEnabled() and panel.emergency.isEnabled()
     start()
     see(panel.control.isEnabled, "the second controller")
@@ -236,7 +236,7 @@ def test_emergency_stop_ends_a_controller_that_hangs(panel, controller, see, sus
     see(lambda: controller.poll() is not None, "the end of the process")
     assert controller.returncode == -signal.SIGKILL
     see(lambda: "hung and its process was ended" in panel.answer.full, "the sentence")
-    see(lambda: "has ended" in panel.status.full and not panel.control.isEnabled(), "the end")
+    see(lambda: "has exited" in panel.status.full and not panel.control.isEnabled(), "the end")
 
 
 def test_emergency_stop_asks_a_controller_whose_loop_hangs(panel, controller, see):
@@ -245,7 +245,7 @@ def test_emergency_stop_asks_a_controller_whose_loop_hangs(panel, controller, se
     click(panel.emergency)
     see(lambda: controller.poll() is not None, "the end of the process")
     assert controller.returncode == 2
-    see(lambda: "the controller has ended" in panel.answer.full, "the sentence")
+    see(lambda: "the controller has exited" in panel.answer.full, "the sentence")
 
 
 def test_emergency_stop_again_and_again(panel, controller, see):

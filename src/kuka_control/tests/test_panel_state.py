@@ -7,7 +7,7 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, Surroundings, Tone, panel_state
+from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, Tone, panel_state
 
 STATUS = ControllerStatus(10.0, True, True, 0.7, "servo", "the hand steers the arm", ("z lower limit",))
 
@@ -38,31 +38,31 @@ def test_a_silent_controller_is_shown_as_off(silence):
 
 
 def test_a_controller_whose_process_is_gone_is_off_at_once():
-    state = panel_state(STATUS, 10.0, Surroundings(runs=False))
+    state = panel_state(STATUS, 10.0, PanelContext(runs=False))
     assert not (state.present or state.control_on or state.gripper_on)
-    assert state.status_line == "The controller has ended. Its last state was servo: the hand steers the arm" + (
+    assert state.status_line == "The controller has exited. Its last state was servo: the hand steers the arm" + (
         " (limited by: z lower limit)"
     )
     assert state.tone is Tone.WARNING
 
 
 def test_silence_is_a_fault_and_says_what_is_known():
-    here, elsewhere = (panel_state(STATUS, 20.0, Surroundings(runs=runs)) for runs in (True, None))
+    here, elsewhere = (panel_state(STATUS, 20.0, PanelContext(runs=runs)) for runs in (True, None))
     assert here.status_line == "The controller has been silent for 10 s: it hangs."
-    assert elsewhere.status_line == "The controller has been silent for 10 s: it ended, hangs, or is out of reach."
+    assert elsewhere.status_line == "The controller has been silent for 10 s: it exited, hangs, or is out of reach."
     assert here.tone is elsewhere.tone is Tone.FAULT
 
 
 def test_a_lost_master_is_said_and_changes_nothing_else():
-    around = Surroundings(master="http://rig:11311", master_lost=True)
-    assert panel_state(None, 0.0, around).status_line == "Waiting for the ROS master at http://rig:11311."
-    state, calm = panel_state(STATUS, 10.0, around), panel_state(STATUS, 10.0)
+    context = PanelContext(master="http://rig:11311", master_lost=True)
+    assert panel_state(None, 0.0, context).status_line == "Waiting for the ROS master at http://rig:11311."
+    state, calm = panel_state(STATUS, 10.0, context), panel_state(STATUS, 10.0)
     assert replace(state, status_line=calm.status_line, tone=calm.tone) == calm
     assert "http://rig:11311 does not answer" in state.status_line and state.tone is Tone.WARNING
 
 
 def test_a_stopped_arm_is_a_fault():
     stopped = replace(STATUS, mode="stopped")
-    for around in (Surroundings(), Surroundings(master_lost=True)):
-        assert panel_state(stopped, 10.0, around).tone is Tone.FAULT
+    for context in (PanelContext(), PanelContext(master_lost=True)):
+        assert panel_state(stopped, 10.0, context).tone is Tone.FAULT
     assert panel_state(STATUS, 10.0).tone is Tone.NORMAL

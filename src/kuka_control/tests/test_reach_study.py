@@ -12,7 +12,7 @@ from common.poses import translation
 from iiwa_kinematics import IkFailure, Kinematics
 from iiwa_kinematics.robot_model import robot_model
 from kuka_control.model.home_pose import home_pose
-from kuka_control.model.reach_study import ReachStudy, study_reach, tool_attitude
+from kuka_control.model.reach_study import ReachStudy, study_reach, tool_rotation
 from kuka_control.model.workspace import Workspace
 from kuka_control.model.workspace_samples import volume_samples
 
@@ -43,13 +43,13 @@ def study(tolerances=WIDE, tool=TOOL_M, count=150, seed=0, attitudes=6, space=No
 def test_at_zero_the_tool_has_the_attitude_of_the_home_position(heading):
     space = workspace(heading)
     R_home = home_pose(Kinematics(MODEL, TOOL), space).T_base_tool[:3, :3]
-    np.testing.assert_allclose(tool_attitude(mounting_frame(space.center_line), 0.0, 0.0, 0.0), R_home, atol=1e-9)
+    np.testing.assert_allclose(tool_rotation(mounting_frame(space.center_line), 0.0, 0.0, 0.0), R_home, atol=1e-9)
 
 
 @given(headings, angles, angles, angles)
 def test_the_tool_is_turned_by_yaw_about_the_vertical_and_tilted_by_pitch_and_roll(heading, yaw, pitch, roll):
     space = workspace(heading)
-    R = tool_attitude(mounting_frame(space.center_line), yaw, pitch, roll)
+    R = tool_rotation(mounting_frame(space.center_line), yaw, pitch, roll)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert R[2, 2] == pytest.approx(-math.cos(pitch) * math.cos(roll), abs=1e-12)
     forward = R[:, 0] if space.center_line[0] < 0.0 else -R[:, 0]
@@ -60,7 +60,7 @@ def test_the_tool_is_turned_by_yaw_about_the_vertical_and_tilted_by_pitch_and_ro
 
 def test_without_tolerances_every_attitude_is_straight_down():
     found = study(tolerances=(0.0, 0.0, 0.0))
-    np.testing.assert_array_equal(found.share, found.down.astype(float))
+    np.testing.assert_array_equal(found.fraction, found.down.astype(float))
     assert found.percent_within == pytest.approx(found.percent_down)
     assert found.percent_always == found.percent_down
 
@@ -98,7 +98,7 @@ def test_always_also_means_straight_down():
 def test_equal_seeds_give_equal_studies():
     first, again = study(seed=4), study(seed=4)
     np.testing.assert_array_equal(first.down, again.down)
-    np.testing.assert_array_equal(first.share, again.share)
+    np.testing.assert_array_equal(first.fraction, again.fraction)
 
 
 @pytest.mark.parametrize(("count", "attitudes"), [(0, 5), (5, 0)])

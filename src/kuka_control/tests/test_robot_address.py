@@ -6,23 +6,16 @@ import numpy as np
 import pytest
 import yaml
 
-from common.config import keys
 from common.errors import ConfigError
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from kuka_control.model.config import ArmConfig
-from kuka_control.model.robot_address import OPTIONS, RobotAddress, robot_address
+from kuka_control.model.robot_address import OPTIONS, robot_address
 
 CONFIG = Path(__file__).parents[1] / "config"
 
 
 def values(name="kuka_params_rt.yaml"):
     return yaml.safe_load((CONFIG / name).read_text())
-
-
-def test_it_is_a_part_of_the_controllers_parameters():
-    of_arm = {key.name: key for key in keys(ArmConfig)}
-    assert all(of_arm[key.name] == key for key in keys(RobotAddress))
 
 
 @pytest.mark.parametrize("name", ["kuka_params_rt.yaml", "kuka_params_ptp.yaml"])

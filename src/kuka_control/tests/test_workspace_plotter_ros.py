@@ -90,7 +90,7 @@ def test_all_faults_of_a_bad_workspace_are_said(plotter, tmp_path):
     ("arguments", "sentence"),
     [
         (["--params", "/no/such.yaml", "--save", "w.png"], "/no/such.yaml cannot be read"),
-        (["--save", "w.xyz"], "w.xyz is no name of a picture"),
+        (["--save", "w.xyz"], "w.xyz is not the name of a picture"),
         (["--save", "/no/folder/w.png"], "There is no folder /no/folder"),
     ],
 )

@@ -1,6 +1,6 @@
 """The control panel as a Qt widget: KUKA on the left, gripper and application on the right, two sentences below.
 
-It holds no state of its own: `show_state` sets what is seen, and the signals say what the person asked for.
+It holds no state: `show_state` sets what the widgets show, and signals carry the operator's requests.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ STEPS_PER_UNIT = 10
 """The slider moves in tenths."""
 
 EMERGENCY_TIP = (
-    "Ends the controller at once, by force if it hangs. The arm holds its last goal;\n"
+    "Stops the controller at once, by force if it hangs. The arm holds its last goal;\n"
     "a motion to a point (home, pick-up, zero) runs to its end: only the red button of the smartPad stops that.\n"
     "Keys, while this window has the keyboard: Esc always, the space bar unless Tab has moved the focus.\n"
     "This is no safety function: keep that button within reach."
 )
-EXIT_TIP = "The arm goes to the zero position, then the controller ends."
+EXIT_TIP = "The arm goes to the zero position, then the controller exits."
 LOCKED_TIP = "Switch ROS Control off to change the scaling factor."
 
 
@@ -76,7 +76,7 @@ class ControlPanel(QWidget):
         self.emergency.setFocus()
 
     def show_state(self, state: PanelState) -> None:
-        """Shows the state; a slider that the person holds stays where it is."""
+        """Shows the state; a slider that the operator holds stays where it is."""
         self.control.setChecked(state.control_on)
         self.gripper.setChecked(state.gripper_on)
         for widget in (self.control, self.gripper, self.exit):
@@ -92,17 +92,17 @@ class ControlPanel(QWidget):
         self.status.show_text(state.status_line, state.tone)
 
     def show_answer(self, text: str, tone: Tone = Tone.NORMAL) -> None:
-        """Shows the answer to the person's last request."""
+        """Shows the answer to the operator's last request."""
         self.answer.show_text(text, tone)
 
     def _arrange(self) -> None:
-        ends = QHBoxLayout()
-        ends.addWidget(label(f"{SCALING_MIN:.1f}", "end"))
-        ends.addStretch()
-        ends.addWidget(label(f"{SCALING_MAX:.1f}", "end"))
+        scale_ends = QHBoxLayout()
+        scale_ends.addWidget(label(f"{SCALING_MIN:.1f}", "end"))
+        scale_ends.addStretch()
+        scale_ends.addWidget(label(f"{SCALING_MAX:.1f}", "end"))
         grid = QGridLayout(self)
         grid.setSpacing(10)
-        kuka = _group("KUKA", self.control, self.scaling_label, self.scaling, ends, self.reset)
+        kuka = _group("KUKA", self.control, self.scaling_label, self.scaling, scale_ends, self.reset)
         grid.addWidget(kuka, 0, 0, 2, 1)
         grid.addWidget(_group("Gripper", self.gripper), 0, 1)
         grid.addWidget(_group("Application", self.exit, self.emergency), 1, 1)
@@ -116,7 +116,7 @@ class ControlPanel(QWidget):
             self.setTabOrder(first, second)
 
     def _connect(self) -> None:
-        # clicked comes from the person only; show_state never triggers it.
+        # clicked comes from the operator only; show_state never triggers it.
         self.control.clicked.connect(self._ask_control)
         self.gripper.clicked.connect(self._ask_gripper)
         self.scaling.sliderReleased.connect(self._ask_scaling)

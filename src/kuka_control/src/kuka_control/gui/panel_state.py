@@ -1,4 +1,4 @@
-"""What the control panel shows, and which of its controls make sense now."""
+"""What the control panel shows, and which of its controls are enabled."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from enum import Enum
 from kuka_control.model.scaling import SCALING_DEFAULT
 
 ABSENT_S = 1.5
-"""Without a status for so long the controller counts as absent."""
+"""Without a status for this long the controller counts as absent [s]."""
 
 
 class Tone(Enum):
-    """How a sentence of the panel is meant."""
+    """How important a sentence of the control panel is."""
 
     NORMAL = "normal"
     WARNING = "warning"
@@ -21,7 +21,7 @@ class Tone(Enum):
 
 @dataclass(frozen=True)
 class ControllerStatus:
-    """The controller's state as it said it last, `received` by this machine's monotonic clock [s]."""
+    """The controller's last published state; `received` is a time of this machine's monotonic clock [s]."""
 
     received: float
     control_on: bool
@@ -35,8 +35,8 @@ class ControllerStatus:
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What the panel knows besides the status.
+class PanelContext:
+    """What the control panel knows besides the status.
 
     Attributes:
         master: address of the ROS master.
@@ -62,26 +62,26 @@ class PanelState:
     tone: Tone = Tone.NORMAL
 
 
-NOTHING_SPECIAL = Surroundings()
+NO_CONTEXT = PanelContext()
 
 
-def panel_state(status: ControllerStatus | None, now: float, around: Surroundings = NOTHING_SPECIAL) -> PanelState:
-    """Returns what the panel shows at time `now` [s]; nothing is shown as on that was not said to be on just now."""
+def panel_state(status: ControllerStatus | None, now: float, context: PanelContext = NO_CONTEXT) -> PanelState:
+    """Returns what the control panel shows at time `now` [s]; only what is known to be on is shown as on."""
     if status is None:
-        if around.master_lost:
-            return _absent(SCALING_DEFAULT, f"Waiting for the ROS master at {around.master}.", Tone.WARNING)
+        if context.master_lost:
+            return _absent(SCALING_DEFAULT, f"Waiting for the ROS master at {context.master}.", Tone.WARNING)
         return _absent(SCALING_DEFAULT, "Waiting for the controller of the arm.", Tone.NORMAL)
-    if around.runs is False:
-        line = f"The controller has ended. Its last state was {_sentence(status)}"
+    if context.runs is False:
+        line = f"The controller has exited. Its last state was {_sentence(status)}"
         return _absent(status.scaling_factor, line, Tone.WARNING)
     silence = now - status.received
     if silence > ABSENT_S:
-        why = "it hangs" if around.runs else "it ended, hangs, or is out of reach"
+        why = "it hangs" if context.runs else "it exited, hangs, or is out of reach"
         line = f"The controller has been silent for {silence:.0f} s: {why}."
         return _absent(status.scaling_factor, line, Tone.FAULT)
     line, tone = _sentence(status), Tone.FAULT if status.mode == "stopped" else Tone.NORMAL
-    if around.master_lost:
-        line = f"{line}\nThe ROS master at {around.master} does not answer; this controller still does."
+    if context.master_lost:
+        line = f"{line}\nThe ROS master at {context.master} does not answer; this controller still does."
         tone = Tone.WARNING if tone is Tone.NORMAL else tone
     return PanelState(
         True, status.control_on, status.gripper_on, status.scaling_factor, not status.control_on, line, tone

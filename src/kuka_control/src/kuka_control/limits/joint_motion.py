@@ -12,7 +12,7 @@ from iiwa_kinematics.robot_model import RobotModel
 from kst import PtpLimits
 
 STEPS = 101
-"""So many places on the way are looked at for the speed of the tool."""
+"""Number of points of the path at which the speed of the tool is calculated."""
 
 ARRIVED_DEG = float(np.degrees(PtpLimits.arrived))
 """The arm is at a configuration if no joint is further from it than this [deg]."""
@@ -45,19 +45,19 @@ class JointMotion:
         return abs(self.largest[1]) > ARRIVED_DEG
 
     def greatest_tool_speed(self, model: RobotModel, T_flange_tool: np.ndarray, velocity: float) -> float:
-        """Returns the greatest speed of the tool point on the way, where all joints start and arrive together [m/s].
+        """Returns the greatest speed of the tool point on the path, where all joints start and arrive together [m/s].
 
         Args:
             model: the arm.
             T_flange_tool: the tool point, shape (4, 4) [m].
-            velocity: share of full joint speed, above 0.
+            velocity: fraction of full joint speed, above 0.
         """
         duration = self.least_duration(velocity * model.max_speed)
         if duration == 0.0:
             return 0.0
         speeds = (self.target - self.start) / duration
-        way = (self.start + part * (self.target - self.start) for part in np.linspace(0.0, 1.0, STEPS))
-        return max(float(np.linalg.norm(jacobian(model, q, T_flange_tool)[:3] @ speeds)) for q in way)
+        path = (self.start + part * (self.target - self.start) for part in np.linspace(0.0, 1.0, STEPS))
+        return max(float(np.linalg.norm(jacobian(model, q, T_flange_tool)[:3] @ speeds)) for q in path)
 
     def least_duration(self, speeds: np.ndarray) -> float:
         """Returns how long it takes at the joint speeds, shape (7,) [rad/s], without the time to speed up [s]."""

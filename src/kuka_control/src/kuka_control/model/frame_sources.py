@@ -1,6 +1,6 @@
 """Who publishes which frame of tf: one that two nodes publish jumps between what both of them say.
 
-Time is monotonic, in seconds. A node that ends may be followed by another one, but not at once.
+Time is monotonic, in seconds. After one node has exited, another one may publish the frame, but not at once.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 HANDOVER_S = 1.0
-"""Another node may take a frame over when the one before has been silent for so long."""
+"""Another node may take over a frame after the one before has been silent for this long [s]."""
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ def named_configurations(values: object, model: RobotModel) -> dict[str, np.ndar
 def chosen_configuration(
     words: Sequence[str], named: Mapping[str, np.ndarray], model: RobotModel
 ) -> tuple[str, np.ndarray]:
-    """Returns what the person chose, as a text and as joints [rad], shape (7,).
+    """Returns the chosen configuration, as a text and as joints [rad], shape (7,).
 
     Args:
         words: a name, or seven angles [deg].

@@ -10,7 +10,7 @@ from common.mounting import MountingFrame, mounting_frame
 from common.poses import inverse
 from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, robot_model
 from kuka_control.model.calibration_file import DhDeviations
-from kuka_control.model.config import ArmConfig
+from kuka_control.model.config import ControllerConfig
 from kuka_control.model.home_pose import Home, custom_home, home_pose
 from kuka_control.model.target import TargetChain
 from kuka_control.model.workspace import Workspace
@@ -39,7 +39,7 @@ class Rig:
     chain: TargetChain
 
     @classmethod
-    def of(cls, config: ArmConfig, dh: DhDeviations | None = None) -> Rig:
+    def of(cls, config: ControllerConfig, dh: DhDeviations | None = None) -> Rig:
         """Returns the rig that a configuration describes.
 
         Args:

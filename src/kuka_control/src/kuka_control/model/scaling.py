@@ -1,4 +1,4 @@
-"""The scaling factor: how far the tool moves for a way of the hand, seen from the workspace centre.
+"""The scaling factor: how far the tool moves for a motion of the hand, from the workspace centre.
 
 Positions in the base frame [m]; rotations are not scaled.
 """

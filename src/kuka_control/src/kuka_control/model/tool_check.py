@@ -1,7 +1,7 @@
 """Whether the tool can be brought to a pose, by the very steps that bring it to a desired tool frame. Nothing moves.
 
 The answer holds for the joints from which the arm would go there: those that it has while it follows the desired tool
-frame, else those of the home position, since it always goes there first. It does not look at the way.
+frame, else those of the home position, since it always goes there first. It does not check the path.
 """
 
 from __future__ import annotations

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping
 from common.config import parse
 from common.errors import ConfigError
 from kuka_control.model.calibration_file import DhDeviations
-from kuka_control.model.config import ArmConfig, neighbours
+from kuka_control.model.config import ControllerConfig, neighbours
 from kuka_control.model.home_pose import HomeError
 from kuka_control.model.rig import Rig
 
 
 def checked_rig(
-    values: Mapping, prefix: str = "", read_dh: Callable[[ArmConfig], DhDeviations | None] = lambda config: None
-) -> tuple[ArmConfig, Rig]:
+    values: Mapping, prefix: str = "", read_dh: Callable[[ControllerConfig], DhDeviations | None] = lambda config: None
+) -> tuple[ControllerConfig, Rig]:
     """Returns the parameters and the arm with workspace and home that they describe.
 
     Args:
@@ -25,7 +25,7 @@ def checked_rig(
     Raises:
         ConfigError: with all faults, one sentence each.
     """
-    config = parse(ArmConfig, values, prefix, others=neighbours(ArmConfig))
+    config = parse(ControllerConfig, values, prefix, others=neighbours(ControllerConfig))
     try:
         return config, Rig.of(config, read_dh(config))
     except HomeError as error:

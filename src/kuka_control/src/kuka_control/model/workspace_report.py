@@ -6,18 +6,18 @@ from typing import Sequence
 
 import numpy as np
 
-from kuka_control.model.config import ArmConfig
+from kuka_control.model.config import ControllerConfig
 from kuka_control.model.reach_study import ReachStudy
 from kuka_control.model.rig import Rig
 
 
-def title(config: ArmConfig) -> str:
+def title(config: ControllerConfig) -> str:
     """Returns what the picture shows, in one line."""
     line = ", ".join(f"{part:.3g}" for part in config.center_line)
     return f"Workspace of the {config.robot}: center_line [{line}], {config.opening_angle:g} deg"
 
 
-def sentences(config: ArmConfig, rig: Rig, study: ReachStudy, tolerances_deg: Sequence[float]) -> list[str]:
+def sentences(config: ControllerConfig, rig: Rig, study: ReachStudy, tolerances_deg: Sequence[float]) -> list[str]:
     """Returns the settings and the findings, one sentence a line.
 
     Args:
@@ -39,7 +39,7 @@ def sentences(config: ArmConfig, rig: Rig, study: ReachStudy, tolerances_deg: Se
         "the workspace.",
         f"Reached within yaw, pitch, roll of {_tolerances(tolerances_deg)} deg: {study.percent_within:.1f} % of the "
         "poses.",
-        f"Reached with every attitude that was tried: {study.percent_always:.1f} % of the positions.",
+        f"Reached with every orientation that was tried: {study.percent_always:.1f} % of the positions.",
     ]
     if study.failures:
         reasons = (f"{count} {str(reason).split(': ')[-1].rstrip('.')}" for reason, count in study.failures.items())

@@ -23,7 +23,7 @@ from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.loop.controller import Controller, Inputs
 from kuka_control.loop.standby import Standby
 from kuka_control.loop.switches import Switches
-from kuka_control.model.config import ArmConfig, PtpConfig, RealTimeConfig, neighbours
+from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig, neighbours
 from kuka_control.model.rig import Rig
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.dh_file import dh_deviations
@@ -53,7 +53,7 @@ def ptp_main() -> None:
     node.run("kuka_ptp_node", lambda: _run(PtpConfig, assembly.ptp_loop))
 
 
-def _run(schema: type[ArmConfig], make_loop: Callable[[ArmConfig, Rig], ControlLoop]) -> None:
+def _run(schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     config = wait_for_config(schema, "kuka", others=neighbours(schema), patience=PARAMETERS_S)
     rig = Rig.of(config, dh_deviations(config))
@@ -70,7 +70,9 @@ def _run(schema: type[ArmConfig], make_loop: Callable[[ArmConfig, Rig], ControlL
 class _Node:
     """Everything that lives once the arm was connected."""
 
-    def __init__(self, config: ArmConfig, rig: Rig, link: RobotLink, make_loop: Callable[[], ControlLoop]) -> None:
+    def __init__(
+        self, config: ControllerConfig, rig: Rig, link: RobotLink, make_loop: Callable[[], ControlLoop]
+    ) -> None:
         self._link = link
         self._make_loop = make_loop
         self._loop: ControlLoop | Standby = make_loop()

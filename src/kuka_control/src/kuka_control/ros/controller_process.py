@@ -24,7 +24,7 @@ class ControllerProcess:
 
 
 def find(pid: int) -> ControllerProcess | None:
-    """Returns the running process `pid`, or None if there is none or it is no controller."""
+    """Returns the running process `pid`, or None if it does not run or is not a controller."""
     start = _start_of(pid)
     if start is None or not _is_controller(pid):
         return None
@@ -37,7 +37,7 @@ def runs(process: ControllerProcess) -> bool:
 
 
 def kill(process: ControllerProcess) -> None:
-    """Ends the process at once, whatever it does; does nothing if it has ended.
+    """Kills the process; does nothing if it has exited.
 
     Raises:
         PermissionError: the process belongs to another user.

@@ -7,11 +7,11 @@ from pathlib import Path
 from common.config import parse
 from common.errors import ConfigError
 from kuka_control.model.calibration_file import DhDeviations
-from kuka_control.model.config import ArmConfig
+from kuka_control.model.config import ControllerConfig
 from kuka_control.ros.parameter_server import read_yaml
 
 
-def dh_deviations(config: ArmConfig) -> DhDeviations | None:
+def dh_deviations(config: ControllerConfig) -> DhDeviations | None:
     """Returns what the file says; None if the parameter is empty.
 
     Raises:

@@ -44,7 +44,7 @@ def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str)
 
 def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
     if _ended(process, deadline):
-        return True, f"Emergency Stop: the controller has ended; {LEFT_BEHIND}."
+        return True, f"Emergency Stop: the controller has exited; {LEFT_BEHIND}."
     try:
         controller_process.kill(process)
     except PermissionError:

@@ -18,7 +18,7 @@ from python_qt_binding.QtCore import QObject, QTimer
 
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
 from kuka_control.gui.panel import ControlPanel
-from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelState, Surroundings, Tone, panel_state
+from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
 from kuka_control.ros import controller_process, emergency
 from kuka_control.ros.controller_process import ControllerProcess
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
@@ -37,7 +37,7 @@ KINDS = {CONTROL: setKukaControl, GRIPPER: setGripperControl, SCALING: setScalin
 
 
 class PanelLink(QObject):
-    """Feeds the panel with kuka/status and carries the person's requests to the services; made in Qt's thread."""
+    """Feeds the panel with kuka/status and carries the operator's requests to the services; made in Qt's thread."""
 
     def __init__(self, panel: ControlPanel) -> None:
         super().__init__(panel)
@@ -64,7 +64,7 @@ class PanelLink(QObject):
         self._refresh()
 
     def close(self) -> None:
-        """Stops listening; what still runs ends by its time-outs and touches the panel no more."""
+        """Stops listening; running threads stop after their time-outs and no longer touch the panel."""
         self._timer.stop()
         self._closed = True
         self._wake.set()
@@ -74,8 +74,8 @@ class PanelLink(QObject):
             self._show_answer(*self._answers.get())
         status = self._status
         runs = None if self._process is None else controller_process.runs(self._process)
-        around = Surroundings(rosgraph.get_master_uri(), self._master_lost, runs)
-        self._panel.show_state(self._with_asked_scaling(panel_state(status, time.monotonic(), around)))
+        context = PanelContext(rosgraph.get_master_uri(), self._master_lost, runs)
+        self._panel.show_state(self._with_asked_scaling(panel_state(status, time.monotonic(), context)))
 
     def _with_asked_scaling(self, state: PanelState) -> PanelState:
         """Shows the scaling factor that was asked for until the controller has taken or refused it."""
@@ -171,7 +171,7 @@ class PanelLink(QObject):
     def _take(self, message: KukaStatus) -> None:
         process = controller_process.find(message.pid) if message.host == socket.gethostname() else None
         known = self._process
-        if process is not None or known is None or known.pid != message.pid:  # else it has just ended
+        if process is not None or known is None or known.pid != message.pid:  # else it has just exited
             self._process = process
         previous = self._status
         self._status = ControllerStatus(

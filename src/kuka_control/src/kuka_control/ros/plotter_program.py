@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from common.errors import ConfigError, RigError
 from kuka_control.gui.plot.figure import SIZE_INCH, draw
-from kuka_control.gui.plot.picture import Picture
+from kuka_control.gui.plot.picture import WorkspacePicture
 from kuka_control.model import workspace_report
 from kuka_control.model.reach_study import study_reach
 from kuka_control.model.workspace_check import checked_rig
@@ -30,7 +30,7 @@ TOLERANCES_DEG = (25.0, 25.0, 25.0)
 
 
 def main() -> None:
-    """Runs the program and exits the process: 0, or 1 after sentences that say what is wrong."""
+    """Runs the program and exits the process: 0, or 1 after sentences on the errors."""
     options = _parser().parse_args(rospy.myargv()[1:])
     try:
         _run(options)
@@ -58,7 +58,7 @@ def _run(options: argparse.Namespace) -> None:
     print(workspace_report.title(config))
     print("\n".join(notes), flush=True)
     samples = constrained_samples(rig.workspace, options.constrained, random)
-    picture = Picture(workspace_report.title(config), tuple(notes[:6]), rig, samples, study)
+    picture = WorkspacePicture(workspace_report.title(config), tuple(notes[:6]), rig, samples, study)
     if options.save is not None:
         _save(picture, options.save)
     else:
@@ -86,12 +86,12 @@ def _server_tolerances() -> tuple[float, ...]:
 def _check_picture_name(path: Path) -> None:
     kinds = sorted(FigureCanvasAgg.get_supported_filetypes())
     if path.suffix[1:].lower() not in kinds:
-        raise RigError(f"{path} is no name of a picture: it must end in one of .{', .'.join(kinds)}.")
+        raise RigError(f"{path} is not the name of a picture: it must end in one of .{', .'.join(kinds)}.")
     if not path.parent.is_dir():
         raise RigError(f"There is no folder {path.parent} to save the picture in.")
 
 
-def _save(picture: Picture, path: Path) -> None:
+def _save(picture: WorkspacePicture, path: Path) -> None:
     figure = Figure(figsize=SIZE_INCH)
     FigureCanvasAgg(figure)
     draw(figure, picture)
@@ -110,7 +110,7 @@ def _check_window() -> None:
         raise RigError("There is no display to open a window on; use --save FILE.png.") from error
 
 
-def _show(picture: Picture) -> None:
+def _show(picture: WorkspacePicture) -> None:
     draw(pyplot.figure(figsize=SIZE_INCH, num="Leap Rig: workspace"), picture)
     pyplot.show()
 
@@ -137,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--samples", type=_count, default=1000, help="positions of the study (default: %(default)s)")
     parser.add_argument(
-        "--attitudes", type=_count, default=12, help="attitudes tried at each position (default: %(default)s)"
+        "--attitudes", type=_count, default=12, help="orientations tried at each position (default: %(default)s)"
     )
     parser.add_argument(
         "--constrained", type=_count, default=350, help="positions shown as constrained (default: %(default)s)"

@@ -10,7 +10,7 @@ import rospy
 from common.errors import DeviceError
 from kst import KstClient, KstError, NoServer
 from kuka_control.loop.arm import KstArm
-from kuka_control.model.config import ArmConfig
+from kuka_control.model.config import ControllerConfig
 from kuka_control.model.rig import Rig
 from kuka_control.model.wrench import wrench_at_tool
 
@@ -36,13 +36,13 @@ class RobotLink:
         DeviceError: there is no connection.
     """
 
-    def __init__(self, config: ArmConfig, rig: Rig) -> None:
+    def __init__(self, config: ControllerConfig, rig: Rig) -> None:
         self._config, self._rig = config, rig
         rospy.loginfo("Connecting to the robot at %s:%d.", config.ip, config.port)
         self.arm = self._first()
 
     def close(self) -> None:
-        """Ends servo mode if it runs, and the connection; never raises."""
+        """Leaves servo mode and closes the connection; never raises."""
         self.arm.close()
 
     def again(self) -> None:

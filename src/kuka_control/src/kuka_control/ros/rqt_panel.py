@@ -9,7 +9,7 @@ from kuka_control.ros.panel_link import PanelLink
 
 
 class ControlPanelPlugin(Plugin):
-    """Puts a panel into rqt's window and disconnects it when the person closes it."""
+    """Puts a panel into rqt's window and disconnects it when the operator closes it."""
 
     def __init__(self, context) -> None:
         super().__init__(context)

@@ -15,8 +15,9 @@ from common.errors import ConfigError, DeviceError, RigError
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 from kst import JointLimits, KstClient, KstError, PtpProgress, PtpState, ServerBusy, read_joints, run_ptp
 from kuka_control.limits.joint_motion import JointMotion
+from kuka_control.model.config import RobotAddress
 from kuka_control.model.joint_configurations import chosen_configuration, named_configurations
-from kuka_control.model.robot_address import OPTIONS, RobotAddress, robot_address
+from kuka_control.model.robot_address import OPTIONS, robot_address
 from kuka_control.ros.parameter_server import (
     NoMaster,
     NoParameters,
@@ -55,7 +56,7 @@ def main() -> None:
     except KeyboardInterrupt:
         print("\nInterrupted.")
         code = INTERRUPTED
-    rospy.signal_shutdown("the program ends")
+    rospy.signal_shutdown("the program exits")
     sys.exit(code)
 
 
@@ -155,8 +156,8 @@ def _address(options: argparse.Namespace) -> tuple[RobotAddress, bool]:
 def _refuse_if_held() -> None:
     for name in CONTROLLERS:
         if living_node(name):
-            way = "stop it with Ctrl-C" if name == NODE else "end it first: rosservice call kuka/exit_app"
-            raise RigError(f"The node {name} is running and holds the robot's only connection; {way}")
+            cure = "stop it with Ctrl-C" if name == NODE else "end it first: rosservice call kuka/exit_app"
+            raise RigError(f"The node {name} is running and holds the robot's only connection; {cure}")
 
 
 def _register() -> None:
@@ -194,8 +195,8 @@ def _parser() -> argparse.ArgumentParser:
         "options below stand above both.",
     )
     parser.add_argument("target", nargs="*", metavar="NAME_OR_ANGLE", help="a name, or the seven joint angles in deg")
-    parser.add_argument("--list", action="store_true", help="list the names with their angles, and end")
-    parser.add_argument("--velocity", type=_share, default=0.15, help="share of full joint speed, (0, 1] (%(default)s)")
+    parser.add_argument("--list", action="store_true", help="list the names with their angles, and exit")
+    parser.add_argument("--velocity", type=_fraction, default=0.15, help="fraction of full speed, (0, 1] (%(default)s)")
     parser.add_argument("--yes", action="store_true", help="move without asking")
     parser.add_argument("--configurations", type=Path, metavar="FILE.yaml", help="other names than the package's")
     robot = parser.add_argument_group("robot")
@@ -212,7 +213,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _share(text: str) -> float:
+def _fraction(text: str) -> float:
     try:
         value = float(text)
     except ValueError:

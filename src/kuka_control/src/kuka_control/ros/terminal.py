@@ -54,8 +54,8 @@ class ProgressLine:
 def progress_bar(progress: PtpProgress) -> str:
     """Returns a line with a bar and the remaining step."""
     filled = int(progress.fraction * BAR_CHARACTERS)
-    ahead = f"{math.degrees(progress.remaining):6.1f} deg left (joint {progress.joint})"
-    return f"[{'#' * filled}{'.' * (BAR_CHARACTERS - filled)}] {100.0 * progress.fraction:3.0f} %  {ahead}"
+    remaining = f"{math.degrees(progress.remaining):6.1f} deg left (joint {progress.joint})"
+    return f"[{'#' * filled}{'.' * (BAR_CHARACTERS - filled)}] {100.0 * progress.fraction:3.0f} %  {remaining}"
 
 
 def agrees(question: str) -> bool | None:

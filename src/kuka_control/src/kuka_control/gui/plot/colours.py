@@ -13,8 +13,8 @@ UNREACHED = "#c40018"
 AXES = ("#d62728", "#2ca02c", "#1f5fd0")
 """Of x, y and z in a triad."""
 
-SHARES = "viridis"
-"""Colour map of the share of attitudes that are reached."""
+FRACTIONS = "viridis"
+"""Colour map of the fraction of orientations that are reached."""
 
 ACTED = {
     UNCHANGED: "#a9b2bd",

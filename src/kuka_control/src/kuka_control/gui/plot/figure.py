@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from kuka_control.gui.plot import colours
-from kuka_control.gui.plot.picture import Picture
+from kuka_control.gui.plot.picture import WorkspacePicture
 from kuka_control.gui.plot.scene import draw_scene
 from kuka_control.gui.plot.views import draw_reach, draw_samples
 
@@ -15,7 +15,7 @@ TEXT_PT = 10.5
 HEADING = {"fontsize": 13, "fontweight": "bold", "va": "center"}
 
 
-def draw(figure: Figure, picture: Picture) -> None:
+def draw(figure: Figure, picture: WorkspacePicture) -> None:
     """Draws the picture on an empty figure of `SIZE_INCH`."""
     figure.text(0.02, 0.965, picture.title, fontsize=15, fontweight="bold", va="center")
     draw_scene(figure.add_axes((0.012, 0.16, 0.43, 0.76), projection="3d", computed_zorder=False), picture)
@@ -32,9 +32,9 @@ def draw(figure: Figure, picture: Picture) -> None:
 
     figure.text(left, 0.461, "Where the arm reaches", **HEADING)
     below = figure.add_axes((left, 0.065, width, height)), figure.add_axes((right, 0.065, width, height))
-    shares = draw_reach(*below, picture)
-    bar = figure.colorbar(shares, cax=figure.add_axes((0.95, 0.065, 0.009, height)))
-    bar.set_label("attitudes within the tolerances that are reached [%]", fontsize=TEXT_PT - 1)
+    fractions = draw_reach(*below, picture)
+    bar = figure.colorbar(fractions, cax=figure.add_axes((0.95, 0.065, 0.009, height)))
+    bar.set_label("orientations within the tolerances that are reached [%]", fontsize=TEXT_PT - 1)
     figure.legend(handles=_reach_legend(picture), loc="center right", bbox_to_anchor=(0.948, 0.461), ncol=2,
                   fontsize=TEXT_PT - 1, frameon=False, handletextpad=0.3)  # fmt: skip
 
@@ -48,12 +48,12 @@ def _scene_legend() -> list[Line2D]:
     return [arm, border, *axes]
 
 
-def _sample_legend(picture: Picture) -> list[Line2D]:
+def _sample_legend(picture: WorkspacePicture) -> list[Line2D]:
     counts = {acted: int(picture.samples.group(acted).sum()) for acted in colours.ACTED}
     return [_dots(colour, "o", f"{acted} ({counts[acted]})") for acted, colour in colours.ACTED.items()]
 
 
-def _reach_legend(picture: Picture) -> list[Line2D]:
+def _reach_legend(picture: WorkspacePicture) -> list[Line2D]:
     return [
         _dots(colours.UNREACHED, "x", f"out of reach with the tool straight down ({len(picture.unreached)})"),
         _dots("black", "*", "workspace centre", 11),

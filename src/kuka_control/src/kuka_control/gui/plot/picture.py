@@ -1,4 +1,4 @@
-"""What a picture of the workspace shows, gathered from the arm, the workspace and the studies of them."""
+"""The content of a picture of the workspace."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kuka_control.model.workspace_samples import ConstrainedSamples
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class WorkspacePicture:
     """Everything that is drawn.
 
     Attributes:
@@ -43,13 +43,13 @@ class Picture:
         return self.reach.positions[~self.reach.down]
 
 
-def turned_into_section(points: np.ndarray) -> np.ndarray:
+def in_section(points: np.ndarray) -> np.ndarray:
     """Returns each of the points as distance from the base axis and height, shape (n, 2) [m]."""
     return np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
 
 
 def in_home_plane(points: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
-    """Returns the points as seen along the horizontal across the tool, shape (n, 2) [m]: towards the tool, and height.
+    """Returns the points in the vertical plane of the tool, shape (n, 2) [m]: towards the tool, and height.
 
     Args:
         points: shape (n, 3) [m].

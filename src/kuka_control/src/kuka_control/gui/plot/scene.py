@@ -9,7 +9,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import ArrayLike
 
 from kuka_control.gui.plot import colours
-from kuka_control.gui.plot.picture import Picture
+from kuka_control.gui.plot.picture import WorkspacePicture
 from kuka_control.model.workspace import Workspace, boundary_lines
 
 TRIAD_M = 0.13
@@ -25,7 +25,7 @@ LINKS = ((0, 1, 22), (1, 2, 19), (2, 3, 16), (3, 4, 12))
 BACK, MIDDLE, FRONT = 1, 5, 10
 
 
-def draw_scene(axes: Axes3D, picture: Picture) -> None:
+def draw_scene(axes: Axes3D, picture: WorkspacePicture) -> None:
     """Draws the scene in space."""
     _draw_workspace(axes, picture.rig.workspace)
     _draw_samples(axes, picture)
@@ -62,7 +62,7 @@ def _surface(r: ArrayLike, turn: ArrayLike, z: ArrayLike) -> tuple[np.ndarray, n
     return r * np.cos(turn), r * np.sin(turn), z
 
 
-def _draw_samples(axes: Axes3D, picture: Picture) -> None:
+def _draw_samples(axes: Axes3D, picture: WorkspacePicture) -> None:
     samples = picture.samples
     for acted, colour in colours.ACTED.items():
         points = samples.position[samples.group(acted)]
@@ -78,15 +78,15 @@ def _draw_arm(axes: Axes3D, corners: np.ndarray) -> None:
         _draw_tube(axes, corners[[i, j]], width, colours.ARM)
     _draw_tube(axes, corners[[4, 5]], 5, colours.TOOL)
     for joint, size in zip(corners[1:4], (22, 19, 16)):
-        for share, shade in ((1.0, 0.6), (0.8, 1.0), (0.3, 2.2)):
-            axes.plot(*joint[:, None], "o", color=colours.shaded(colours.JOINT, shade), markersize=share * size,
+        for fraction, shade in ((1.0, 0.6), (0.8, 1.0), (0.3, 2.2)):
+            axes.plot(*joint[:, None], "o", color=colours.shaded(colours.JOINT, shade), markersize=fraction * size,
                       markeredgewidth=0, zorder=FRONT)  # fmt: skip
 
 
 def _draw_tube(axes: Axes3D, ends: np.ndarray, width: float, colour: str) -> None:
     """Draws a line with a dark rim and a light middle, so that it looks round."""
-    for order, (share, shade) in enumerate(((1.0, 0.75), (0.78, 1.0), (0.3, 1.25))):
-        axes.plot(*ends.T, color=colours.shaded(colour, shade), linewidth=share * width, solid_capstyle="round",
+    for order, (fraction, shade) in enumerate(((1.0, 0.75), (0.78, 1.0), (0.3, 1.25))):
+        axes.plot(*ends.T, color=colours.shaded(colour, shade), linewidth=fraction * width, solid_capstyle="round",
                   zorder=FRONT - 1 + 0.1 * order)  # fmt: skip
 
 
@@ -101,7 +101,7 @@ def _draw_triad(axes: Axes3D, T: np.ndarray, name: str, to_the_right: np.ndarray
               path_effects=[withStroke(linewidth=3, foreground="white")])  # fmt: skip
 
 
-def _set_view(axes: Axes3D, picture: Picture) -> None:
+def _set_view(axes: Axes3D, picture: WorkspacePicture) -> None:
     """Gives all axes the same scale, and looks at the arm's plane from in front and above."""
     foot = [[-0.15, -0.15, 0.0], [0.15, 0.15, 0.0]]
     shown = np.vstack([picture.arm, *boundary_lines(picture.rig.workspace), foot])

@@ -1,4 +1,4 @@
-"""The workspace and the arm from above, and in a vertical section: all is turned into it about the base axis."""
+"""The workspace and the arm from above, and in a vertical section, into which all points are rotated."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 
 from kuka_control.gui.plot import colours
-from kuka_control.gui.plot.picture import Picture, in_home_plane, turned_into_section
+from kuka_control.gui.plot.picture import WorkspacePicture, in_home_plane, in_section
 from kuka_control.model.workspace import Workspace
 
 TRIAD_M = 0.1
@@ -15,24 +15,24 @@ LABEL_PT = 10.5
 ARM_WIDTHS = (10, 9, 8, 6)
 
 
-def draw_samples(above: Axes, side: Axes, picture: Picture) -> None:
+def draw_samples(above: Axes, side: Axes, picture: WorkspacePicture) -> None:
     """Draws where the workspace moves positions to, from above and in the section."""
     samples = picture.samples
     _draw_from_above(above, picture)
     _draw_moves(above, picture, samples.raw[:, :2], samples.position[:, :2])
     _draw_section(side, picture)
-    _draw_moves(side, picture, turned_into_section(samples.raw), turned_into_section(samples.position))
+    _draw_moves(side, picture, in_section(samples.raw), in_section(samples.position))
 
 
-def draw_reach(above: Axes, side: Axes, picture: Picture) -> PathCollection:
+def draw_reach(above: Axes, side: Axes, picture: WorkspacePicture) -> PathCollection:
     """Draws where the arm reaches, from above and in the section; returns what the colour bar is for."""
     _draw_from_above(above, picture)
-    _draw_shares(above, picture, picture.reach.positions[:, :2])
+    _draw_fractions(above, picture, picture.reach.positions[:, :2])
     _draw_section(side, picture)
-    return _draw_shares(side, picture, turned_into_section(picture.reach.positions))
+    return _draw_fractions(side, picture, in_section(picture.reach.positions))
 
 
-def _draw_moves(axes: Axes, picture: Picture, raw: np.ndarray, position: np.ndarray) -> None:
+def _draw_moves(axes: Axes, picture: WorkspacePicture, raw: np.ndarray, position: np.ndarray) -> None:
     for acted, colour in colours.ACTED.items():
         group = picture.samples.group(acted)
         gaps = np.full_like(raw[group], np.nan)
@@ -41,15 +41,16 @@ def _draw_moves(axes: Axes, picture: Picture, raw: np.ndarray, position: np.ndar
         axes.scatter(*position[group].T, s=12, color=colour, linewidths=0, zorder=6)
 
 
-def _draw_shares(axes: Axes, picture: Picture, points: np.ndarray) -> PathCollection:
+def _draw_fractions(axes: Axes, picture: WorkspacePicture, points: np.ndarray) -> PathCollection:
     down = picture.reach.down
-    shares = axes.scatter(*points[down].T, s=13, c=100.0 * picture.reach.share[down], cmap=colours.SHARES, vmin=0.0,
-                          vmax=100.0, linewidths=0, zorder=5)  # fmt: skip
+    percent = 100.0 * picture.reach.fraction[down]
+    fractions = axes.scatter(*points[down].T, s=13, c=percent, cmap=colours.FRACTIONS, vmin=0.0, vmax=100.0,
+                             linewidths=0, zorder=5)  # fmt: skip
     axes.scatter(*points[~down].T, marker="x", s=22, linewidths=1.5, color=colours.UNREACHED, zorder=6)
-    return shares
+    return fractions
 
 
-def _draw_from_above(axes: Axes, picture: Picture) -> None:
+def _draw_from_above(axes: Axes, picture: WorkspacePicture) -> None:
     workspace, home = picture.rig.workspace, picture.rig.home
     half = workspace.opening_angle / 2.0
     turns = workspace.heading + np.linspace(-half, half, 60)
@@ -62,14 +63,14 @@ def _draw_from_above(axes: Axes, picture: Picture) -> None:
     _finish(axes, "From above", "x [m]", "y [m]")
 
 
-def _draw_section(axes: Axes, picture: Picture) -> None:
+def _draw_section(axes: Axes, picture: WorkspacePicture) -> None:
     workspace, home = picture.rig.workspace, picture.rig.home
     z, radii = _heights(workspace), _radii(workspace)
     _fill(axes, np.column_stack([np.append(radii[:, 0], radii[::-1, 1]), np.append(z, z[::-1])]))
     T = home.T_base_tool
     _draw_arm(axes, in_home_plane(picture.arm, T))
     _draw_triad(axes, in_home_plane(T[None, :3, 3], T)[0], in_home_plane(T[:3, :3].T, T).T)
-    axes.plot(*turned_into_section(home.centre[None])[0], "*", color="black", markersize=11, zorder=11)
+    axes.plot(*in_section(home.centre[None])[0], "*", color="black", markersize=11, zorder=11)
     _finish(axes, "From the side, turned into one plane", "distance from the base axis [m]", "z [m]")
 
 
