@@ -68,20 +68,20 @@ NODES: dict[str, Node] = {
     "rig_simulation/world_monitor.py": Node({"": "rig_simulation.node_parameters:WorldMonitorConfig"}, {}),
     "rig_simulation/world_view.py": Node({"": "rig_simulation.node_parameters:WorldViewConfig"}, {}),
     "vision/camera_frames_node.py": Node({}, {"": ("vision/config/camera_frames.yaml",)}),
-    "vision/camera_place_node.py": Node({"": "vision.node_parameters:PlaceConfig"}, {}),
+    "vision/camera_place_node.py": Node({"": "vision.calibration.record:CameraPoseConfig"}, {}),
     "vision/camera_watchdog_node.py": Node({}, {"": ("vision/config/camera_watchdog.yaml",)}),
     "vision/plane_pose_node.py": Node(
-        {"": "vision.node_parameters:PairsConfig"},
+        {"": "vision.camera.registration:PairsConfig"},
         {
             "detector": ("vision/config/settings.yaml", "vision/config/tags.yaml"),
             "panel": ("vision/config/panel.yaml",),
             "plane_pose": ("vision/config/plane_pose.yaml",),
         },
     ),  # fmt: skip
-    "vision/register_rgbd_node.py": Node({"": "vision.node_parameters:PairsConfig"}, {}),
-    "vision/register_rgbd_start.py": Node({"": "vision.node_parameters:PairsConfig"}, {}),
-    "vision/stereo_view_node.py": Node({"": "vision.node_parameters:WindowConfig"}, VIEW),
-    "vision/stereo_web_node.py": Node({"web": "vision.node_parameters:WebConfig"}, VIEW),
+    "vision/register_rgbd_node.py": Node({"": "vision.camera.registration:PairsConfig"}, {}),
+    "vision/register_rgbd_start.py": Node({"": "vision.camera.registration:PairsConfig"}, {}),
+    "vision/stereo_view_node.py": Node({"": "vision.stereo.config:WindowConfig"}, VIEW),
+    "vision/stereo_web_node.py": Node({"web": "vision.stereo.config:WebConfig"}, VIEW),
     "vision/xtion_node.py": Node(
         {}, {"": ("vision/config/xtion.yaml",), "frames": ("vision/config/camera_frames.yaml",), **CALIBRATIONS}
     ),

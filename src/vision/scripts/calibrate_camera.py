@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Finds where the camera stands: the arm shows the marker panel to it from many sides. See --help."""
+"""Finds where the camera stands: the arm shows the marker board to it from many sides. See --help."""
 
 from vision.ros.calibration.calibrate_program import main
 

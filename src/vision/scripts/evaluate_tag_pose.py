@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Compares the poses of the marker panel by colour, depth and both with the truth. See --help."""
+"""Compares the poses of the marker board by colour, depth and both with the truth. See --help."""
 
 import sys
 

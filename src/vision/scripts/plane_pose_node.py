@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Publishes the marker panel's pose from colour and depth."""
+"""Publishes the marker board's pose from colour and depth."""
 
 from vision.ros.marker_board.plane_pose_node import main
 

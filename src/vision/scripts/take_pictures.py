@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Takes this package's pictures for the handbook; see --help."""
+"""Takes this package's images for the handbook; see --help."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""The panel before a wall, as the rig's colour and infrared cameras see it, without errors."""
+"""The marker board before a wall, as the rig's colour and infrared cameras see it, without errors."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ WALL_M = 3.0
 RAYS = DEPTH.rays(np.stack(np.meshgrid(np.arange(DEPTH.width), np.arange(DEPTH.height)), axis=-1))
 
 
-def panel_pose(distance, tilt, towards=0.0, roll=0.0, x=0.0, y=0.0):
-    """The panel, tilted [deg] to one side from facing the camera, somewhere round the middle of the picture."""
+def board_pose(distance, tilt, towards=0.0, roll=0.0, x=0.0, y=0.0):
+    """The marker board, tilted [deg] to one side from facing the camera, somewhere round the middle of the image."""
     towards, tilt, roll = np.radians([towards, tilt, roll])
     lean = rotation_about(2, towards) @ rotation_about(0, tilt) @ rotation_about(2, -towards)
     return pose(lean @ rotation_about(0, np.pi) @ rotation_about(2, roll), (x * distance, y * distance, distance))
 
 
-def depth_picture(T_rgb_panel, plate=PLATE, noise=None):
+def depth_image(T_rgb_board, plate=PLATE, noise=None):
     """The plate before a wall, as the infrared camera sees it [m]."""
-    T = inverse(T_RGB_DEPTH) @ T_rgb_panel
+    T = inverse(T_RGB_DEPTH) @ T_rgb_board
     n = T[:3, 2]
     z = (n @ T[:3, 3]) / (RAYS @ n)
     on_plate = np.abs((RAYS * z[..., None] - T[:3, 3]) @ T[:3, :2]).max(axis=-1) < plate / 2.0

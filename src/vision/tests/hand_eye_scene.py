@@ -1,4 +1,4 @@
-"""Views of a panel on an arm with known truth, for the tests of the calibration."""
+"""Views of a marker board on an arm with known truth, for the tests of the calibration."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 import pinocchio as pin
 
 from common.poses import inverse, pose
-from vision.calibration.hand_eye import View
+from vision.calibration.hand_eye import CalibrationView
 
 SD = np.array([4e-4, 4e-4, 2e-3, 3e-3, 3e-3, 1e-3])
-"""Standard deviations of a seen panel: worst along the line of sight, and about the axes across it [m, rad]."""
+"""Standard deviations of a seen board: worst along the line of detection, and about the axes across it [m, rad]."""
 
 
 def random_pose(rng, reach):
@@ -30,18 +30,18 @@ def difference(T, truth):
 
 
 def scene(seed, count=12, noise=None, turn=0.6):
-    """A true T_flange_panel and T_base_camera, and views with noise whose standard deviations are `noise`."""
+    """A true T_flange_board and T_base_camera, and views with noise whose standard deviations are `noise`."""
     rng = np.random.default_rng(seed)
     X, Z = random_pose(rng, 0.1), random_pose(rng, 1.0)
     middle = random_pose(rng, 0.1)
     views = []
     for _ in range(count):
-        T_camera_panel = pose(
+        T_camera_board = pose(
             pin.exp3(rng.uniform(-turn, turn, 3)), rng.uniform((-0.15, -0.15, 0.85), (0.15, 0.15, 1.15))
         )
-        T_camera_panel = T_camera_panel @ middle
-        B = Z @ T_camera_panel @ inverse(X)
+        T_camera_board = T_camera_board @ middle
+        B = Z @ T_camera_board @ inverse(X)
         if noise is not None:
-            T_camera_panel = change(T_camera_panel, rng.normal(0.0, noise))
-        views.append(View(B, T_camera_panel, np.diag((SD if noise is None else noise) ** 2)))
+            T_camera_board = change(T_camera_board, rng.normal(0.0, noise))
+        views.append(CalibrationView(B, T_camera_board, np.diag((SD if noise is None else noise) ** 2)))
     return X, Z, views

@@ -6,7 +6,7 @@ from dataclasses import replace
 import hand_eye_scene
 import numpy as np
 import pytest
-from panel_scene import T_FLANGE_PANEL, PanelScene, parameters
+from board_scene import T_FLANGE_BOARD, BoardScene, parameters
 
 from common.config import parse
 from common.poses import inverse, pose
@@ -58,7 +58,7 @@ def scene(ros, arm, tmp_path):
     values = parameters(tmp_path / "store", **views)
     values["limits"].update(pictures=4, photometric=False)
     rospy.set_param("camera_calibration", values)
-    scene = PanelScene(T_BASE_CAMERA, T_FLANGE_PANEL, arm.flange, measured=False)
+    scene = BoardScene(T_BASE_CAMERA, T_FLANGE_BOARD, arm.flange, measured=False)
     yield scene
     scene.close()
     rospy.delete_param("camera_calibration")
@@ -95,7 +95,7 @@ def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scen
     off = inverse(T_BASE_CAMERA) @ record.T_base_camera
     assert np.linalg.norm(off[:3, 3]) < 0.003
     assert np.degrees(rotation_angle(off[:3, :3])) < 0.3
-    np.testing.assert_allclose(record.T_flange_panel, T_FLANGE_PANEL, atol=0.004)
+    np.testing.assert_allclose(record.T_flange_board, T_FLANGE_BOARD, atol=0.004)
 
     again = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file))
     assert again.wait(30.0) == 1, "nobody was there to say yes"
@@ -141,17 +141,17 @@ def file_of_views(tmp_path, **head):
     from vision.ros.calibration.store import CalibrationStore, StoreConfig
 
     X, _, views = hand_eye_scene.scene(1, 12, hand_eye_scene.SD / 10.0)
-    views = [replace(view, T_base_flange=view.T_base_flange @ X @ inverse(T_FLANGE_PANEL)) for view in views]
+    views = [replace(view, T_base_flange=view.T_base_flange @ X @ inverse(T_FLANGE_BOARD)) for view in views]
     limits = parse(CalibrationConfig, parameters(tmp_path)["limits"])
-    verdict = judge(views, T_FLANGE_PANEL, limits)
+    verdict = judge(views, T_FLANGE_BOARD, limits)
     assert verdict.accepted, verdict.sentence
     head = {"robot": "LBR7R800", "flange": "MF_elektrisch", "camera": "1234", "panel": "tag_frame", **head}
     record = by_views(verdict, views, date="2026-01-01T00:00:00", camera_frame="camera_rgb_optical_frame", **head)
     return CalibrationStore(StoreConfig(str(tmp_path / "other"), "1234", "LBR7R800", "MF_elektrisch")).save(record)
 
 
-def test_a_panel_that_is_not_as_drawn_is_refused_and_the_old_one_kept(calibrate, scene, arm, tmp_path):
-    scene.T_flange_panel = T_FLANGE_PANEL @ pose(rotation_about(0, 0.1), (0.0, 0.03, 0.0))
+def test_a_board_that_is_not_as_drawn_is_refused_and_the_old_one_kept(calibrate, scene, arm, tmp_path):
+    scene.T_flange_board = T_FLANGE_BOARD @ pose(rotation_about(0, 0.1), (0.0, 0.03, 0.0))
     program = calibrate("--yes")
     assert program.wait(240.0) == 1
     log = program.log_path.read_text()
@@ -161,11 +161,11 @@ def test_a_panel_that_is_not_as_drawn_is_refused_and_the_old_one_kept(calibrate,
     assert stored(tmp_path) == []
 
 
-def test_a_panel_that_is_seen_nowhere(calibrate, scene, tmp_path):
+def test_a_board_that_is_seen_nowhere(calibrate, scene, tmp_path):
     scene.visible = False
     program = calibrate("--yes")
     assert program.wait(240.0) == 1
-    assert "The panel was not seen at" in program.log_path.read_text()
+    assert "The marker board was not seen at" in program.log_path.read_text()
     assert stored(tmp_path) == []
 
 
@@ -182,19 +182,19 @@ def test_by_hand_with_nobody_moving_the_arm(processes, scene):
     program = processes.start("bash", "-c", "printf '\\n\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
     assert program.wait(90.0) == 1
     log = program.log_path.read_text()
-    assert "taken, 4 pictures, by the corners" in log
+    assert "taken, 4 images, by the corners" in log
     assert "not taken: the arm was here before: 0.0 mm and 0.0 deg" in log
     assert "1 views are too few" in log
 
 
-def test_poses_cannot_be_refined_without_the_pictures(processes, scene):
+def test_poses_cannot_be_refined_without_the_images(processes, scene):
     import rospy
 
     scene.measured = True
     rospy.set_param("camera_calibration/limits/photometric", True)
     program = processes.start("bash", "-c", "printf '\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
     assert program.wait(90.0) == 1
-    sentence = "taken, 4 pictures, by the corners: their pictures did not come on /camera/rgb/image_raw"
+    sentence = "taken, 4 images, by the corners: their images did not come on /camera/rgb/image_raw"
     assert sentence in program.log_path.read_text()
 
 
@@ -210,7 +210,7 @@ def test_by_hand_the_program_asks_the_arm_itself(processes, scene, arm):
     program = processes.start("bash", "-c", f"printf '\\nq\\n' | rosrun vision calibrate_camera.py {options}")
     assert program.wait(90.0) == 1
     log = program.log_path.read_text()
-    assert "taken, 4 pictures, by the corners" in log
+    assert "taken, 4 images, by the corners" in log
     assert "The connection is closed" in log
     assert not moved(arm)
 
@@ -220,7 +220,7 @@ def test_by_hand_the_program_asks_the_arm_itself(processes, scene, arm):
     [
         (
             [180, 0, 0],
-            ["base turned by roll 180, pitch 0, yaw 0 deg", "At the start the arm, hand or panel would be too near"],
+            ["base turned by roll 180, pitch 0, yaw 0 deg", "At the start the arm, hand or board would be too near"],
         ),
         ("ceiling", ["kuka/mounting is 'ceiling', but must be 3 finite numbers"]),
     ],

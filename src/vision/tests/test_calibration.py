@@ -14,10 +14,10 @@ from common.config import parse
 from common.errors import ConfigError
 from common.poses import pose
 from common.rotations import rotation_about
-from vision.calibration.acceptance import CalibrationConfig, Sight, judge, mean_pose, table, view_from
-from vision.calibration.hand_eye import Degenerate, View
+from vision.calibration.acceptance import BoardDetection, CalibrationConfig, judge, mean_pose, table, view_from
+from vision.calibration.hand_eye import CalibrationView, DegenerateViews
 from vision.calibration.record import by_views, mapping_from_record, record_from_mapping
-from vision.marker_board.board import PanelConfig
+from vision.marker_board.board import MarkerBoardConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 HEAD = {
@@ -32,25 +32,25 @@ def config():
 
 
 @pytest.mark.parametrize(("file", "beyond"), [("panel_single.yaml", 0.0435), ("panel.yaml", 0.1035)])
-def test_the_panel_sits_where_its_drawing_says(file, beyond):
+def test_the_board_sits_where_its_drawing_says(file, beyond):
     """71.1 mm beside the flange's axis, facing away from it, so far beyond the flange's face, upright along its z."""
-    panel = parse(PanelConfig, yaml.safe_load((CONFIG / file).read_text()))
-    T = panel.T_flange_tag
+    board = parse(MarkerBoardConfig, yaml.safe_load((CONFIG / file).read_text()))
+    T = board.T_flange_tag
     np.testing.assert_allclose(T[:3, 3], [0.0, 0.0711, beyond], atol=1e-12)
     np.testing.assert_allclose(T[:3, :3], [[-1, 0, 0], [0, 0, 1], [0, 1, 0]], atol=1e-12)
-    np.testing.assert_allclose(panel.T_tag_flange @ T, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(board.T_tag_flange @ T, np.eye(4), atol=1e-12)
 
 
-def sights(T, count, sd, seed=0):
+def detections(T, count, sd, seed=0):
     rng = np.random.default_rng(seed)
-    return [Sight(change(T, rng.normal(0.0, sd * np.ones(6))), np.diag(SD**2)) for _ in range(count)]
+    return [BoardDetection(change(T, rng.normal(0.0, sd * np.ones(6))), np.diag(SD**2)) for _ in range(count)]
 
 
 def test_a_view_is_the_mean_of_what_was_seen(config):
     T = pose(rotation_about(0, 2.8), (0.1, 0.0, 0.9))
-    seen = sights(T, 400, 5e-4)
+    seen = detections(T, 400, 5e-4)
     view = view_from(seen, np.eye(4), [], config)
-    np.testing.assert_allclose(view.T_camera_panel, T, atol=2e-4)
+    np.testing.assert_allclose(view.T_camera_board, T, atol=2e-4)
     arm = np.array([1e-3 * config.arm_mm] * 3 + [np.radians(config.arm_deg)] * 3)
     np.testing.assert_allclose(view.covariance, np.diag(SD**2 + arm**2), rtol=1e-9)
 
@@ -58,15 +58,15 @@ def test_a_view_is_the_mean_of_what_was_seen(config):
 @pytest.mark.parametrize(
     ("count", "sd", "T_flange", "sentence"),
     [
-        (3, 1e-4, pose(p=(1, 0, 0)), "seen in 3 pictures, 10 are needed"),
+        (3, 1e-4, pose(p=(1, 0, 0)), "seen in 3 images, 10 are needed"),
         (10, 1e-2, pose(p=(1, 0, 0)), "did not keep still"),
         (10, 1e-4, pose(rotation_about(0, 0.05), (0, 0, 0.015)), "was here before: 15.0 mm and 2.9 deg"),
     ],
 )
 def test_views_that_do_not_count(config, count, sd, T_flange, sentence):
-    earlier = [View(np.eye(4), np.eye(4), np.eye(6))]
+    earlier = [CalibrationView(np.eye(4), np.eye(4), np.eye(6))]
     with pytest.raises(ValueError, match=sentence):
-        view_from(sights(pose(p=(0, 0, 1)), count, sd), T_flange, earlier, config)
+        view_from(detections(pose(p=(0, 0, 1)), count, sd), T_flange, earlier, config)
 
 
 def test_mean_of_poses_is_in_the_middle():
@@ -103,11 +103,11 @@ def test_a_bad_calibration_is_refused_with_the_reason(config, change_of_config, 
 
 def test_wrong_views_are_counted(config):
     X, _, views = scene(3, 14, SD / 4)
-    spoilt = [replace(v, T_camera_panel=v.T_camera_panel @ pose(rotation_about(0, 0.8))) for v in views[:5]]
+    spoilt = [replace(v, T_camera_board=v.T_camera_board @ pose(rotation_about(0, 0.8))) for v in views[:5]]
     verdict = judge(spoilt + views[5:], X, config)
     assert "Only 64% of the views fit together" in verdict.sentence
     assert sum("left out" in line for line in table(verdict)) == 5
-    with pytest.raises(Degenerate, match="7 views are too few"):
+    with pytest.raises(DegenerateViews, match="7 views are too few"):
         judge(views[:7], X, config)
 
 
@@ -115,14 +115,15 @@ def test_wrong_views_are_counted(config):
     ("factors", "sentence"),
     [
         ((1.01, 1.01, 1.01), "All looks +1.0% too large, allowed are 0.4%: measure the tags."),
-        ((1.0, 1.0, 0.985), "The panel looks -1.5% too far ahead"),
+        ((1.0, 1.0, 0.985), "The marker board looks -1.5% too far ahead"),
     ],
 )
 def test_a_wrong_size_or_focal_length_is_found(config, factors, sentence):
-    """Tags that are smaller than stated make all look larger; too great a focal length makes the panel look farther."""
+    """Tags that are smaller than stated make all look larger; too great a focal length makes the marker board look
+    farther."""
     X, _, views = scene(3, 30, SD / 8)
     wrong = [
-        replace(v, T_camera_panel=pose(v.T_camera_panel[:3, :3], factors * v.T_camera_panel[:3, 3])) for v in views
+        replace(v, T_camera_board=pose(v.T_camera_board[:3, :3], factors * v.T_camera_board[:3, 3])) for v in views
     ]
     verdict = judge(wrong, X, config)
     assert not verdict.accepted

@@ -1,4 +1,4 @@
-"""The whole calibration in the simulated world: rendered pictures, detector, moving arm, and the truth."""
+"""The whole calibration in the simulated world: rendered images, detector, moving arm, and the truth."""
 
 import re
 

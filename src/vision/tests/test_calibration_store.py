@@ -12,7 +12,7 @@ from hand_eye_scene import SD, scene
 
 from common.errors import ConfigError, DeviceError
 from common.poses import pose
-from vision.calibration.hand_eye import View
+from vision.calibration.hand_eye import CalibrationView
 from vision.calibration.record import LIVE, CalibrationRecord
 
 pytestmark = pytest.mark.ros
@@ -42,7 +42,7 @@ def test_the_newest_of_this_arm_and_camera_counts(store, record):
     store.save(replace(record, date="2026-02-03T08:00:00", robot="LBR14R820"))
     found, file = store.newest()
     assert (file, found.rms_mm) == (newest, 0.25)
-    assert isinstance(found.views[0], View)
+    assert isinstance(found.views[0], CalibrationView)
     assert newest.name == "camera_place_2026-02-01T080000.yaml"
 
 

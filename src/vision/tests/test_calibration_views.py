@@ -1,4 +1,5 @@
-"""Where the arm holds the panel: every view is seen, reached and clear, and together they determine the calibration."""
+"""Where the arm holds the marker board: every view is seen, reached and clear, and together they determine the
+calibration."""
 
 from __future__ import annotations
 
@@ -17,9 +18,9 @@ from common.poses import inverse, pose
 from common.rotations import rotation_about
 from rig_description.urdf import urdf
 from vision.calibration.arm_model import SHIFT_TOLERANCE_M, ArmModel
-from vision.calibration.hand_eye import View, check_motion
-from vision.calibration.view_planner import EDGE_PX, Leg, Place, ViewPlanner, ViewsConfig, guessed_camera
-from vision.marker_board.board import PanelConfig
+from vision.calibration.hand_eye import CalibrationView, check_motion
+from vision.calibration.view_planner import EDGE_PX, ArmView, TourLeg, ViewPlanner, ViewsConfig, guessed_camera
+from vision.marker_board.board import MarkerBoardConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 
@@ -46,9 +47,9 @@ def points():
 
 @pytest.fixture(scope="module")
 def planner(arm, config, points):
-    panel = read(PanelConfig, "panel.yaml")
+    board = read(MarkerBoardConfig, "panel.yaml")
     camera = from_calibration(yaml.safe_load((CONFIG / "xtion_rgb.yaml").read_text()))
-    return ViewPlanner(config, arm, camera, points, panel.plate, panel.T_flange_tag, np.eye(3))
+    return ViewPlanner(config, arm, camera, points, board.plate, board.T_flange_tag, np.eye(3))
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,7 @@ def guess(config):
 
 
 @pytest.fixture(scope="module")
-def places(planner, guess):
+def arm_views(planner, guess):
     return planner.choose(planner.candidates(guess, np.random.default_rng(1)), guess)
 
 
@@ -82,12 +83,12 @@ def test_the_spine_is_a_chain_of_known_lengths(arm):
     np.testing.assert_allclose(lengths, [0.34, 0.4, 0.4, 0.126 + 0.035], atol=1e-9)
 
 
-def test_views_are_seen_tilted_and_clear(planner, places, guess, config, points):
-    assert len(places) >= 8
-    panel = read(PanelConfig, "panel.yaml")
+def test_views_are_seen_tilted_and_clear(planner, arm_views, guess, config, points):
+    assert len(arm_views) >= 8
+    board = read(MarkerBoardConfig, "panel.yaml")
     camera = from_calibration(yaml.safe_load((CONFIG / "xtion_rgb.yaml").read_text()))
-    for place in places:
-        T = inverse(guess) @ place.T_base_flange @ panel.T_flange_tag
+    for place in arm_views:
+        T = inverse(guess) @ place.T_base_flange @ board.T_flange_tag
         ray = T[:3, 3] / np.linalg.norm(T[:3, 3])
         tilt = np.degrees(np.arccos(-T[:3, 2] @ ray))
         assert config.tilt[0] - 1.0 < tilt < config.tilt[1] + 1.0
@@ -97,8 +98,8 @@ def test_views_are_seen_tilted_and_clear(planner, places, guess, config, points)
         assert planner.clearance(place.q, guess) > 0.0
 
 
-def test_views_turn_about_several_axes(places):
-    check_motion([View(place.T_base_flange, np.eye(4), np.eye(6)) for place in places])
+def test_views_turn_about_several_axes(arm_views):
+    check_motion([CalibrationView(place.T_base_flange, np.eye(4), np.eye(6)) for place in arm_views])
 
 
 def test_the_chosen_views_are_surer_than_the_first_ones(planner, guess):
@@ -112,18 +113,18 @@ def test_the_chosen_views_are_surer_than_the_first_ones(planner, guess):
     assert spread(chosen) < spread(candidates[: len(chosen)])
 
 
-def test_every_way_of_the_tour_and_back_is_clear(planner, places, guess, config):
+def test_every_way_of_the_tour_and_back_is_clear(planner, arm_views, guess, config):
     start = np.radians(config.start)
-    legs = planner.tour(places, start, guess)
+    legs = planner.tour(arm_views, start, guess)
     assert len(legs) >= 8
     q = start
     for leg in legs:
         np.testing.assert_array_equal(leg.way[-1], leg.place.q)
         for goal in leg.way:
-            assert planner.way_clear(q, goal, guess)
+            assert planner.path_clear(q, goal, guess)
             q = goal
-    for goal in planner.way_back(start, legs, guess):
-        assert planner.way_clear(q, goal, guess)
+    for goal in planner.path_back(start, legs, guess):
+        assert planner.path_clear(q, goal, guess)
         q = goal
     np.testing.assert_allclose(q, start)
 
@@ -132,18 +133,18 @@ def test_a_way_through_the_table_is_not_clear_but_out_of_it_is(planner, guess, c
     high = np.radians(config.start)
     low = np.radians([-45.0, 70.0, 0.0, -70.0, 0.0, 40.0, 0.0])
     assert planner.clearance(high, guess) > 0.0 > planner.clearance(low, guess)
-    assert not planner.way_clear(high, low, guess)
-    assert planner.way_clear(low, high, guess)
+    assert not planner.path_clear(high, low, guess)
+    assert planner.path_clear(low, high, guess)
 
 
 def test_back_on_its_own_track_where_the_straight_way_is_barred(planner, guess, config, monkeypatch):
     start, a, b = np.zeros(7), np.full(7, 0.1), np.full(7, 0.2)
-    legs = [Leg(Place(q, np.eye(4)), (q,)) for q in (a, b)]
+    legs = [TourLeg(ArmView(q, np.eye(4)), (q,)) for q in (a, b)]
     home = np.radians(config.start)
-    monkeypatch.setattr(planner, "way_clear", lambda q, goal, _: q[0] == 0.1)
-    np.testing.assert_array_equal(planner.way_back(start, legs, guess), [a, home])
-    monkeypatch.setattr(planner, "way_clear", lambda *_: False)
-    assert planner.way_back(start, legs, guess) == []
+    monkeypatch.setattr(planner, "path_clear", lambda q, goal, _: q[0] == 0.1)
+    np.testing.assert_array_equal(planner.path_back(start, legs, guess), [a, home])
+    monkeypatch.setattr(planner, "path_clear", lambda *_: False)
+    assert planner.path_back(start, legs, guess) == []
 
 
 def test_a_camera_that_is_far_away_sees_nothing(planner):

@@ -1,4 +1,4 @@
-"""camera_apriltag.launch: what it starts and with which panel, and that the panels are those of the simulated world."""
+"""camera_apriltag.launch: what it starts and with which board, and that the boards are those of the simulated world."""
 
 import subprocess
 from pathlib import Path
@@ -13,34 +13,34 @@ CONFIG = Path(__file__).parents[1] / "config"
 
 
 @pytest.mark.parametrize(("panel", "tags"), [("bundle", "tags.yaml"), ("single", "tags_single.yaml")])
-def test_the_simulated_panel_has_the_same_tags(panel, tags):
+def test_the_simulated_board_has_the_same_tags(board, tags):
     from rig_simulation.world.files import read_board
 
     (target,) = targets(yaml.safe_load((CONFIG / tags).read_text()))
-    simulated = {tag["id"]: (tag["size"], *tag["position"]) for tag in read_board(panel)["tags"]}
+    simulated = {tag["id"]: (tag["size"], *tag["position"]) for tag in read_board(board)["tags"]}
     assert target.name == yaml.safe_load((CONFIG / "panel.yaml").read_text())["frame"]
     assert {tag.id: (tag.size, *tag.T_target_tag[:2, 3]) for tag in target.tags} == simulated
 
 
 @pytest.mark.parametrize(("simulated", "file"), [("bundle", "panel.yaml"), ("single", "panel_single.yaml")])
-def test_the_simulated_panel_sits_where_the_drawing_says(simulated, file):
+def test_the_simulated_board_sits_where_the_drawing_says(simulated, file):
     from common.config import parse
     from common.poses import pose
     from rig_simulation.world.files import read_board
     from rig_simulation.world.model import R_FLANGE_PANEL
-    from vision.marker_board.board import PanelConfig
+    from vision.marker_board.board import MarkerBoardConfig
 
-    panel = parse(PanelConfig, yaml.safe_load((CONFIG / file).read_text()))
+    board = parse(MarkerBoardConfig, yaml.safe_load((CONFIG / file).read_text()))
     plate = read_board(simulated)
-    np.testing.assert_allclose(panel.T_flange_tag, pose(R_FLANGE_PANEL, plate["centre"]), atol=1e-12)
-    assert plate["size"] == [panel.plate, panel.plate]
+    np.testing.assert_allclose(board.T_flange_tag, pose(R_FLANGE_PANEL, plate["centre"]), atol=1e-12)
+    assert plate["size"] == [board.plate, board.plate]
 
 
 @pytest.mark.ros
 @pytest.mark.parametrize(("panel", "plate", "bundles"), [("bundle", 0.3, 1), ("single", 0.125, 0)])
-def test_parameters(panel, plate, bundles):
+def test_parameters(board, plate, bundles):
     out = subprocess.run(
-        ["roslaunch", "--dump-params", "vision", "camera_apriltag.launch", f"panel:={panel}", "serial:=0712"],
+        ["roslaunch", "--dump-params", "vision", "camera_apriltag.launch", f"board:={board}", "serial:=0712"],
         capture_output=True, text=True, timeout=60.0, check=True,
     ).stdout  # fmt: skip
     values = yaml.safe_load(out)

@@ -1,4 +1,4 @@
-"""The camera's nodes: driver of the Xtion before a stand-in of its library, watchdog, frames, launch file."""
+"""The camera's nodes: driver of the XtionNode before a stand-in of its library, watchdog, frames, launch file."""
 
 import threading
 from pathlib import Path
@@ -52,19 +52,19 @@ def statuses(ros, name: str):
     return read
 
 
-def test_the_xtions_pictures_have_the_drivers_names(xtion, ros):
+def test_the_xtions_images_have_the_drivers_names(xtion, ros):
     from sensor_msgs.msg import CameraInfo, Image
 
     topics = ("rgb/image_raw", "depth/image_raw", "depth/image")
-    pictures = {topic: ros.record(f"camera/{topic}", Image) for topic in topics}
+    images = {topic: ros.record(f"camera/{topic}", Image) for topic in topics}
     info = ros.record("camera/depth/camera_info", CameraInfo)
     xtion("present")
-    facts = [(p.wait(2)[-1].encoding, p[-1].header.frame_id, p[-1].width) for p in pictures.values()]
+    facts = [(p.wait(2)[-1].encoding, p[-1].header.frame_id, p[-1].width) for p in images.values()]
     rgb, depth = "camera_rgb_optical_frame", "camera_depth_optical_frame"
     assert facts == [("rgb8", rgb, 32), ("16UC1", depth, 32), ("32FC1", depth, 32)]
-    assert np.frombuffer(pictures["depth/image"][-1].data, "<f4")[0] == pytest.approx(1.0, abs=0.1)
+    assert np.frombuffer(images["depth/image"][-1].data, "<f4")[0] == pytest.approx(1.0, abs=0.1)
     info.wait(2)
-    assert {m.header.stamp for m in info} & {m.header.stamp for m in pictures["depth/image_raw"]}
+    assert {m.header.stamp for m in info} & {m.header.stamp for m in images["depth/image_raw"]}
     import rospy
 
     assert rospy.get_param("camera/driver/serial") == "1207290099"
@@ -84,15 +84,15 @@ def test_a_camera_pulled_out_is_reported_and_comes_back(xtion, ros, wait_until):
     from sensor_msgs.msg import Image
 
     status = statuses(ros, "camera")
-    pictures = ros.record("camera/rgb/image_raw", Image)
+    images = ros.record("camera/rgb/image_raw", Image)
     process, state = xtion("present")
-    pictures.wait(2)
+    images.wait(2)
     state.write_text("absent")
     wait_until(lambda: status().get("level") == 2, 15.0, "the report that the camera is gone")
     assert process.poll() is None
     state.write_text("present")
     wait_until(lambda: status().get("level") == 0 and status()["losses"] == "1", 15.0, "the report that it is back")
-    pictures.wait(len(pictures) + 2)
+    images.wait(len(images) + 2)
     state.write_text("silent")
     wait_until(lambda: int(status()["losses"]) > 1, 15.0, "the report of silence")
 
@@ -102,7 +102,7 @@ def test_a_camera_pulled_out_is_reported_and_comes_back(xtion, ros, wait_until):
     [
         ("absent", {}, "no devices found"),
         ("unloadable", {}, "libopenni2-dev"),
-        ("unable", {}, "no rgb pictures"),
+        ("unable", {}, "no rgb images"),
         ("present", {"rate": 0}, "~rate is 0"),
         ("present", {"gain": 1}, "~gain is not a known key"),
         ("present", {"rgb_calibration": {}}, "camera_matrix"),
@@ -126,8 +126,8 @@ class Source:
         from sensor_msgs.msg import CameraInfo, Image
 
         self._infos = [rospy.Publisher(f"watched/{n}/camera_info", CameraInfo, queue_size=1) for n in ("rgb", "depth")]
-        self._pictures = [rospy.Publisher(f"watched/{n}/image_raw", Image, queue_size=1) for n in ("rgb", "depth")]
-        self.sends = self.new_stamps = self.new_pictures = True
+        self._images = [rospy.Publisher(f"watched/{n}/image_raw", Image, queue_size=1) for n in ("rgb", "depth")]
+        self.sends = self.new_stamps = self.new_images = True
         self.depth = 1000
         self.rows = 2
         self._stop = threading.Event()
@@ -137,7 +137,7 @@ class Source:
     def close(self) -> None:
         self._stop.set()
         self._thread.join()
-        for publisher in (*self._infos, *self._pictures):
+        for publisher in (*self._infos, *self._images):
             publisher.unregister()
 
     def _loop(self) -> None:
@@ -150,16 +150,16 @@ class Source:
         while not self._stop.wait(0.05):
             if not self.sends:
                 continue
-            number += self.new_pictures
+            number += self.new_images
             stamp = rospy.Time.now() if self.new_stamps else stamp
             colour = np.full((2, 2, 3), number % 256, np.uint8)
             depth = np.full((3, 2), self.depth and self.depth + number % 100, np.uint16)
             info = CameraInfo(height=2, width=2)
             info.header.stamp = stamp
-            self._pictures[0].publish(image_message(colour, "rgb8", "f", stamp))
+            self._images[0].publish(image_message(colour, "rgb8", "f", stamp))
             torn = image_message(depth[: self.rows], "16UC1", "f", stamp)
             torn.step += self.rows > 2  # a row longer than its bytes
-            self._pictures[1].publish(torn)
+            self._images[1].publish(torn)
             for publisher in self._infos:
                 publisher.publish(info)
 
@@ -198,14 +198,14 @@ def test_the_watchdog_says_frozen_vanished_garbled_empty_and_well_again(ros, sou
     wait_for("frozen", "frozen")
     source.new_stamps = True
     wait_for("alive", "alive")
-    source.new_pictures = False
-    assert "same picture" not in process.log_path.read_text()
-    for name in ("rgb", "depth"):  # somebody takes the pictures, so the watchdog looks at them
+    source.new_images = False
+    assert "same image" not in process.log_path.read_text()
+    for name in ("rgb", "depth"):  # somebody takes the images, so the watchdog looks at them
         ros.record(f"watched/{name}/image_raw", Image)
     wait_for("frozen", "frozen")
-    source.new_pictures = True
+    source.new_images = True
     wait_for("alive", "alive")
-    for rows, complaint in ((1, "a picture of 2 x 1 is not of the size"), (3, "12 bytes instead of 5 x 3")):
+    for rows, complaint in ((1, "an image of 2 x 1 is not of the size"), (3, "12 bytes instead of 5 x 3")):
         source.rows = rows
         wait_for("alive", "garbled")
         wait_until(lambda c=complaint: c in status()["message"], 15.0, complaint)

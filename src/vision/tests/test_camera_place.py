@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import yaml
-from panel_scene import OPTICAL, T_FLANGE_PANEL, T_LINK_OPTICAL, PanelScene, parameters
+from board_scene import OPTICAL, T_FLANGE_BOARD, T_LINK_OPTICAL, BoardScene, parameters
 
 from common.poses import inverse, pose
 from common.rotations import rotation_about
@@ -11,7 +11,7 @@ from common.rotations import rotation_about
 pytestmark = pytest.mark.ros
 
 T_BASE_FLANGE = pose(rotation_about(1, 2.5), (0.5, -0.3, 0.4))
-T_BASE_CAMERA = T_BASE_FLANGE @ T_FLANGE_PANEL @ inverse(pose(rotation_about(0, 2.7), (0.05, 0.02, 0.9)))
+T_BASE_CAMERA = T_BASE_FLANGE @ T_FLANGE_BOARD @ inverse(pose(rotation_about(0, 2.7), (0.05, 0.02, 0.9)))
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def scene(ros, tmp_path):
     import rospy
 
     rospy.set_param("camera_calibration", parameters(tmp_path / "store"))
-    scene = PanelScene(T_BASE_CAMERA, T_FLANGE_PANEL, lambda: T_BASE_FLANGE)
+    scene = BoardScene(T_BASE_CAMERA, T_FLANGE_BOARD, lambda: T_BASE_FLANGE)
     yield scene
     scene.close()
     rospy.delete_param("camera_calibration")
@@ -77,7 +77,7 @@ def test_live_then_stored_then_loaded_without_the_tag(ros, scene, buffer, proces
     again = ros.run("vision", "camera_place_node.py", "_mode:=stored")
     np.testing.assert_allclose(place(buffer), T_BASE_CAMERA, atol=0.005)
     assert file.name in again.log_path.read_text()
-    assert "one view, which nothing confirms; a point at the panel known to" in again.log_path.read_text()
+    assert "one view, which nothing confirms; a point at the marker board known to" in again.log_path.read_text()
     assert "is a stored one already" in call("camera_place/store").message
     assert call("camera_place/reload").message.startswith("The place is stored on ")
 
@@ -101,7 +101,7 @@ def test_flange_seen_hangs_below_the_tag(ros, scene, buffer):
 
     ros.run("vision", "camera_place_node.py")
     found = buffer.lookup_transform("tag_frame", "kuka/flange_frame/seen", rospy.Time(0), rospy.Duration(30.0))
-    np.testing.assert_allclose(pose_from_transform(found.transform), inverse(T_FLANGE_PANEL), atol=1e-9)
+    np.testing.assert_allclose(pose_from_transform(found.transform), inverse(T_FLANGE_BOARD), atol=1e-9)
 
 
 def test_a_stale_flange_gives_no_place(ros, scene, wait_until):
@@ -155,7 +155,7 @@ def test_the_serial_number_is_the_drivers_and_nothing_is_stored_without(ros, sce
         rospy.delete_param("camera")
 
 
-def test_diagnostics_say_when_the_panel_is_gone(ros, scene, wait_until):
+def test_diagnostics_say_when_the_board_is_gone(ros, scene, wait_until):
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
     ros.run("vision", "camera_place_node.py", "_mode:=live")

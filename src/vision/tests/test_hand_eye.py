@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from common.poses import inverse, pose
 from common.rotations import rotation_about
 from vision.calibration.hand_eye import (
-    Degenerate,
-    View,
+    CalibrationView,
+    DegenerateViews,
     camera_pose,
     information,
     leave_one_out,
@@ -28,7 +28,7 @@ def test_exact_views_give_the_truth(seed, count):
     X, Z, views = scene(seed, count)
     result = solve(views)
     np.testing.assert_allclose(result.T_base_camera, Z, atol=1e-9)
-    np.testing.assert_allclose(result.T_flange_panel, X, atol=1e-9)
+    np.testing.assert_allclose(result.T_flange_board, X, atol=1e-9)
     assert result.fits.all()
     np.testing.assert_allclose(result.errors, 0.0, atol=1e-9)
 
@@ -38,14 +38,14 @@ def test_noise_gives_the_spread_that_the_covariance_says():
     for seed in range(60):
         X, Z, views = scene(seed, 14, SD)
         result = solve(views)
-        d = np.concatenate((difference(result.T_flange_panel, X), difference(result.T_base_camera, Z)))
+        d = np.concatenate((difference(result.T_flange_board, X), difference(result.T_base_camera, Z)))
         squares.append(d @ np.linalg.inv(result.covariance / max(1.0, result.chi2_ratio)) @ d)
         ratios.append(result.chi2_ratio)
     assert 10.3 < np.mean(squares) < 13.7  # chi squared of 12: mean 12, of 60 draws +-0.63
     assert 0.93 < np.mean(ratios) < 1.07
 
 
-def test_more_views_make_it_surer_and_points_near_the_panel_are_surest():
+def test_more_views_make_it_surer_and_points_near_the_board_are_surest():
     few, many = (solve(scene(4, count, SD)[2]) for count in (6, 24))
     assert np.sqrt(many.covariance[6, 6]) < 0.8 * np.sqrt(few.covariance[6, 6])
     X, Z, views = scene(4, 24, SD)
@@ -58,9 +58,9 @@ def test_more_views_make_it_surer_and_points_near_the_panel_are_surest():
 def test_wrong_views_are_left_out(seed, wrong):
     X, Z, views = scene(seed, 12, SD)
     rng = np.random.default_rng(seed + 1)
-    for i in range(wrong):  # a flipped panel, or one that was moved
-        spoilt = views[i].T_camera_panel @ (pose(rotation_about(i % 2, 0.7)) if i % 2 else pose(p=direction(rng) * 0.1))
-        views[i] = View(views[i].T_base_flange, spoilt, views[i].covariance)
+    for i in range(wrong):  # a flipped board, or one that was moved
+        spoilt = views[i].T_camera_board @ (pose(rotation_about(i % 2, 0.7)) if i % 2 else pose(p=direction(rng) * 0.1))
+        views[i] = CalibrationView(views[i].T_base_flange, spoilt, views[i].covariance)
     result = solve(views)
     assert not result.fits[:wrong].any()
     assert result.fits[wrong:].sum() >= 11 - wrong
@@ -73,10 +73,10 @@ def test_turns_about_one_axis_are_refused():
     X, Z, _ = scene(1)
     rng = np.random.default_rng(3)
     B = [pose(rotation_about(2, a), rng.uniform(-0.3, 0.3, 3)) for a in np.linspace(-1.2, 1.2, 12)]
-    views = [View(b, inverse(Z) @ b @ X, np.diag(SD**2)) for b in B]
-    with pytest.raises(Degenerate, match="about nearly one axis only"):
+    views = [CalibrationView(b, inverse(Z) @ b @ X, np.diag(SD**2)) for b in B]
+    with pytest.raises(DegenerateViews, match="about nearly one axis only"):
         solve(views)
-    with pytest.raises(Degenerate, match="needs 3 views"):
+    with pytest.raises(DegenerateViews, match="needs 3 views"):
         solve(views[:2])
 
 
@@ -84,7 +84,7 @@ def test_a_view_on_which_all_hangs_cannot_be_checked_by_the_others():
     X, Z, _ = scene(1)
     B = [pose(rotation_about(2, a), (a, 0, 0.1)) for a in np.linspace(-1.2, 1.2, 10)]
     B.append(pose(rotation_about(0, 0.5), (0, 0, 0.3)))
-    views = [View(b, inverse(Z) @ b @ X, np.diag(SD**2)) for b in B]
+    views = [CalibrationView(b, inverse(Z) @ b @ X, np.diag(SD**2)) for b in B]
     result = solve(views)
     np.testing.assert_allclose(result.T_base_camera, Z, atol=1e-8)
     np.testing.assert_array_equal(np.isnan(leave_one_out(views, result)[:, 0]), [False] * 10 + [True])
@@ -109,9 +109,9 @@ def test_the_inverse_covariance_is_the_sum_of_the_information():
 def test_wrong_scales_are_seen_by_the_motion_of_the_arm(size, ahead):
     _, _, views = scene(2, 20, SD / 4)
     wrong = [
-        View(
+        CalibrationView(
             v.T_base_flange,
-            pose(v.T_camera_panel[:3, :3], size * v.T_camera_panel[:3, 3] * (1.0, 1.0, ahead)),
+            pose(v.T_camera_board[:3, :3], size * v.T_camera_board[:3, 3] * (1.0, 1.0, ahead)),
             v.covariance,
         )
         for v in views
@@ -121,6 +121,6 @@ def test_wrong_scales_are_seen_by_the_motion_of_the_arm(size, ahead):
     assert sds.max() < 0.02
 
 
-def test_one_view_and_a_known_panel():
+def test_one_view_and_a_known_board():
     X, Z, views = scene(2)
     np.testing.assert_allclose(camera_pose(views[0], X), Z, atol=1e-12)

@@ -1,4 +1,4 @@
-"""The Xtion's client before a stand-in of the library, and before the library's own dummy device."""
+"""The XtionNode's client before a stand-in of the library, and before the library's own dummy device."""
 
 import dataclasses
 import importlib
@@ -38,7 +38,7 @@ def test_both_streams_come_as_they_are(fake):
     camera = OpenniCamera(CONFIG, MODEL, MODEL)
     assert camera.connect() == "Fake Camera"
     assert camera.serial() == "1207290099"
-    frames = {frame.name: frame.picture for frame in (camera.read(1.0) for _ in range(4))}
+    frames = {frame.name: frame.image for frame in (camera.read(1.0) for _ in range(4))}
     assert frames["rgb"].shape == (24, 32, 3) and frames["rgb"].dtype == np.uint8
     np.testing.assert_array_equal(frames["rgb"], np.broadcast_to([2, 2, 9], (24, 32, 3)))
     assert frames["depth"].shape == (24, 32) and frames["depth"].dtype == np.uint16
@@ -81,7 +81,7 @@ def test_registration_is_the_devices_when_it_is_asked_for(fake):
     "does, sentence",
     [
         ("absent", "No camera any: DeviceOpen using default: no devices found; check the USB cable"),
-        ("unable", "no rgb pictures of 32 x 24 at 30 Hz: Stream setProperty.3. failed"),
+        ("unable", "no rgb images of 32 x 24 at 30 Hz: Stream setProperty.3. failed"),
     ],
 )
 def test_a_camera_that_is_missing_or_unable_is_refused(fake, does, sentence):
@@ -92,7 +92,7 @@ def test_a_camera_that_is_missing_or_unable_is_refused(fake, does, sentence):
     assert fake[1] == ([] if does == "absent" else [("open", None), ("close", "colour"), "close device"])
 
 
-def test_silence_is_no_picture_and_a_camera_pulled_out_an_error(fake):
+def test_silence_is_no_image_and_a_camera_pulled_out_an_error(fake):
     camera = OpenniCamera(CONFIG, MODEL, MODEL)
     camera.connect()
     fake[0].write_text("silent")
@@ -136,10 +136,10 @@ camera.connect()
 seen = {}
 while len(seen) < 2:
     frame = camera.read(5.0)
-    seen[frame.name] = frame.picture.shape
+    seen[frame.name] = frame.image.shape
 print(sorted(seen.items()), flush=True)
 """
     config = str(Path(__file__).parents[1] / "config" / "xtion.yaml")
     process = processes.start(sys.executable, "-c", program, config)
     expected = "[('depth', (240, 320)), ('rgb', (240, 320, 3))]"
-    wait_until(lambda: expected in process.log_path.read_text(), 20.0, "pictures of the dummy device")
+    wait_until(lambda: expected in process.log_path.read_text(), 20.0, "images of the dummy device")

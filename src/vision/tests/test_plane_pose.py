@@ -1,11 +1,11 @@
-"""Laws of the panel's plane and of its pose from colour and depth, on made pictures with known truth."""
+"""Laws of the marker board's plane and of its pose from colour and depth, on made images with known truth."""
 
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from depth_scene import DEPTH, PLATE, RGB, T_RGB_DEPTH, depth_picture, load, panel_pose
+from depth_scene import DEPTH, PLATE, RGB, T_RGB_DEPTH, board_pose, depth_image, load
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +15,7 @@ from common.config import parse
 from common.errors import ConfigError
 from common.poses import inverse, pose
 from common.rotations import rotation_angle, rotation_from_zyx
-from vision.marker_board.plane_fit import PlanePoseConfig, fit_panel, fit_plane, plane_seen_from
+from vision.marker_board.plane_fit import PlanePoseConfig, fit_board, fit_plane, plane_seen_from
 from vision.marker_board.plane_pose import _change, _plane_of, depth_pose
 
 SETTINGS = parse(PlanePoseConfig, load("plane_pose.yaml"))
@@ -23,7 +23,7 @@ POINTS = np.concatenate([tag.corners for tag in targets(load("tags.yaml"))[0].ta
 SINGLE = targets(load("tags_single.yaml"))[0].tags[0].corners
 
 poses = st.builds(
-    lambda distance, tilt, towards, roll, x, y: panel_pose(distance, tilt, towards, roll, x, y),
+    lambda distance, tilt, towards, roll, x, y: board_pose(distance, tilt, towards, roll, x, y),
     st.floats(0.6, 1.8),
     st.floats(0.0, 60.0),
     st.floats(-180.0, 180.0),
@@ -33,11 +33,11 @@ poses = st.builds(
 )
 
 
-def see(T, points=POINTS, picture=None, pixels=None, plate=PLATE, config=SETTINGS, camera=RGB):
+def see(T, points=POINTS, image=None, pixels=None, plate=PLATE, config=SETTINGS, camera=RGB):
     pixels = RGB.project(points @ T[:3, :3].T + T[:3, 3]) if pixels is None else pixels
-    picture = depth_picture(T, plate) if picture is None else picture
+    image = depth_image(T, plate) if image is None else image
     T_colour = tag_pose(points, pixels, camera).T_camera_tag
-    return depth_pose(T_colour, points, pixels, camera, picture, DEPTH, T_RGB_DEPTH, plate, config)
+    return depth_pose(T_colour, points, pixels, camera, image, DEPTH, T_RGB_DEPTH, plate, config)
 
 
 @settings(max_examples=25)
@@ -46,7 +46,7 @@ def test_without_errors_all_poses_are_the_truth(T):
     result = see(T)
     assert result.reason == ""
     for estimate in (result.plane, result.fused):
-        np.testing.assert_allclose(estimate.T_camera_panel, T, atol=2e-5)
+        np.testing.assert_allclose(estimate.T_camera_board, T, atol=2e-5)
     assert result.fit.inliers > 0.9
     assert abs(result.disagreement) < 1e-3
 
@@ -67,11 +67,11 @@ def test_fused_is_surer_than_either(T, seed):
 
 def test_the_stated_covariances_are_those_of_many_trials():
     """White noise of known size, a scale and a focal error drawn anew each time."""
-    T = panel_pose(1.0, 25.0, 40.0, 30.0)
+    T = board_pose(1.0, 25.0, 40.0, 30.0)
     config = replace(SETTINGS, warp_sd=0.0, warp_slope_sd=0.0, noise_pixels=1.0)
     rng = np.random.default_rng(3)
     clean = RGB.project(POINTS @ T[:3, :3].T + T[:3, 3])
-    truth = 1.0 / depth_picture(T)
+    truth = 1.0 / depth_image(T)
     errors = {"colour": [], "plane": [], "fused": []}
     for _ in range(60):
         w = truth / (1.0 + config.scale_sd * rng.standard_normal())
@@ -79,10 +79,10 @@ def test_the_stated_covariances_are_those_of_many_trials():
         K = RGB.K.copy()
         K[[0, 1], [0, 1]] *= 1.0 + config.focal_sd * rng.standard_normal()
         pixels = clean + rng.normal(0.0, config.corner_sd, clean.shape)
-        result = see(T, pixels=pixels, picture=(1.0 / w).astype(np.float32), config=config, camera=replace(RGB, K=K))
+        result = see(T, pixels=pixels, image=(1.0 / w).astype(np.float32), config=config, camera=replace(RGB, K=K))
         for name, found in errors.items():
             estimate = getattr(result, name)
-            difference = _change(T, estimate.T_camera_panel)
+            difference = _change(T, estimate.T_camera_board)
             found.append(difference @ np.linalg.solve(estimate.covariance, difference))
     for name, found in errors.items():  # the mean of chi^2 with 6 degrees of freedom, over 60 trials: sd 0.45
         assert 4.3 < np.mean(found) < 8.0, name
@@ -92,62 +92,62 @@ def test_depth_turns_a_tag_right_that_faces_the_camera():
     rng = np.random.default_rng(0)
     colour, fused = [], []
     for _ in range(10):
-        T = panel_pose(1.2, 2.0, rng.uniform(-180, 180))
+        T = board_pose(1.2, 2.0, rng.uniform(-180, 180))
         pixels = RGB.project(SINGLE @ T[:3, :3].T + T[:3, 3]) + rng.normal(0.0, 0.15, (4, 2))
-        result = see(T, SINGLE, pixels=pixels, picture=depth_picture(T, 0.125), plate=0.125)
-        colour.append(rotation_angle(T[:3, :3].T @ result.colour.T_camera_panel[:3, :3]))
-        fused.append(rotation_angle(T[:3, :3].T @ result.fused.T_camera_panel[:3, :3]))
+        result = see(T, SINGLE, pixels=pixels, image=depth_image(T, 0.125), plate=0.125)
+        colour.append(rotation_angle(T[:3, :3].T @ result.colour.T_camera_board[:3, :3]))
+        fused.append(rotation_angle(T[:3, :3].T @ result.fused.T_camera_board[:3, :3]))
     assert np.median(fused) < 0.2 * np.median(colour)
     assert np.degrees(max(fused)) < 0.5
 
 
 def test_the_wrong_one_of_two_solutions_is_put_right():
-    T = panel_pose(1.5, 15.0)
+    T = board_pose(1.5, 15.0)
     pixels = RGB.project(SINGLE @ T[:3, :3].T + T[:3, 3])
     wrong = tag_pose(SINGLE, pixels, RGB).other
-    result = depth_pose(wrong, SINGLE, pixels, RGB, depth_picture(T, 0.125), DEPTH, T_RGB_DEPTH, 0.125, SETTINGS)
+    result = depth_pose(wrong, SINGLE, pixels, RGB, depth_image(T, 0.125), DEPTH, T_RGB_DEPTH, 0.125, SETTINGS)
     assert rotation_angle(T[:3, :3].T @ wrong[:3, :3]) > np.radians(10.0)
-    np.testing.assert_allclose(result.fused.T_camera_panel, T, atol=1e-3)
+    np.testing.assert_allclose(result.fused.T_camera_board, T, atol=1e-3)
 
 
 @settings(max_examples=15)
 @given(T=poses, share=st.floats(0.0, 0.3))
-def test_an_arm_before_the_panel_and_holes_do_not_bend_it(T, share):
-    picture = depth_picture(T)
+def test_an_arm_before_the_board_and_holes_do_not_bend_it(T, share):
+    image = depth_image(T)
     centre = DEPTH.project((inverse(T_RGB_DEPTH) @ T)[:3, 3])
     u = np.arange(DEPTH.width)
     width = 0.88 * PLATE * DEPTH.K[0, 0] / T[2, 3]
     before = u < centre[0] - width / 2.0 + share * width
-    picture[:, before] -= 0.06
-    picture[::3] = np.nan
-    result = see(T, picture=picture)
+    image[:, before] -= 0.06
+    image[::3] = np.nan
+    result = see(T, image=image)
     if result.fused is not None:
-        np.testing.assert_allclose(result.plane.T_camera_panel, T, atol=2e-3)
+        np.testing.assert_allclose(result.plane.T_camera_board, T, atol=2e-3)
 
 
 def test_what_makes_no_plane_is_refused_with_a_reason():
-    T = panel_pose(1.0, 20.0)
+    T = board_pose(1.0, 20.0)
     rng = np.random.default_rng(0)
     empty = np.full((480, 640), np.nan, np.float32)
-    assert "only 0 pixels" in see(T, picture=empty).reason
-    assert "only 0 pixels" in see(T, picture=np.full((480, 640), 2.0, np.float32)).reason
-    crumpled = depth_picture(T, noise=lambda shape: rng.normal(0.0, 0.03, shape))
-    assert "lie in one plane" in see(T, picture=crumpled).reason
+    assert "only 0 pixels" in see(T, image=empty).reason
+    assert "only 0 pixels" in see(T, image=np.full((480, 640), 2.0, np.float32)).reason
+    crumpled = depth_image(T, noise=lambda shape: rng.normal(0.0, 0.03, shape))
+    assert "lie in one plane" in see(T, image=crumpled).reason
     beside = pose(T[:3, :3], (3.0, 0.0, 1.0))
-    assert fit_panel(empty, DEPTH, beside, PLATE, SETTINGS).reason == "the panel is not in the depth picture"
+    assert fit_board(empty, DEPTH, beside, PLATE, SETTINGS).reason == "the marker board is not in the depth image"
     behind = pose(T[:3, :3], (0.0, 0.0, 0.02))
-    assert fit_panel(empty, DEPTH, behind, PLATE, SETTINGS).reason == "the panel is not in the depth picture"
-    for result in (see(T, picture=empty), see(T, picture=crumpled)):
+    assert fit_board(empty, DEPTH, behind, PLATE, SETTINGS).reason == "the marker board is not in the depth image"
+    for result in (see(T, image=empty), see(T, image=crumpled)):
         assert result.fused is None and result.plane is None and np.isnan(result.disagreement)
 
 
 def test_a_tag_of_another_size_than_told_is_noticed():
-    T = panel_pose(1.0, 20.0)
+    T = board_pose(1.0, 20.0)
     pixels = RGB.project(0.94 * POINTS @ T[:3, :3].T + T[:3, 3])
     result = see(T, pixels=pixels)
     assert "1.06 times as far" in result.reason
     assert result.fused is None
-    np.testing.assert_allclose(result.plane.T_camera_panel, T, atol=1e-3)
+    np.testing.assert_allclose(result.plane.T_camera_board, T, atol=1e-3)
 
 
 @settings(max_examples=30)
@@ -190,9 +190,9 @@ def test_the_majority_makes_the_plane(share, seed):
 
 
 def test_broken_contracts_are_named():
-    T = panel_pose(1.0, 20.0)
-    with pytest.raises(ValueError, match="depth picture is"):
-        see(T, picture=np.ones((10, 10), np.float32))
+    T = board_pose(1.0, 20.0)
+    with pytest.raises(ValueError, match="depth image is"):
+        see(T, image=np.ones((10, 10), np.float32))
     bent = POINTS + np.linspace(0.0, 0.01, len(POINTS))[:, None] * [0.0, 0.0, 1.0]
     with pytest.raises(ValueError, match="do not lie in one plane"):
         see(T, bent)

@@ -1,4 +1,4 @@
-"""The evaluation of the panel's poses: errors, tables, and the program on pictures with known truth."""
+"""The evaluation of the marker board's poses: errors, tables, and the program on images with known truth."""
 
 import json
 
@@ -6,24 +6,24 @@ import cv2
 import numpy as np
 import pinocchio as pin
 import pytest
-from depth_scene import RGB, T_RGB_DEPTH, depth_picture, load, panel_pose
+from depth_scene import RGB, T_RGB_DEPTH, board_pose, depth_image, load
 from tag_renderer import render
 
 from common.poses import pose
 from vision.marker_board import pose_evaluation
 from vision.marker_board.plane_fit import PlaneFit
-from vision.marker_board.plane_pose import DepthPose, Estimate
+from vision.marker_board.plane_pose import DepthPose, PoseEstimate
 
 FIT = PlaneFit(None, None, 0, 0.0, 0.0, 0.0, "none")
 
 
 def poses(T, shift=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
     moved = pose(pin.exp3(np.array(turn)) @ T[:3, :3], T[:3, 3] + shift)
-    return DepthPose(Estimate(moved, np.diag([1e-6] * 3 + [1e-4] * 3)), None, None, FIT, np.nan, "none")
+    return DepthPose(PoseEstimate(moved, np.diag([1e-6] * 3 + [1e-4] * 3)), None, None, FIT, np.nan, "none")
 
 
 def test_errors_are_in_millimetres_degrees_and_standard_deviations():
-    T = panel_pose(1.0, 20.0)
+    T = board_pose(1.0, 20.0)
     found = pose_evaluation.trial(1.0, 20.0, T, poses(T, (0.003, 0.0, 0.004), (0.0, 0.02, 0.0))).errors["colour"]
     assert (found.position, found.rotation) == (pytest.approx(5.0), pytest.approx(np.degrees(0.02)))
     assert found.reach == pytest.approx(np.sqrt(25.0 + 2.0 / 3.0 * 10.0**2))
@@ -32,7 +32,7 @@ def test_errors_are_in_millimetres_degrees_and_standard_deviations():
 
 def test_the_reach_is_the_mean_square_over_all_directions():
     shift, turn = np.array([0.002, -0.001, 0.004]), np.array([0.01, 0.02, -0.005])
-    T = panel_pose(1.0, 20.0)
+    T = board_pose(1.0, 20.0)
     reach = pose_evaluation.trial(1.0, 20.0, T, poses(T, shift, turn)).errors["colour"].reach
     directions = np.random.default_rng(0).normal(size=(20000, 3))
     directions *= pose_evaluation.REACH_M / np.linalg.norm(directions, axis=1)[:, None]
@@ -41,7 +41,7 @@ def test_the_reach_is_the_mean_square_over_all_directions():
 
 
 def test_tables_name_what_was_not_found():
-    T = panel_pose(1.0, 20.0)
+    T = board_pose(1.0, 20.0)
     trials = [pose_evaluation.trial(1.0, 20.0, T, poses(T)), pose_evaluation.trial(1.0, 20.0, T, None)]
     lines = pose_evaluation.csv("v", trials)
     columns = pose_evaluation.CSV_HEAD.split(",")
@@ -59,11 +59,11 @@ def test_tables_name_what_was_not_found():
 
 @pytest.fixture
 def folder(tmp_path):
-    """Two pairs of pictures, as the simulation writes them."""
+    """Two pairs of images, as the simulation writes them."""
     entries = []
-    for i, T in enumerate((panel_pose(0.7, 0.0, 0.0, 25.0), panel_pose(0.9, 30.0, 40.0, 10.0))):
+    for i, T in enumerate((board_pose(0.7, 0.0, 0.0, 25.0), board_pose(0.9, 30.0, 40.0, 10.0))):
         cv2.imwrite(str(tmp_path / f"{i}_c.png"), render(RGB, T, [(0, 0.097, 0.0, 0.0)], 0.125))
-        cv2.imwrite(str(tmp_path / f"{i}_d.png"), np.rint(1000.0 * depth_picture(T, 0.125)).astype(np.uint16))
+        cv2.imwrite(str(tmp_path / f"{i}_d.png"), np.rint(1000.0 * depth_image(T, 0.125)).astype(np.uint16))
         shown = {"distance": T[2, 3], "tilt": 30.0 * i, "unit": 0, "T_rgb_panel": T.tolist()}
         entries.append({"colour": f"{i}_c.png", "depth": f"{i}_d.png", **shown})
     calibrations = {n: load(f"xtion_{n}.yaml") for n in ("rgb", "depth")}
@@ -92,10 +92,10 @@ def test_the_program_writes_tables_and_plots(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("break_it", "sentence"),
     [
-        (lambda f: (f / "pictures.json").unlink(), "does not say what pictures show"),
-        (lambda f: (f / "pictures.json").write_text("{}"), "does not say what pictures show"),
-        (lambda f: (f / "1_d.png").unlink(), "are no pair of pictures"),
-        (lambda f: (f / "1_d.png").write_bytes((f / "1_c.png").read_bytes()), "are no pair of pictures"),
+        (lambda f: (f / "pictures.json").unlink(), "does not say what images show"),
+        (lambda f: (f / "pictures.json").write_text("{}"), "does not say what images show"),
+        (lambda f: (f / "1_d.png").unlink(), "are no pair of images"),
+        (lambda f: (f / "1_d.png").write_bytes((f / "1_c.png").read_bytes()), "are no pair of images"),
     ],
 )
 def test_the_program_refuses_with_a_sentence(folder, tmp_path, capsys, break_it, sentence):

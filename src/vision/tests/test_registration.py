@@ -1,4 +1,4 @@
-"""Laws of registration: where points of the depth picture land, which of two stays, what the cloud holds."""
+"""Laws of registration: where points of the depth image land, which of two stays, what the cloud holds."""
 
 from dataclasses import replace
 
@@ -19,9 +19,9 @@ NONE = np.full((480, 640), np.nan, np.float32)
 
 
 def one_point(u, v, z):
-    picture = NONE.copy()
-    picture[v, u] = z
-    return REGISTRATION.register(picture)
+    image = NONE.copy()
+    image[v, u] = z
+    return REGISTRATION.register(image)
 
 
 @settings(max_examples=40)
@@ -37,8 +37,8 @@ def test_a_point_lands_where_the_rectified_camera_sees_it(u, v, z):
 
 @settings(max_examples=20)
 @given(slant=st.floats(-0.4, 0.4), z=st.floats(0.6, 2.0))
-def test_as_taken_is_the_depth_of_what_the_raw_colour_picture_shows(slant, z):
-    """A slanted wall: every pixel of the raw picture looks at one place of it."""
+def test_as_taken_is_the_depth_of_what_the_raw_colour_image_shows(slant, z):
+    """A slanted wall: every pixel of the raw image looks at one place of it."""
     normal = np.array([slant, 0.0, 1.0])
     n = T_RGB_DEPTH[:3, :3].T @ normal
     rays = DEPTH.rays(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1))
@@ -60,15 +60,15 @@ def test_the_nearest_of_those_that_meet_stays():
     near, far = 0.8, 1.6
     place = landing(300, 240, near)
     u, v = next((u, v) for v in range(235, 246) for u in range(280, 320) if landing(u, v, far) == place)
-    picture = NONE.copy()
-    picture[240, 300], picture[v, u] = near, far
+    image = NONE.copy()
+    image[240, 300], image[v, u] = near, far
     assert (v, u) != (240, 300)
-    registered = REGISTRATION.register(picture)
+    registered = REGISTRATION.register(image)
     assert np.isfinite(registered).sum() == 1
     assert registered[place] == pytest.approx(near, abs=0.02)
 
 
-def test_a_wall_fills_the_picture_and_the_cloud_lies_in_it():
+def test_a_wall_fills_the_image_and_the_cloud_lies_in_it():
     wall = np.full((480, 640), 1.2, np.float32)
     registered = REGISTRATION.register(wall)
     assert np.isfinite(registered[60:420, 80:560]).mean() > 0.98
@@ -84,7 +84,7 @@ def test_a_wall_fills_the_picture_and_the_cloud_lies_in_it():
     assert cloud["rgb"][240, 320] == 0x0A14FA
 
 
-def test_the_rectified_picture_shows_things_where_the_rectified_camera_sees_them():
+def test_the_rectified_image_shows_things_where_the_rectified_camera_sees_them():
     X = np.array([0.25, -0.15, 1.0])
     u, v = RGB.project(X)
     colour = np.zeros((480, 640, 3), np.uint8)
@@ -100,10 +100,10 @@ def test_nothing_and_nonsense_register_to_nothing():
     assert np.isnan(behind.register(np.full((480, 640), 1.0, np.float32))).all()
 
 
-def test_pictures_of_another_size_are_named():
-    with pytest.raises(ValueError, match="depth picture is"):
+def test_images_of_another_size_are_named():
+    with pytest.raises(ValueError, match="depth image is"):
         REGISTRATION.register(np.ones((240, 320), np.float32))
-    with pytest.raises(ValueError, match="colour picture is"):
+    with pytest.raises(ValueError, match="colour image is"):
         REGISTRATION.rectify(np.ones((240, 320, 3), np.uint8))
 
 

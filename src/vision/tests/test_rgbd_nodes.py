@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from depth_scene import DEPTH, PLATE, RGB, T_RGB_DEPTH, depth_picture, load, panel_pose
+from depth_scene import DEPTH, PLATE, RGB, T_RGB_DEPTH, board_pose, depth_image, load
 from tag_renderer import render
 
 from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
@@ -14,17 +14,17 @@ pytestmark = pytest.mark.ros
 
 TAGS = [(0, 0.1, 0, 0), *((i, 0.06, x, y) for i, x, y in ((1, -1, 1), (2, 1, 1), (3, -1, -1), (4, 1, -1)))]
 TAGS = [(i, size, 0.105 * x, 0.105 * y) for i, size, x, y in TAGS]
-TRUTH = panel_pose(0.9, 20.0, x=0.03, y=-0.02)
+TRUTH = board_pose(0.9, 20.0, x=0.03, y=-0.02)
 
 
 @pytest.fixture(scope="module")
-def pictures():
+def images():
     grey = render(RGB, TRUTH, TAGS, PLATE)
-    return np.stack((grey, grey, grey), axis=-1), np.rint(1000.0 * depth_picture(TRUTH)).astype(np.uint16)
+    return np.stack((grey, grey, grey), axis=-1), np.rint(1000.0 * depth_image(TRUTH)).astype(np.uint16)
 
 
 class Camera:
-    """Publishes a pair of pictures again and again, with a new stamp each time."""
+    """Publishes a pair of images again and again, with a new stamp each time."""
 
     def __init__(self, colour, depth):
         import rospy
@@ -60,9 +60,9 @@ class Camera:
             stamp = rospy.Time.now()
             for name, (model, frame) in MODELS.items():
                 at = stamp + rospy.Duration(self.late if name == "depth" else 0.0)
-                picture, encoding = (self.colour, "rgb8") if name == "rgb" else (self.depth, "16UC1")
+                image, encoding = (self.colour, "rgb8") if name == "rgb" else (self.depth, "16UC1")
                 self._infos[name].publish(camera_info_message(model, frame, at))
-                self.images[name].publish(image_message(picture, encoding, frame, at))
+                self.images[name].publish(image_message(image, encoding, frame, at))
             self.sent += 1
 
 
@@ -70,8 +70,8 @@ MODELS = {"rgb": (RGB, RGB_OPTICAL), "depth": (DEPTH, DEPTH_OPTICAL)}
 
 
 @pytest.fixture
-def camera(ros, pictures):
-    made = Camera(*pictures)
+def camera(ros, images):
+    made = Camera(*images)
     yield made
     made.close()
 
@@ -110,7 +110,7 @@ def diagnostics(ros, name):
     return read
 
 
-def test_the_panel_comes_fused_and_by_its_plane_in_topics_and_tf(ros, camera, start, wait_until):
+def test_the_board_comes_fused_and_by_its_plane_in_topics_and_tf(ros, camera, start, wait_until):
     import rospy
     import tf2_ros
 
@@ -133,24 +133,24 @@ def test_the_panel_comes_fused_and_by_its_plane_in_topics_and_tf(ros, camera, st
         wait_until(lambda frame=frame: buffer.can_transform(RGB_OPTICAL, frame, rospy.Time(0)), 15.0, frame)
         found = buffer.lookup_transform(RGB_OPTICAL, frame, rospy.Time(0)).transform
         np.testing.assert_allclose(pose_from_transform(found), TRUTH, atol=6e-3)
-    wait_until(lambda: status().get("message") == "the panel is seen with depth", 15.0, "the status")
+    wait_until(lambda: status().get("message") == "the marker board is seen with depth", 15.0, "the status")
     assert float(status()["colour_to_fused_mm"]) < 5.0
     listener.unregister()
 
 
-def test_without_depth_there_is_no_pose_but_a_reason_and_it_comes_back(ros, camera, start, pictures, wait_until):
+def test_without_depth_there_is_no_pose_but_a_reason_and_it_comes_back(ros, camera, start, images, wait_until):
     from apriltag_ros.msg import AprilTagDetectionArray
 
     fused = ros.record("tag_detections_fused", AprilTagDetectionArray)
     status = diagnostics(ros, "plane_pose")
-    camera.depth = np.zeros_like(pictures[1])
+    camera.depth = np.zeros_like(images[1])
     process = start()
     wait_until(lambda: "have a depth near it" in status().get("message", ""), 30.0, "the reason")
     assert not any(message.detections for message in fused)
     assert "No pose with depth" in process.log_path.read_text()
-    camera.colour = np.zeros_like(pictures[0])
+    camera.colour = np.zeros_like(images[0])
     wait_until(lambda: "no tag" in status()["message"], 15.0, "the reason")
-    camera.colour, camera.depth = pictures
+    camera.colour, camera.depth = images
     wait_until(lambda: fused and fused[-1].detections, 15.0, "the pose")
 
 
@@ -158,9 +158,9 @@ def test_what_does_not_belong_together_is_waited_for(ros, camera, start, wait_un
     status = diagnostics(ros, "plane_pose")
     camera.late = 1000.0
     start()
-    wait_until(lambda: status().get("message") == "waits for pictures", 30.0, "the status")
+    wait_until(lambda: status().get("message") == "waits for images", 30.0, "the status")
     camera.late = 0.0
-    wait_until(lambda: status().get("message") == "the panel is seen with depth", 30.0, "pairs")
+    wait_until(lambda: status().get("message") == "the marker board is seen with depth", 30.0, "pairs")
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_tags_out_of_the_plates_plane_are_refused(ros, start):
 def test_a_camera_that_is_absent_is_waited_for_and_an_interrupt_ends_it(ros, start, processes, wait_until):
     status = diagnostics(ros, "plane_pose")
     process = start()
-    wait_until(lambda: status().get("message") == "waits for pictures", 30.0, "the status")
+    wait_until(lambda: status().get("message") == "waits for images", 30.0, "the status")
     assert processes.end(process) == 0
     assert "Traceback" not in process.log_path.read_text()
 
@@ -250,15 +250,15 @@ def test_register_rgbd_ends_with_a_sentence(ros, parameter, sentence):
     assert "Traceback" not in log
 
 
-def test_a_picture_of_another_size_is_dropped_with_a_sentence(ros, camera, pictures, wait_until):
+def test_a_image_of_another_size_is_dropped_with_a_sentence(ros, camera, images, wait_until):
     from sensor_msgs.msg import PointCloud2
 
-    camera.depth = pictures[1][:240, :320].copy()
+    camera.depth = images[1][:240, :320].copy()
     clouds, status = ros.record("camera/depth_registered/points", PointCloud2), diagnostics(ros, "register_rgbd")
     process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
-    wait_until(lambda: "A pair of pictures was dropped" in process.log_path.read_text(), 30.0, "the sentence")
-    wait_until(lambda: "Waits for pictures that are of use" in status().get("message", ""), 15.0, "the reason")
-    camera.depth = pictures[1]
+    wait_until(lambda: "A pair of images was dropped" in process.log_path.read_text(), 30.0, "the sentence")
+    wait_until(lambda: "Waits for images that are of use" in status().get("message", ""), 15.0, "the reason")
+    camera.depth = images[1]
     clouds.wait(1, 30.0)
 
 
@@ -271,7 +271,7 @@ def test_the_launch_files_start_what_they_name(ros, camera, wait_until):
     clouds = ros.record("camera/depth_registered/points", PointCloud2)
     ros.launch("vision", "plane_pose.launch", camera="false")
     ros.launch("vision", "register_rgbd.launch", camera="false", rviz="false")
-    wait_until(lambda: fused and fused[-1].detections, 40.0, "the panel")
+    wait_until(lambda: fused and fused[-1].detections, 40.0, "the marker board")
     clouds.wait(1, 40.0)
 
 
@@ -288,7 +288,7 @@ def test_a_recording_goes_through_the_same_nodes(ros, camera, processes, tmp_pat
     record = processes.start("rosrun", "rosbag", "record", "-O", str(bag), *topics, "/tf_static")
     wait_until(camera.heard_everywhere, 30.0, "the recorder")
     sent = camera.sent
-    wait_until(lambda: camera.sent > sent + 10, 30.0, "pictures to record")
+    wait_until(lambda: camera.sent > sent + 10, 30.0, "images to record")
     assert processes.end(record) == 0
     camera.close()
     with rosbag.Bag(str(bag)) as recorded:
@@ -303,7 +303,7 @@ def test_a_recording_goes_through_the_same_nodes(ros, camera, processes, tmp_pat
         ros.launch("vision", "register_rgbd.launch", camera="false", rviz="false")
         processes.start("rosbag", "play", "--clock", "--loop", str(bag))
         for arrays in seen.values():
-            wait_until(lambda arrays=arrays: arrays and arrays[-1].detections, 60.0, "the panel")
+            wait_until(lambda arrays=arrays: arrays and arrays[-1].detections, 60.0, "the marker board")
             np.testing.assert_allclose(pose_from_message(arrays[-1].detections[0].pose.pose.pose), TRUTH, atol=6e-3)
             assert arrays[-1].header.stamp in stamps
         assert clouds.wait(1, 60.0)[-1].header.stamp in stamps

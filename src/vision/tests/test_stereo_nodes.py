@@ -26,12 +26,12 @@ pytestmark = pytest.mark.ros
 PAGE = str(Path(__file__).parents[1] / "web" / "headset.html")
 DEPTH_MM = 800
 PATIENT = {"age_after": 4.0, "depth_gap": 1.0}
-"""A busy machine takes longer for a picture than the 0.5 s after which its age is shown, and brings its depth later."""
+"""A busy machine takes longer for an image than the 0.5 s after which its age is shown, and brings its depth later."""
 REMAPS = [f"{name}:=camera/{name}" for name in ("rgb/image_raw", "rgb/camera_info", "depth/image_raw")]
 
 
 class Camera:
-    """Publishes pictures whose left half is red and whose right half is blue."""
+    """Publishes images whose left half is red and whose right half is blue."""
 
     def __init__(self):
         import rospy
@@ -46,20 +46,20 @@ class Camera:
         }
 
     def publish(self, depth=True):
-        """Publishes one picture."""
+        """Publishes one image."""
         import rospy
 
         from common.ros.images import camera_info_message, image_message
 
         stamp = rospy.Time.now()
         if depth:
-            picture = np.full((RGB.height, RGB.width), DEPTH_MM, np.uint16)
-            self.publishers["depth/image_raw"].publish(image_message(picture, "16UC1", RGB_OPTICAL, stamp))
+            image = np.full((RGB.height, RGB.width), DEPTH_MM, np.uint16)
+            self.publishers["depth/image_raw"].publish(image_message(image, "16UC1", RGB_OPTICAL, stamp))
         self.publishers["rgb/camera_info"].publish(camera_info_message(RGB, RGB_OPTICAL, stamp))
         self.publishers["rgb/image_raw"].publish(image_message(self._colour, "rgb8", RGB_OPTICAL, stamp))
 
     def watched(self):
-        """Whether somebody takes the pictures."""
+        """Whether somebody takes the images."""
         return self.publishers["rgb/image_raw"].get_num_connections() > 0
 
     def close(self):
@@ -111,11 +111,11 @@ def start_web(ros, wait_until, **changes):
 
 
 def middle(message):
-    """The colour above the middle of each eye's picture, left and right of its middle column."""
+    """The colour above the middle of each eye's image, left and right of its middle column."""
     from common.ros.images import array_from_image
 
-    picture = array_from_image(message)
-    return [picture[420, c] for c in (350, 600, 960 + 350, 960 + 600)]
+    image = array_from_image(message)
+    return [image[420, c] for c in (350, 600, 960 + 350, 960 + 600)]
 
 
 class TestWindow:
@@ -127,29 +127,29 @@ class TestWindow:
 
         def shown():
             camera.publish()
-            return sentence() == "Shows pictures." and len(images) > 0
+            return sentence() == "Shows images." and len(images) > 0
 
-        wait_until(shown, 30.0, "a picture", poll=0.1)
+        wait_until(shown, 30.0, "an image", poll=0.1)
         assert (images[-1].width, images[-1].height, images[-1].encoding) == (1920, 1080, "rgb8")
         last = images[-1].header.stamp
         wait_until(lambda: sentence().endswith("s old."), 10.0, "the sentence about the age")
-        wait_until(lambda: middle(images[-1])[0][0] < 100, 10.0, "the dark picture")
+        wait_until(lambda: middle(images[-1])[0][0] < 100, 10.0, "the dark image")
         assert images[-1].header.stamp >= last
         for left, right in (middle(images[-1])[:2], middle(images[-1])[2:]):
             assert left[0] == 80 and left[2] == 0 and right[2] == 80 and right[0] == 0
-        wait_until(shown, 30.0, "pictures again", poll=0.1)
+        wait_until(shown, 30.0, "images again", poll=0.1)
 
-    def test_without_depth_it_shows_the_picture_twice_and_says_so(self, ros, camera, offscreen, wait_until):
+    def test_without_depth_it_shows_the_image_twice_and_says_so(self, ros, camera, offscreen, wait_until):
         sentence = status(ros, "stereo_view")
         start_view(ros)
 
         def said():
             camera.publish(depth=False)
-            return sentence().startswith("Shows the same picture twice: no depth")
+            return sentence().startswith("Shows the same image twice: no depth")
 
         wait_until(said, 30.0, "the sentence", poll=0.1)
 
-    def test_torn_pictures_are_not_shown_and_do_not_count_as_new(self, ros, camera, offscreen, wait_until):
+    def test_torn_images_are_not_shown_and_do_not_count_as_new(self, ros, camera, offscreen, wait_until):
         import rospy
         from sensor_msgs.msg import Image
 
@@ -164,12 +164,12 @@ class TestWindow:
 
         def shown():
             camera.publish()
-            return sentence() == "Shows pictures."
+            return sentence() == "Shows images."
 
-        wait_until(shown, 30.0, "a picture", poll=0.1)
+        wait_until(shown, 30.0, "an image", poll=0.1)
         wait_until(torn, 30.0, "the sentence about the age", poll=0.1)
-        assert "A picture was not shown: a picture has 5 bytes" in node.log_path.read_text()
-        wait_until(shown, 30.0, "a picture", poll=0.1)
+        assert "An image was not shown: an image has 5 bytes" in node.log_path.read_text()
+        wait_until(shown, 30.0, "an image", poll=0.1)
 
     @pytest.mark.parametrize(
         ("changes", "sentence"),
@@ -206,7 +206,7 @@ class TestWeb:
         said = json.loads(connection.recv(timeout=30.0))
         return said, connection.recv(timeout=30.0) if said["picture"] else None
 
-    def test_a_page_gets_each_picture_once_and_the_camera_rests_without_a_page(self, ros, camera, wait_until):
+    def test_a_page_gets_each_image_once_and_the_camera_rests_without_a_page(self, ros, camera, wait_until):
         from websockets.sync.client import connect
 
         _, address = start_web(ros, wait_until)
@@ -217,12 +217,12 @@ class TestWeb:
         with connect(address.replace("http", "ws") + "pictures") as connection:
             wait_until(camera.watched, 30.0, "the node to look")
 
-            def picture():
+            def image():
                 camera.publish()
                 said, jpeg = self.ask(connection)
                 return said["picture"] and said["deep"] and (said, jpeg)
 
-            said, jpeg = wait_until(picture, 30.0, "a picture")
+            said, jpeg = wait_until(image, 30.0, "an image")
             both = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
             assert both.shape == (RGB.height, 2 * RGB.width, 3)
             assert both[240, 200, 0] > 150 and both[240, 1280 - 200, 2] > 150
@@ -296,7 +296,7 @@ class TestWeb:
         assert sentence in log and "Traceback" not in log
 
     @pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
-    def test_the_page_shows_pictures_and_their_age_and_paints_each_eye_its_own_half(
+    def test_the_page_shows_images_and_their_age_and_paints_each_eye_its_own_half(
         self, ros, camera, wait_until, tmp_path
     ):
         _, address = start_web(ros, wait_until)
@@ -309,7 +309,7 @@ class TestWeb:
                     == "each eye its own view"
                 )
 
-            wait_until(shown, 30.0, "pictures on the page", poll=0.1)
+            wait_until(shown, 30.0, "images on the page", poll=0.1)
             assert evaluate("Array.from(pen.getImageData(200, 240, 1, 1).data)")[0] > 150
             sees = evaluate(EYES)
             assert sees["left"] != sees["right"]

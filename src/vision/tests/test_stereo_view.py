@@ -1,4 +1,4 @@
-"""Laws of the view for the headset: lens maps, depth-image-based rendering, and the age of the picture."""
+"""Laws of the view for the headset: lens maps, depth-image-based rendering, and the age of the image."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from common.config import parse
 from common.errors import ConfigError
 from vision.stereo.config import StereoViewConfig
 from vision.stereo.depth_rendering import LEFT, RIGHT, eye_map, inverse_depth, shifted
-from vision.stereo.image_age import PictureAge, age_text, mark_age
-from vision.stereo.lens import BLUE, CENTRES, GREEN, HEIGHT, RED, WIDTH, Lens, directions
+from vision.stereo.image_age import ImageAge, age_text, mark_age
+from vision.stereo.lens import BLUE, CENTRES, GREEN, HEIGHT, RED, WIDTH, Dk2Lens, directions
 from vision.stereo.view import StereoView
 
 CAMERA = pinhole("test", 64, 48, [[60.0, 0.0, 31.5], [0.0, 60.0, 23.5], [0.0, 0.0, 1.0]])
@@ -27,7 +27,7 @@ def config(**changes):
 
 
 def stripes(camera=CAMERA):
-    """A picture in which each column has its own colour, and none is black."""
+    """An image in which each column has its own colour, and none is black."""
     columns = np.linspace(40.0, 250.0, camera.width).astype(np.uint8)
     return np.broadcast_to(columns[None, :, None], (camera.height, camera.width, 3)).copy()
 
@@ -68,12 +68,12 @@ class TestLens:
             assert np.degrees(np.arctan(x)) == pytest.approx(degrees, abs=0.5)
 
     def test_a_map_undoes_the_lens(self):
-        """A picture whose colour says its column and row, drawn for the screen, shows each direction's own colour."""
+        """An image whose colour says its column and row, drawn for the screen, shows each direction's own colour."""
         camera = pinhole("ramp", 256, 256, [[200.0, 0.0, 127.5], [0.0, 200.0, 127.5], [0.0, 0.0, 1.0]])
         u, v = np.meshgrid(np.arange(256, dtype=np.uint8), np.arange(256, dtype=np.uint8))
-        picture = np.stack((u, u, u), axis=-1), np.stack((v, v, v), axis=-1)
-        lens = Lens(camera, 1.0, True)
-        columns, rows = (lens.draw(p, p) for p in picture)
+        image = np.stack((u, u, u), axis=-1), np.stack((v, v, v), axis=-1)
+        lens = Dk2Lens(camera, 1.0, True)
+        columns, rows = (lens.draw(p, p) for p in image)
         for eye in (0, 1):
             for colour in (RED, GREEN, BLUE):
                 for du, dv in ((0, 0), (150, -90), (-200, 120)):
@@ -85,13 +85,13 @@ class TestLens:
 
     def test_without_colours_of_its_own_every_colour_is_bent_as_green(self):
         camera = pinhole("ramp", 256, 256, [[200.0, 0.0, 127.5], [0.0, 200.0, 127.5], [0.0, 0.0, 1.0]])
-        picture = np.random.default_rng(1).integers(1, 255, (256, 256, 3), np.uint8)
-        plain, chromatic = (Lens(camera, 1.0, c).draw(picture, picture) for c in (False, True))
+        image = np.random.default_rng(1).integers(1, 255, (256, 256, 3), np.uint8)
+        plain, chromatic = (Dk2Lens(camera, 1.0, c).draw(image, image) for c in (False, True))
         np.testing.assert_array_equal(plain[..., GREEN], chromatic[..., GREEN])
         assert not np.array_equal(plain[..., BLUE], chromatic[..., BLUE])
 
     def test_larger_magnification_covers_more_of_the_screen(self):
-        filled = [np.count_nonzero(Lens(CAMERA, m, False).draw(stripes(), stripes())) for m in (0.5, 1.0, 2.0)]
+        filled = [np.count_nonzero(Dk2Lens(CAMERA, m, False).draw(stripes(), stripes())) for m in (0.5, 1.0, 2.0)]
         assert filled == sorted(filled) and filled[0] < filled[2]
 
 
@@ -144,11 +144,11 @@ class TestDepth:
     def test_a_hole_beside_something_near_shows_what_is_behind(self):
         depth = np.full((6, 60), 4.0, np.float32)
         depth[:, 25:35] = 0.5
-        picture = np.full((6, 60, 3), 50, np.uint8)
-        picture[:, 25:35] = 200
+        image = np.full((6, 60, 3), 50, np.uint8)
+        image[:, 25:35] = 200
         shift = 0.5 * 60.0 * 0.2 * inverse_depth(depth, 0.4, 2.0)
         for eye in (LEFT, RIGHT):
-            drawn = shifted(picture, eye_map(shift, eye))
+            drawn = shifted(image, eye_map(shift, eye))
             bright = np.flatnonzero(drawn[3, :, 0] > 125)
             assert len(bright) == pytest.approx(10, abs=1)
             assert (drawn[3, 5:-5, 0] >= 50 - 1).all()
@@ -163,7 +163,7 @@ class TestDepth:
 
 
 class TestView:
-    def test_without_depth_both_eyes_see_the_same_picture_at_the_flat_distance(self):
+    def test_without_depth_both_eyes_see_the_same_image_at_the_flat_distance(self):
         view = StereoView(CAMERA, config(flat_distance=0.4, lens="none"))
         seen = view.eyes(stripes(), None)
         assert not seen.deep
@@ -172,12 +172,12 @@ class TestView:
         np.testing.assert_array_equal(seen.right[:, :-shift], stripes()[:, shift:])
         assert not seen.left[:, :shift].any() and not seen.right[:, -shift:].any()
 
-    def test_where_no_depth_is_wanted_it_is_the_doubled_picture_of_2019(self):
+    def test_where_no_depth_is_wanted_it_is_the_doubled_image_of_2019(self):
         view = StereoView(CAMERA, config(depth=False, flat_distance=0.4, lens="none"))
         seen = view.eyes(stripes(), None)
         np.testing.assert_array_equal(view.screen.draw(seen.left, seen.right), np.hstack((stripes(), stripes())))
 
-    def test_depth_at_the_flat_distance_gives_the_flat_picture(self):
+    def test_depth_at_the_flat_distance_gives_the_flat_image(self):
         view = StereoView(CAMERA, config(flat_distance=0.96, lens="none"))
         flat = view.eyes(stripes(), None)
         deep = view.eyes(stripes(), np.full((48, 64), 0.96, np.float32))
@@ -196,17 +196,17 @@ class TestView:
         assert screen.shape == (1080, 1920, 3)
         assert 0.2 < np.count_nonzero(screen.any(axis=-1)) / screen[..., 0].size < 0.4
 
-    def test_a_picture_of_another_size_is_refused(self):
+    def test_a_image_of_another_size_is_refused(self):
         view = StereoView(CAMERA, config())
-        with pytest.raises(ValueError, match="colour picture has the shape"):
+        with pytest.raises(ValueError, match="colour image has the shape"):
             view.eyes(stripes()[:-1], None)
-        with pytest.raises(ValueError, match="depth picture has the shape"):
+        with pytest.raises(ValueError, match="depth image has the shape"):
             view.eyes(stripes(), np.ones((48, 65), np.float32))
 
 
 class TestAge:
-    def test_only_another_stamp_is_a_new_picture(self):
-        age = PictureAge()
+    def test_only_another_stamp_is_a_new_image(self):
+        age = ImageAge()
         assert age.age(1.0) is None
         assert age.is_new(7.0)
         age.shown(7.0, 10.0)
@@ -217,10 +217,10 @@ class TestAge:
         assert age.age(13.5) == 0.5
 
     def test_the_text_and_the_mark(self):
-        assert [age_text(a) for a in (None, 3.21, 120.0)] == ["no picture yet", "3.2 s old", "2 min old"]
-        picture = np.full((480, 640, 3), 200, np.uint8)
-        marked = mark_age(picture, 3.2)
-        assert marked.shape == picture.shape and (picture == 200).all()
+        assert [age_text(a) for a in (None, 3.21, 120.0)] == ["no image yet", "3.2 s old", "2 min old"]
+        image = np.full((480, 640, 3), 200, np.uint8)
+        marked = mark_age(image, 3.2)
+        assert marked.shape == image.shape and (image == 200).all()
         assert np.median(marked) == 80
         rows, columns = np.nonzero(marked[..., 0] > 200)
         assert abs(rows.mean() - 240) < 20 and abs(columns.mean() - 320) < 20

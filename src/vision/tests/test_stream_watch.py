@@ -1,4 +1,4 @@
-"""When a stream of pictures counts as alive, slow, empty, frozen, vanished."""
+"""When a stream of images counts as alive, slow, empty, frozen, vanished."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CONFIG = WatchConfig(silence=0.8, min_rate=10.0, min_depth=0.05, pictures=True)
 
 
 def watch_of(count: int, period: float = 1 / 15, **changes) -> tuple[StreamWatch, float]:
-    """Returns a watch that saw `count` new pictures, and the time of the last."""
+    """Returns a watch that saw `count` new images, and the time of the last."""
     watch = StreamWatch("depth camera", dataclasses.replace(CONFIG, **changes))
     for i in range(count):
         watch.arrived(100.0 + i, period * i)
@@ -25,7 +25,7 @@ def test_before_the_first_message_it_waits():
     assert watch.health(1000.0).state == "waiting"
 
 
-def test_new_pictures_often_enough_are_life():
+def test_new_images_often_enough_are_life():
     watch, now = watch_of(40)
     assert watch.health(now).state == "alive"
     assert watch.health(now).usable
@@ -51,16 +51,16 @@ def test_the_same_stamp_again_and_again_is_frozen():
     assert (health.state, "same stamp" in health.sentence) == ("frozen", True)
 
 
-def test_the_same_picture_under_new_stamps_is_frozen():
+def test_the_same_image_under_new_stamps_is_frozen():
     watch, now = watch_of(40)
     for i in range(20):
         watch.arrived(200.0 + i, now + 0.05 * i)
         watch.looked(39, now + 0.05 * i)
     health = watch.health(now + 0.95)
-    assert (health.state, "same picture" in health.sentence) == ("frozen", True)
+    assert (health.state, "same image" in health.sentence) == ("frozen", True)
 
 
-def test_pictures_that_nobody_takes_are_not_frozen():
+def test_images_that_nobody_takes_are_not_frozen():
     watch, now = watch_of(40)
     watch.look_away()
     for i in range(60):
@@ -79,26 +79,26 @@ def test_depth_without_depth_is_empty():
     assert watch.health(now).state == "alive"
 
 
-def test_few_pictures_are_slow_but_usable():
+def test_few_images_are_slow_but_usable():
     watch, now = watch_of(20, period=0.5)
     health = watch.health(now)
     assert (health.state, health.usable) == ("slow", True)
     assert watch_of(20, period=0.5, min_rate=0.0)[0].health(now).state == "alive"
 
 
-def test_garbled_pictures_are_named_until_the_last_is_long_past():
+def test_garbled_images_are_named_until_the_last_is_long_past():
     watch, now = watch_of(40)
     watch.looked_in_vain("it is torn", now)
     health = watch.health(now + 0.1)
     assert (health.state, health.usable) == ("garbled", False)
-    assert health.sentence == "The depth camera sends garbled pictures: it is torn."
+    assert health.sentence == "The depth camera sends garbled images: it is torn."
     for i in range(20):
         watch.arrived(200.0 + i, now + 0.1 * i)
         watch.looked(200 + i, now + 0.1 * i)
     assert watch.health(now + 2.0).state == "alive"
 
 
-def test_who_looks_away_forgets_garbled_pictures():
+def test_who_looks_away_forgets_garbled_images():
     watch, now = watch_of(40)
     watch.looked_in_vain("it is torn", now)
     watch.look_away()

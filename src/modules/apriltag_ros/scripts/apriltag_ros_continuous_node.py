@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Detector node of AprilTags in the pictures of a camera."""
+"""Detector node of AprilTags in the images of a camera."""
 
 from apriltag_ros.ros.continuous_node import main
 

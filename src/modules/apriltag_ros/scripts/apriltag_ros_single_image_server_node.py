@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Service node that detects AprilTags in a picture in a file."""
+"""Service node that detects AprilTags in an image in a file."""
 
 from apriltag_ros.ros.single_image_server import main
 

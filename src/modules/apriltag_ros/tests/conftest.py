@@ -20,7 +20,7 @@ BUNDLE = (
     (3, 0.060, -0.105, -0.105),
     (4, 0.060, 0.105, -0.105),
 )
-"""Tags of the panel: id, size [m], x, y [m]."""
+"""Tags of the marker board: id, size [m], x, y [m]."""
 
 
 @pytest.fixture(scope="session")
@@ -33,15 +33,15 @@ def camera():
 
 @pytest.fixture(scope="session")
 def bundle():
-    """The panel with five tags."""
-    from apriltag_ros.target import TagPlace, Target
+    """The marker board with five tags."""
+    from apriltag_ros.target import TagTarget, TargetTag
 
-    return Target("panel", tuple(TagPlace(i, size, pose(p=(x, y, 0.0))) for i, size, x, y in BUNDLE))
+    return TagTarget("panel", tuple(TargetTag(i, size, pose(p=(x, y, 0.0))) for i, size, x, y in BUNDLE))
 
 
 @pytest.fixture(scope="session")
 def single():
-    """The middle tag of the panel alone."""
-    from apriltag_ros.target import TagPlace, Target
+    """The middle tag of the marker board alone."""
+    from apriltag_ros.target import TagTarget, TargetTag
 
-    return Target("tag", (TagPlace(*BUNDLE[0][:2]),))
+    return TagTarget("tag", (TargetTag(*BUNDLE[0][:2]),))

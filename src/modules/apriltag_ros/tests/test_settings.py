@@ -68,13 +68,13 @@ def test_names_and_places_of_tags():
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
-        ({}, "There is no tag to look for"),
+        ({}, "both empty"),
         ({"standalone_tags": 5}, "standalone_tags is 5, but must be a list"),
         ({"standalone_tags": [5]}, "standalone_tags[0]/ is 5, but must be a mapping"),
         ({"standalone_tags": [{"id": 0, "size": 0}]}, "standalone_tags[0]/size is 0, but must be"),
         ({"standalone_tags": [{"id": 0, "size": 0.1, "nmae": "a"}]}, "standalone_tags[0]/nmae is not a known key"),
         ({"standalone_tags": [{"id": 0, "size": 0.1, "name": ""}]}, "standalone_tags[0]/name is ''"),
-        ({"standalone_tags": [{"id": 0, "size": 0.1}] * 2}, "The tag 0 is there twice"),
+        ({"standalone_tags": [{"id": 0, "size": 0.1}] * 2}, "tag 0 is listed twice"),
         (
             {"standalone_tags": [{"id": 0, "size": 0.1}], "tag_bundles": [{"layout": [{"id": 0, "size": 0.2}]}]},
             "The tag 0 has the sizes [0.1, 0.2] m",

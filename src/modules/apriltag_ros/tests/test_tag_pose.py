@@ -1,4 +1,4 @@
-"""Pose from corners: laws on exact corners, statistics on noisy ones, truth on rendered pictures."""
+"""Pose from corners: laws on exact corners, statistics on noisy ones, truth on rendered images."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tag_renderer import render
 from apriltag_ros.detector import MEMORY_S, TagDetector
 from apriltag_ros.settings import detector_settings
 from apriltag_ros.tag_pose import CORNER_SIGMA_PX, HINT, REPROJECTION, corner_jacobian, covariance, tag_pose
-from apriltag_ros.target import TagPlace, Target
+from apriltag_ros.target import TagTarget, TargetTag
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle
 
@@ -36,7 +36,7 @@ def error(T, truth):
     return np.concatenate((T[:3, 3] - truth[:3, 3], pin.log3(T[:3, :3] @ truth[:3, :3].T)))
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @example(0.625, 0.0, 0.0, 0.0, 0.1, 0.0, False)  # head-on, where OpenCV's IPPE goes wrong
 @example(0.5, 0.75, 1.5707963, 0.0, 0.1, 0.0, False)
 @given(
@@ -52,8 +52,8 @@ def test_exact_corners_give_the_exact_pose(camera, bundle, single, distance, til
 
 
 def test_a_bundle_that_is_not_flat(camera):
-    cube = Target(
-        "cube", (TagPlace(0, 0.1, pose(p=(0, 0, 0.06))), TagPlace(1, 0.1, pose(rotation_about(1, 1.2), (0.06, 0, 0))))
+    cube = TagTarget(
+        "cube", (TargetTag(0, 0.1, pose(p=(0, 0, 0.06))), TargetTag(1, 0.1, pose(rotation_about(1, 1.2), (0.06, 0, 0))))
     )
     truth = view(0.7, 25.0)
     found = tag_pose(*corners(cube, truth, camera), camera)
@@ -80,11 +80,11 @@ def test_covariance_predicts_the_errors(camera, bundle):
     truth = view(1.0, 30.0)
     points, exact = corners(bundle, truth, camera)
     squares = []
-    for _ in range(200):
+    for _ in range(120):
         found = tag_pose(points, exact + rng.normal(0.0, CORNER_SIGMA_PX, exact.shape), camera)
         e = error(found.T_camera_tag, truth)
         squares.append(e @ np.linalg.inv(found.covariance) @ e)
-    assert 6.0 * 0.8 < np.mean(squares) < 6.0 * 1.2  # chi squared of 6: mean 6, of 200 draws +-0.25
+    assert 6.0 * 0.78 < np.mean(squares) < 6.0 * 1.22  # chi squared of 6: mean 6, of 120 draws +-0.32
 
 
 def test_a_far_small_tag_is_ambiguous_and_a_hint_decides(camera, single):
@@ -107,7 +107,7 @@ def test_a_far_small_tag_is_ambiguous_and_a_hint_decides(camera, single):
     assert decided > 5 and wrong > 0
 
 
-def test_covariance_allows_for_the_other_pose_where_the_picture_does_not_tell(camera, single):
+def test_covariance_allows_for_the_other_pose_where_the_image_does_not_tell(camera, single):
     rng = np.random.default_rng(7)
     squares, of_corners = [], []
     for _ in range(150):
@@ -150,8 +150,8 @@ def test_rendered_truth_through_a_distorting_lens(camera, bundle, distance, tilt
     for seed, azimuth in enumerate((0.5, 2.5, 4.5)):
         truth = view(distance, tilt, azimuth, turn=azimuth, x=0.1)
         tags = [(t.id, t.size, *t.T_target_tag[:2, 3]) for t in bundle.tags]
-        picture = render(camera, truth, tags, 0.3, seed=seed)
-        (found,) = detector.detect(picture, camera, float(seed)).targets
+        image = render(camera, truth, tags, 0.3, seed=seed)
+        (found,) = detector.detect(image, camera, float(seed)).targets
         assert len(found.tags) == 5
         e = error(found.pose.T_camera_tag, truth)
         assert np.linalg.norm(e[:3]) < 0.0025 * distance**2
@@ -170,18 +170,18 @@ def test_what_was_seen_a_moment_ago_is_the_hint(camera, single):
     assert detector._hint("tag", 0.9) is None
 
 
-def test_rectified_pictures_are_taken_as_they_are(camera, single):
+def test_rectified_images_are_taken_as_they_are(camera, single):
     truth = view(0.6, 30.0)
-    picture = render(camera.rectified(), truth, [(0, 0.1, 0, 0)], 0.13)
+    image = render(camera.rectified(), truth, [(0, 0.1, 0, 0)], 0.13)
     detector = TagDetector(detector_settings({"tag_threads": 1, "rectified": True}), (single,))
-    (found,) = detector.detect(picture, camera, 0.0).targets
+    (found,) = detector.detect(image, camera, 0.0).targets
     np.testing.assert_allclose(found.pose.T_camera_tag[:3, 3], truth[:3, 3], atol=0.0015)
 
 
 def test_tags_of_no_target_are_told_and_wrong_sizes_refused(camera, single):
     detector = TagDetector(detector_settings({"tag_threads": 1, "rectified": False}), (single,))
-    picture = render(camera, view(0.6, 30.0), [(3, 0.1, 0, 0)], 0.13)
-    result = detector.detect(picture, camera, 0.0)
+    image = render(camera, view(0.6, 30.0), [(3, 0.1, 0, 0)], 0.13)
+    result = detector.detect(image, camera, 0.0)
     assert result.targets == () and result.unknown == (3,)
-    with pytest.raises(ValueError, match="64 x 48, but the camera's 640 x 480"):
-        detector.detect(picture[:48, :64], camera, 0.0)
+    with pytest.raises(ValueError, match="64 x 48"):
+        detector.detect(image[:48, :64], camera, 0.0)

@@ -1,4 +1,7 @@
-"""From a grey picture to the poses of all targets in it; remembers the poses to decide between two that fit equally."""
+"""Detects all targets in a grey image and estimates their poses.
+
+The detector remembers the last orientation of each target: it decides between two poses that fit equally well.
+"""
 
 from __future__ import annotations
 
@@ -6,52 +9,46 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from apriltag_ros.finder import FoundTag, TagFinder
+from apriltag_ros.finder import TagDetection, TagFinder
 from apriltag_ros.settings import DetectorSettings
 from apriltag_ros.tag_pose import TagPose, tag_pose
-from apriltag_ros.target import TagPlace, Target
+from apriltag_ros.target import TagTarget, TargetTag
 from common.camera_model import CameraModel
 
 MEMORY_S = 0.5
-"""A pose older than this says nothing about the present one."""
+"""Maximum age of the orientation that decides an ambiguity."""
 
 
 @dataclass(frozen=True)
-class Detection:
-    """A target in a picture.
+class TargetDetection:
+    """A target in an image: its detected `tags` and its `pose` in the camera."""
 
-    Attributes:
-        target: which.
-        tags: those of its tags that were seen.
-        pose: in the camera.
-    """
-
-    target: Target
-    tags: tuple[TagPlace, ...]
+    target: TagTarget
+    tags: tuple[TargetTag, ...]
     pose: TagPose
 
 
 @dataclass(frozen=True)
-class Detections:
-    """What a picture shows.
+class DetectionResult:
+    """All detections in an image.
 
     Attributes:
-        targets: with their poses.
-        found: every tag, also those that belong to no target.
-        unknown: ids of tags that belong to no target.
-        failed: a sentence for each target whose corners fit no pose.
+        targets: the targets with their poses.
+        tags: every decoded tag, including those that belong to no target.
+        unknown: ids of the tags that belong to no target.
+        failed: one sentence for each target whose corners fit no pose.
     """
 
-    targets: tuple[Detection, ...]
-    found: tuple[FoundTag, ...]
+    targets: tuple[TargetDetection, ...]
+    tags: tuple[TagDetection, ...]
     unknown: tuple[int, ...]
     failed: tuple[str, ...]
 
 
 class TagDetector:
-    """Looks for `targets` in one picture after the other."""
+    """Detects `targets` in a sequence of images."""
 
-    def __init__(self, settings: DetectorSettings, targets: tuple[Target, ...]) -> None:
+    def __init__(self, settings: DetectorSettings, targets: tuple[TagTarget, ...]) -> None:
         self._settings = settings
         self._targets = targets
         self._finder = TagFinder(settings)
@@ -59,32 +56,33 @@ class TagDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the poses of before."""
+        """Forgets the poses of earlier images."""
         self._last: dict[str, tuple[float, np.ndarray]] = {}
 
-    def detect(self, grey: np.ndarray, camera: CameraModel, now: float) -> Detections:
-        """Returns what a picture shows.
+    def detect(self, grey: np.ndarray, camera: CameraModel, now: float) -> DetectionResult:
+        """Returns the detections in an image.
 
         Args:
-            grey: picture, shape (height, width), uint8.
-            camera: that took it; where the settings say that pictures are rectified, its rectified projection counts.
-            now: when it was taken [s].
+            grey: image, shape (height, width), uint8.
+            camera: model of the camera; with the setting `rectified` its rectified projection is used.
+            now: time stamp of the image [s].
 
         Raises:
-            ValueError: the picture is not of the camera's size, or not grey.
+            ValueError: the image does not have the camera's size, or is not grey.
         """
         if grey.shape != (camera.height, camera.width):
             raise ValueError(
-                f"the picture is {grey.shape[1]} x {grey.shape[0]}, but the camera's {camera.width} x {camera.height}"
+                f"the image is {grey.shape[1]} x {grey.shape[0]}, but camera_info says {camera.width} x "
+                f"{camera.height}: use the camera_info of this image topic"
             )
         if self._settings.rectified:
             camera = camera.rectified()
-        found = self._finder.find(grey)
-        seen = {tag.id: tag.corners for tag in found}
+        tags = self._finder.find(grey)
+        corners = {tag.id: tag.corners for tag in tags}
         detections, failed = [], []
         for target in self._targets:
-            tags, points, pixels = target.matched(seen)
-            if not tags:
+            matched, points, pixels = target.matched(corners)
+            if not matched:
                 continue
             try:
                 pose = tag_pose(points, pixels, camera, self._hint(target.name, now))
@@ -92,9 +90,9 @@ class TagDetector:
                 failed.append(f"{target.name}: {error}")
                 continue
             self._last[target.name] = (now, pose.T_camera_tag[:3, :3])
-            detections.append(Detection(target, tags, pose))
-        unknown = tuple(sorted({tag.id for tag in found} - self._known))
-        return Detections(tuple(detections), found, unknown, tuple(failed))
+            detections.append(TargetDetection(target, matched, pose))
+        unknown = tuple(sorted({tag.id for tag in tags} - self._known))
+        return DetectionResult(tuple(detections), tags, unknown, tuple(failed))
 
     def _hint(self, name: str, now: float) -> np.ndarray | None:
         then, R = self._last.get(name, (-np.inf, None))

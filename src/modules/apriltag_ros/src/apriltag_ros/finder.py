@@ -1,8 +1,8 @@
-"""Tags in a grey picture, by the PyPI package `apriltag`, whose habits end here.
+"""Adapter of the PyPI package `apriltag`: finds the corners of tags in a grey image, and draws them.
 
-Corners come back in the convention of OpenCV and CameraInfo (the centre of the first pixel is 0, 0), in the order top
-left, top right, bottom right, bottom left of the tag as it is printed. The library counts from the corner of the pixel,
-half a pixel more. Its own poses are not used; its options refine_* and border do not reach its C part.
+Corners have the convention of OpenCV and CameraInfo (the centre of the first pixel is 0, 0) and the order top left, top
+right, bottom right, bottom left of the printed tag. The library counts from the corner of a pixel, half a pixel more.
+Its pose estimates are not used, and its options refine_* and border have no effect.
 """
 
 from __future__ import annotations
@@ -11,23 +11,26 @@ import multiprocessing
 from dataclasses import dataclass
 
 import apriltag
+import cv2
 import numpy as np
 
 from apriltag_ros.settings import DetectorSettings
 from common.poses import read_only
 
 LIBRARY_OFFSET_PX = 0.5
+OUTLINE_BGR, TOP_BGR = (0, 220, 0), (0, 0, 255)
+SUBPIXEL_BITS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class FoundTag:
-    """A tag in a picture.
+class TagDetection:
+    """A tag in an image.
 
     Attributes:
         id: number in the family.
-        corners: of the black square, shape (4, 2) [px].
-        hamming: bits that were put right.
-        margin: how clearly black and white were told apart [grey levels].
+        corners: corners of the black square, shape (4, 2) [px].
+        hamming: number of corrected bits.
+        margin: decision margin between black and white [grey levels].
     """
 
     id: int
@@ -37,17 +40,18 @@ class FoundTag:
 
 
 class TagFinder:
-    """Finds tags of one family. Made once: the library keeps memory of each detector for good.
+    """Finds tags of one family. Create one finder per process: the library never frees a detector's memory.
 
     Raises:
-        ImportError: another package than PyPI's is installed as `apriltag`.
+        ImportError: the module `apriltag` is not the PyPI package.
     """
 
     def __init__(self, settings: DetectorSettings) -> None:
-        if not hasattr(
-            apriltag, "DetectorOptions"
-        ):  # Debian's python3-apriltag has the same name and another interface
-            raise ImportError("the module apriltag is Debian's python3-apriltag, but PyPI's apriltag is needed")
+        if not hasattr(apriltag, "DetectorOptions"):  # Debian's package has the same name and another interface
+            raise ImportError(
+                "the module apriltag is Debian's python3-apriltag, not PyPI's apriltag: source devel/setup.bash last, "
+                "or run .venv/bin/pip install -r requirements.txt"
+            )
         self._settings = settings
         self._detector = apriltag.Detector(
             apriltag.DetectorOptions(
@@ -58,16 +62,18 @@ class TagFinder:
             )
         )
 
-    def find(self, grey: np.ndarray) -> tuple[FoundTag, ...]:
-        """Returns the tags in a picture, shape (height, width), 8 bit.
+    def find(self, grey: np.ndarray) -> tuple[TagDetection, ...]:
+        """Returns the tags in a grey image, shape (height, width), uint8.
 
         Raises:
-            ValueError: the array is no such picture.
+            ValueError: the array has another shape or type.
         """
         if grey.ndim != 2 or grey.dtype != np.uint8:
-            raise ValueError(f"tags are looked for in grey pictures of 8 bit, not in {grey.dtype} {grey.shape}")
+            raise ValueError(
+                f"the tag finder needs a grey image of uint8, shape (height, width), not {grey.dtype} {grey.shape}"
+            )
         found = [
-            FoundTag(tag.tag_id, read_only(tag.corners - LIBRARY_OFFSET_PX), tag.hamming, tag.decision_margin)
+            TagDetection(tag.tag_id, read_only(tag.corners - LIBRARY_OFFSET_PX), tag.hamming, tag.decision_margin)
             for tag in self._detector.detect(np.ascontiguousarray(grey))
             if tag.hamming <= self._settings.max_hamming_dist
         ]
@@ -75,3 +81,16 @@ class TagFinder:
             return tuple(found)
         ids = [tag.id for tag in found]
         return tuple(tag for tag in found if ids.count(tag.id) == 1)
+
+
+def draw_tags(grey: np.ndarray, tags: tuple[TagDetection, ...]) -> np.ndarray:
+    """Returns the image in BGR, shape (height, width, 3), with the tags outlined; top edges are red."""
+    image = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    for tag in tags:
+        points = np.rint(tag.corners * 2**SUBPIXEL_BITS).astype(np.int32)
+        for i, (start, end) in enumerate(zip(points, np.roll(points, -1, axis=0))):
+            colour = TOP_BGR if i == 0 else OUTLINE_BGR
+            cv2.line(image, tuple(map(int, start)), tuple(map(int, end)), colour, 2, cv2.LINE_AA, SUBPIXEL_BITS)
+        x, y = np.rint(tag.corners.mean(axis=0)).astype(int)
+        cv2.putText(image, str(tag.id), (int(x) - 8, int(y) + 8), cv2.FONT_HERSHEY_SIMPLEX, 0.7, TOP_BGR, 2)
+    return image

@@ -1,6 +1,7 @@
-"""What is looked for: a single tag, or a bundle of tags that are rigidly fixed to each other.
+"""Detection targets: a single tag, or a bundle of tags that are rigidly fixed to each other.
 
-The frame of a tag has its origin in the centre, x to the right and y up for who looks at it upright, z towards him.
+The frame of a tag has its origin in the centre. Seen by a viewer who looks at the upright tag, x points right, y up and
+z towards the viewer.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, 
 
 
 @dataclass(frozen=True, eq=False)
-class TagPlace:
-    """A tag in its target.
+class TargetTag:
+    """A tag of a target.
 
     Attributes:
         id: number in the family.
@@ -36,25 +37,27 @@ class TagPlace:
 
 
 @dataclass(frozen=True)
-class Target:
-    """What gets one pose.
-
-    Attributes:
-        name: frame in tf.
-        tags: one for a single tag, more for a bundle.
-    """
+class TagTarget:
+    """One tag or a bundle of tags that gets one pose; `name` is its tf frame."""
 
     name: str
-    tags: tuple[TagPlace, ...]
+    tags: tuple[TargetTag, ...]
 
-    def matched(self, seen: dict[int, np.ndarray]) -> tuple[tuple[TagPlace, ...], np.ndarray, np.ndarray]:
-        """Returns the tags of the target that were seen, their corners in the target, shape (n, 3) [m], and in the
-        picture, shape (n, 2) [px].
+    @property
+    def corners(self) -> np.ndarray:
+        """The corners of all tags in the frame of the target, shape (4 n, 3) [m]."""
+        return np.concatenate([tag.corners for tag in self.tags])
+
+    def matched(self, corners: dict[int, np.ndarray]) -> tuple[tuple[TargetTag, ...], np.ndarray, np.ndarray]:
+        """Returns the detected tags of the target, and their corners in the target and in the image.
 
         Args:
-            seen: corners in the picture, shape (4, 2) [px], by id.
+            corners: detected corners by tag id, each shape (4, 2) [px].
+
+        Returns:
+            The tags, points of shape (4 n, 3) [m], and pixels of shape (4 n, 2) [px].
         """
-        tags = tuple(tag for tag in self.tags if tag.id in seen)
+        tags = tuple(tag for tag in self.tags if tag.id in corners)
         if not tags:
             return (), np.empty((0, 3)), np.empty((0, 2))
-        return tags, np.concatenate([tag.corners for tag in tags]), np.concatenate([seen[tag.id] for tag in tags])
+        return tags, np.concatenate([tag.corners for tag in tags]), np.concatenate([corners[tag.id] for tag in tags])

@@ -1,7 +1,7 @@
-"""The calibration of the camera's place: which views count, and whether the result may be used.
+"""Which views a calibration uses, and whether its result is accepted.
 
-A view is the mean of the panel's poses in several pictures while arm and camera stand still. Its covariance is that of
-one picture, since most of a corner's error stays the same from picture to picture, and that of the arm.
+A view is the mean pose of the marker board over several images while arm and camera stand still. Its covariance is that
+of one image, because most of a corner's error is the same in every image, plus that of the arm.
 """
 
 from __future__ import annotations
@@ -14,45 +14,60 @@ import pinocchio as pin
 from common.config import flag, integer, number
 from common.poses import inverse, pose
 from common.rotations import rotation_angle
-from vision.calibration.hand_eye import Degenerate, HandEye, View, leave_one_out, point_sd, scales, solve
+from vision.calibration.hand_eye import (
+    CalibrationView,
+    DegenerateViews,
+    HandEyeSolution,
+    leave_one_out,
+    point_sd,
+    scales,
+    solve,
+)
 
 
 @dataclass(frozen=True)
 class CalibrationConfig:
     """The schema of camera_calibration.yaml."""
 
-    pictures: int = integer(low=1, high=100, doc="poses of the panel that make a view")
-    photometric: bool = flag("refine these poses by all grey values of the tags, not their corners alone")
-    still_mm: float = number("mm", above=0.0, high=100.0, doc="farthest a pose of a view may be from their mean")
-    still_deg: float = number("deg", above=0.0, high=30.0, doc="likewise, turned")
-    new_mm: float = number("mm", low=0.0, high=1000.0, doc="a view nearer to an earlier one, and")
-    new_deg: float = number("deg", low=0.0, high=90.0, doc="less turned than this, tells nothing new")
-    arm_mm: float = number("mm", low=0.0, high=10.0, doc="standard deviation of the flange's place as the arm tells it")
-    arm_deg: float = number("deg", low=0.0, high=5.0, doc="likewise, of its turn")
-    min_views: int = integer(low=4, high=100, doc="views that have to fit together")
-    min_share: float = number(above=0.5, high=1.0, doc="share of the views that have to fit")
-    max_rms_mm: float = number("mm", above=0.0, high=50.0, doc="greatest root mean square error of the views")
-    max_rms_deg: float = number("deg", above=0.0, high=10.0, doc="likewise, turned")
+    pictures: int = integer(low=1, high=100, doc="detections of the marker board in a view")
+    photometric: bool = flag("refine these detections by all grey values of the tags, not only by their corners")
+    still_mm: float = number("mm", above=0.0, high=100.0, doc="maximum distance of a detection from their mean")
+    still_deg: float = number("deg", above=0.0, high=30.0, doc="maximum rotation of a detection from their mean")
+    new_mm: float = number("mm", low=0.0, high=1000.0, doc="a view is a repetition if it is nearer to an earlier one")
+    new_deg: float = number("deg", low=0.0, high=90.0, doc="and rotated by less than this")
+    arm_mm: float = number("mm", low=0.0, high=10.0, doc="standard deviation of the measured flange position")
+    arm_deg: float = number("deg", low=0.0, high=5.0, doc="standard deviation of the measured flange orientation")
+    min_views: int = integer(low=4, high=100, doc="minimum number of consistent views")
+    min_share: float = number(above=0.5, high=1.0, doc="minimum fraction of consistent views")
+    max_rms_mm: float = number("mm", above=0.0, high=50.0, doc="maximum rms position error of the views")
+    max_rms_deg: float = number("deg", above=0.0, high=10.0, doc="maximum rms orientation error of the views")
     max_point_sd_mm: float = number(
-        "mm", above=0.0, high=50.0, doc="greatest standard deviation of a point at the panel"
+        "mm", above=0.0, high=50.0, doc="maximum standard deviation of a point at the marker board"
     )
-    max_turn_sd_deg: float = number("deg", above=0.0, high=10.0, doc="greatest standard deviation of the camera's turn")
-    max_scale: float = number(above=0.0, high=0.2, doc="greatest share by which size or distance may look wrong")
-    max_panel_mm: float = number("mm", above=0.0, high=100.0, doc="farthest the panel may be from its drawing")
-    max_panel_deg: float = number("deg", above=0.0, high=90.0, doc="likewise, turned")
+    max_turn_sd_deg: float = number("deg", above=0.0, high=10.0, doc="maximum standard deviation of the orientation")
+    max_scale: float = number(above=0.0, high=0.2, doc="maximum fraction by which size or distance may be wrong")
+    max_panel_mm: float = number("mm", above=0.0, high=100.0, doc="maximum distance of the board from its drawing")
+    max_panel_deg: float = number("deg", above=0.0, high=90.0, doc="maximum rotation of the board from its drawing")
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """The panel in one picture.
+class BoardDetection:
+    """The marker board in one image: its pose, shape (4, 4) [m], and the covariance of small changes, shape (6, 6)."""
+
+    T_camera_board: np.ndarray
+    covariance: np.ndarray
+
+
+class ViewRejected(ValueError):
+    """A view cannot be used.
 
     Attributes:
-        T_camera_panel: shape (4, 4) [m].
-        covariance: of its small changes, shape (6, 6).
+        cause: "detections" (too few), "repeated" (the arm was here before), "moved", or "uncertain".
     """
 
-    T_camera_panel: np.ndarray
-    covariance: np.ndarray
+    def __init__(self, cause: str, sentence: str) -> None:
+        self.cause = cause
+        super().__init__(sentence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,168 +76,202 @@ class Verdict:
 
     Attributes:
         result: the calibration.
-        accepted: whether it may be used.
-        reasons: a sentence for each thing that speaks against it.
-        rms: of the fitting views' errors at the panel [mm, deg], shape (2,).
-        predicted: each view's distance from what the others predict [mm, deg], shape (n, 2); nan where unknown.
-        point_sd_mm: standard deviation of a point where the panel was in the middle of the views [mm].
-        turn_sd_deg: standard deviation of the camera's turn [deg].
-        size: factor by which all looks too large, as with tags of another size than is stated.
-        ahead: factor by which the panel looks too far ahead, as with a wrong focal length.
-        panel: how far the panel is from its drawing [mm, deg], shape (2,).
+        failed: for each failed check the key of its limit in the configuration ("dependence": the result depends on a
+            single view) and a sentence.
+        rms: rms errors of the consistent views [mm, deg], shape (2,).
+        predicted: distance of each view from the prediction of the others [mm, deg], shape (n, 2); nan if unknown.
+        point_sd_mm: standard deviation of a point in the middle of the board positions [mm].
+        size: factor by which everything appears too large, as with tags of a wrong size.
+        depth: factor by which the marker board appears too far away, as with a wrong focal length.
+        board: distance of the marker board from its drawing [mm, deg], shape (2,).
     """
 
-    result: HandEye
-    accepted: bool
-    reasons: tuple[str, ...]
+    result: HandEyeSolution
+    failed: dict[str, str]
     rms: np.ndarray
     predicted: np.ndarray
     point_sd_mm: float
-    turn_sd_deg: float
     size: float
-    ahead: float
-    panel: np.ndarray
+    depth: float
+    board: np.ndarray
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the calibration may be used."""
+        return not self.failed
 
     @property
     def sentence(self) -> str:
-        """What a person is told."""
+        """The verdict for the operator."""
+        fits = self.result.fits
         accuracy = (
-            f"rms {self.rms[0]:.2f} mm and {self.rms[1]:.2f} deg in {int(self.result.fits.sum())} of "
-            f"{len(self.result.fits)} views, a point at the panel known to {self.point_sd_mm:.2f} mm"
+            f"rms {self.rms[0]:.2f} mm and {self.rms[1]:.2f} deg in {int(fits.sum())} of {len(fits)} views, "
+            f"standard deviation of a point at the marker board {self.point_sd_mm:.2f} mm"
         )
         if self.accepted:
             return f"The calibration is good: {accuracy}."
-        return f"The calibration is refused: {' '.join(self.reasons)} ({accuracy}.)"
+        return f"The calibration is rejected: {' '.join(self.failed.values())} ({accuracy}.)"
 
 
-def view_from(sights: list[Sight], T_base_flange: np.ndarray, earlier: list[View], config: CalibrationConfig) -> View:
-    """Returns the view of the arm at one place.
+def view_from(
+    detections: list[BoardDetection],
+    T_base_flange: np.ndarray,
+    earlier: list[CalibrationView],
+    config: CalibrationConfig,
+) -> CalibrationView:
+    """Returns the view of the arm at one pose.
 
     Args:
-        sights: the panel in the pictures that were taken there.
-        T_base_flange: measured by the arm, shape (4, 4) [m].
-        earlier: views that count already.
+        detections: the marker board in the images of this view.
+        T_base_flange: flange pose measured by the arm, shape (4, 4) [m].
+        earlier: views that are already used.
 
     Raises:
-        ValueError: a sentence that says why it does not count.
+        ViewRejected: the view cannot be used.
     """
-    if len(sights) < config.pictures:
-        raise ValueError(f"the panel was seen in {len(sights)} pictures, {config.pictures} are needed")
-    for view in earlier:
-        shift, turn = _apart(view.T_base_flange, T_base_flange)
-        if shift < config.new_mm and turn < config.new_deg:
-            raise ValueError(f"the arm was here before: {shift:.1f} mm and {turn:.1f} deg from an earlier view")
-    T = mean_pose([sight.T_camera_panel for sight in sights])
-    spread = np.max([_apart(T, sight.T_camera_panel) for sight in sights], axis=0)
-    if spread[0] > config.still_mm or spread[1] > config.still_deg:
-        raise ValueError(
-            f"the panel did not keep still: seen up to {spread[0]:.1f} mm and {spread[1]:.1f} deg from the mean"
+    if len(detections) < config.pictures:
+        raise ViewRejected(
+            "detections",
+            f"the camera detected the marker board in {len(detections)} images, but a view needs {config.pictures}",
         )
-    covariance = np.mean([sight.covariance for sight in sights], axis=0)
+    for view in earlier:
+        shift, turn = _distance(view.T_base_flange, T_base_flange)
+        if shift < config.new_mm and turn < config.new_deg:
+            raise ViewRejected(
+                "repeated",
+                f"the flange is only {shift:.1f} mm and {turn:.1f} deg from an earlier view: tilt it another way",
+            )
+    T = mean_pose([detection.T_camera_board for detection in detections])
+    spread = np.max([_distance(T, detection.T_camera_board) for detection in detections], axis=0)
+    if spread[0] > config.still_mm or spread[1] > config.still_deg:
+        raise ViewRejected(
+            "moved",
+            f"the marker board moved: the detections are up to {spread[0]:.1f} mm and {spread[1]:.1f} deg from their "
+            "mean; stop the arm and take the view again",
+        )
+    covariance = np.mean([detection.covariance for detection in detections], axis=0)
     arm = np.repeat([1e-3 * config.arm_mm, np.radians(config.arm_deg)], 3)
-    return View(T_base_flange, T, covariance + np.diag(arm**2))
+    return CalibrationView(T_base_flange, T, covariance + np.diag(arm**2))
 
 
 def mean_pose(poses: list[np.ndarray]) -> np.ndarray:
-    """Returns the mean, shape (4, 4), of poses that are not far apart."""
+    """Returns the mean, shape (4, 4), of poses that are close to each other."""
     first = poses[0]
     turn = np.mean([pin.log3(T[:3, :3] @ first[:3, :3].T) for T in poses], axis=0)
     return pose(pin.exp3(turn) @ first[:3, :3], np.mean([T[:3, 3] for T in poses], axis=0))
 
 
-def judge(views: list[View], T_flange_panel: np.ndarray, config: CalibrationConfig) -> Verdict:
-    """Returns the calibration from the views and what speaks against it.
+def judge(views: list[CalibrationView], T_flange_board: np.ndarray, config: CalibrationConfig) -> Verdict:
+    """Returns the calibration from the views and the checks that it fails.
 
     Args:
-        views: of the panel.
-        T_flange_panel: by the panel's drawing, shape (4, 4) [m].
+        T_flange_board: pose of the marker board by its drawing, shape (4, 4) [m].
 
     Raises:
-        Degenerate: the views do not determine it.
+        DegenerateViews: the views do not determine the calibration.
     """
     if len(views) < config.min_views:
-        raise Degenerate(f"{len(views)} views are too few, {config.min_views} are needed")
+        raise DegenerateViews(f"{len(views)} views are too few: take at least {config.min_views}")
     result = solve(views)
     errors = result.errors[result.fits]
     unit = np.array([1e3, np.degrees(1.0)])
     rms = unit * np.sqrt([np.mean(np.sum(part**2, axis=1)) for part in (errors[:, :3], errors[:, 3:])])
     predicted = unit * leave_one_out(views, result)
-    middle = np.mean([(view.T_base_flange @ result.T_flange_panel)[:3, 3] for view in views], axis=0)
+    middle = np.mean([(view.T_base_flange @ result.T_flange_board)[:3, 3] for view in views], axis=0)
     point = 1e3 * point_sd(result, middle)
     turn = float(np.degrees(np.sqrt(np.trace(result.covariance[9:, 9:]))))
-    panel = np.array(_apart(T_flange_panel, result.T_flange_panel))
-    (size, ahead), sds = scales(views, result)
-    count, share = int(result.fits.sum()), float(result.fits.mean())
-    limits = (
-        (count >= config.min_views, f"Only {count} views fit together, {config.min_views} are needed."),
-        (share >= config.min_share, f"Only {share:.0%} of the views fit together, {config.min_share:.0%} are needed."),
-        (rms[0] <= config.max_rms_mm, f"The views are {rms[0]:.2f} mm off, {config.max_rms_mm:g} mm are allowed."),
-        (rms[1] <= config.max_rms_deg, f"The views are {rms[1]:.2f} deg off, {config.max_rms_deg:g} deg are allowed."),
-        *_known(point, turn, config),
-        (
+    board = np.array(_distance(T_flange_board, result.T_flange_board))
+    (size, depth), sds = scales(views, result)
+    count, fraction = int(result.fits.sum()), float(result.fits.mean())
+    checks = {
+        "min_views": (
+            count >= config.min_views,
+            f"Only {count} views are consistent, but {config.min_views} are needed: take more.",
+        ),
+        "min_share": (
+            fraction >= config.min_share,
+            f"Only {fraction:.0%} of the views are consistent, but {config.min_share:.0%} are needed: take them again, "
+            "with arm and camera at rest.",
+        ),
+        "max_rms_mm": (
+            rms[0] <= config.max_rms_mm,
+            f"The views are off by {rms[0]:.2f} mm, the limit is {config.max_rms_mm:g} mm: check that board and camera "
+            "are fixed.",
+        ),
+        "max_rms_deg": (
+            rms[1] <= config.max_rms_deg,
+            f"The views are off by {rms[1]:.2f} deg, the limit is {config.max_rms_deg:g} deg: check that board and "
+            "camera are fixed.",
+        ),
+        **_uncertainty_checks(point, turn, config),
+        "dependence": (
             not np.isnan(predicted[result.fits]).any(),
-            "All hangs on one view: without it the flange turns about one axis only.",
+            "The result depends on a single view; add views that turn the flange about other axes.",
         ),
-        (
+        "max_scale": (
             abs(size - 1.0) <= config.max_scale + 2.0 * sds[0],
-            f"All looks {size - 1.0:+.1%} too large, allowed are {config.max_scale:.1%}: measure the tags.",
+            f"Everything appears {size - 1.0:+.1%} too large, the limit is {config.max_scale:.1%}: measure the tags.",
         ),
-        (
-            abs(ahead - 1.0) <= config.max_scale + 2.0 * sds[1],
-            f"The panel looks {ahead - 1.0:+.1%} too far ahead, allowed are {config.max_scale:.1%}: calibrate the "
-            "camera's focal length.",
+        "max_scale_depth": (
+            abs(depth - 1.0) <= config.max_scale + 2.0 * sds[1],
+            f"The marker board appears {depth - 1.0:+.1%} too far away, the limit is {config.max_scale:.1%}: calibrate "
+            "the camera's focal length.",
         ),
-        (
-            panel[0] <= config.max_panel_mm and panel[1] <= config.max_panel_deg,
-            f"The panel would sit {panel[0]:.1f} mm and {panel[1]:.1f} deg from its drawing, allowed are "
-            f"{config.max_panel_mm:g} mm and {config.max_panel_deg:g} deg: check the sizes of the tags and the panel.",
+        "max_panel": (
+            board[0] <= config.max_panel_mm and board[1] <= config.max_panel_deg,
+            f"The marker board would be {board[0]:.1f} mm and {board[1]:.1f} deg from its drawing, the limits are "
+            f"{config.max_panel_mm:g} mm and {config.max_panel_deg:g} deg: check its mounting and the tag sizes.",
         ),
-    )
-    reasons = tuple(sentence for holds, sentence in limits if not holds)
-    return Verdict(result, not reasons, reasons, rms, predicted, point, turn, float(size), float(ahead), panel)
+    }
+    return Verdict(result, _failed(checks), rms, predicted, point, float(size), float(depth), board)
 
 
-def check_alone(view: View, config: CalibrationConfig) -> float:
-    """Returns the standard deviation of a point at the panel [mm] where one view alone tells the camera's place.
+def check_alone(view: CalibrationView, config: CalibrationConfig) -> float:
+    """Returns the standard deviation of a point at the marker board [mm] if a single view defines the camera pose.
 
     Raises:
-        ValueError: with a sentence for each thing that is known too badly.
+        ViewRejected: the camera pose would be too uncertain.
     """
     point = 1e3 * float(np.sqrt(np.trace(view.covariance[:3, :3])))
     turn = float(np.degrees(np.sqrt(np.trace(view.covariance[3:, 3:]))))
-    reasons = [sentence for holds, sentence in _known(point, turn, config) if not holds]
-    if reasons:
-        raise ValueError(" ".join(reasons))
+    failed = _failed(_uncertainty_checks(point, turn, config))
+    if failed:
+        raise ViewRejected("uncertain", " ".join(failed.values()))
     return point
 
 
 def table(verdict: Verdict) -> list[str]:
-    """Returns lines with the errors of each view, and whether it counts."""
-    lines = ["view   error [mm]  [deg]   predicted by the others [mm]  [deg]"]
-    for i, (error, predicted, fits) in enumerate(
-        zip(verdict.result.errors, verdict.predicted, verdict.result.fits), start=1
-    ):
+    """Returns lines with the errors of each view, and whether it is used."""
+    lines = ["view   error [mm]  [deg]   error of the others' prediction [mm]  [deg]"]
+    rows = zip(verdict.result.errors, verdict.predicted, verdict.result.fits)
+    for i, (error, predicted, fits) in enumerate(rows, start=1):
         shift, turn = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
-        rest = f"{predicted[0]:28.2f}{predicted[1]:9.2f}" if fits else f"{'left out':>37}"
+        rest = f"{predicted[0]:34.2f}{predicted[1]:9.2f}" if fits else f"{'left out':>43}"
         lines.append(f"{i:4d}{shift:13.2f}{turn:7.2f}{rest}")
     return lines
 
 
-def _known(point: float, turn: float, config: CalibrationConfig) -> tuple[tuple[bool, str], ...]:
-    """Returns whether a point [mm] and the camera's turn [deg] are known well enough, each with what is said if not."""
-    return (
-        (
+def _uncertainty_checks(point: float, turn: float, config: CalibrationConfig) -> dict[str, tuple[bool, str]]:
+    """Returns the checks of the standard deviations of a point [mm] and of the camera's orientation [deg]."""
+    return {
+        "max_point_sd_mm": (
             point <= config.max_point_sd_mm,
-            f"A point is known to {point:.2f} mm only, {config.max_point_sd_mm:g} mm are needed.",
+            f"The standard deviation of a point is {point:.2f} mm, the limit is {config.max_point_sd_mm:g} mm: tilt "
+            "the marker board, or bring it nearer.",
         ),
-        (
+        "max_turn_sd_deg": (
             turn <= config.max_turn_sd_deg,
-            f"The camera's turn is known to {turn:.2f} deg only, {config.max_turn_sd_deg:g} deg are needed.",
+            f"The standard deviation of the camera's orientation is {turn:.2f} deg, the limit is "
+            f"{config.max_turn_sd_deg:g} deg: tilt the marker board, or bring it nearer.",
         ),
-    )
+    }
 
 
-def _apart(T: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Returns how far apart two poses are [mm, deg]."""
+def _failed(checks: dict[str, tuple[bool, str]]) -> dict[str, str]:
+    return {key: sentence for key, (holds, sentence) in checks.items() if not holds}
+
+
+def _distance(T: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Returns the distance between two poses [mm, deg]."""
     between = inverse(T) @ other
     return 1e3 * float(np.linalg.norm(between[:3, 3])), float(np.degrees(rotation_angle(between[:3, :3])))

@@ -1,7 +1,7 @@
-"""The arm as the planning of calibration views sees it: places of its links, and joints for a wanted flange pose.
+"""Kinematics of the arm for the planning of calibration views: link positions, and joints for a wanted flange pose.
 
-The kinematics are those of the robot description. The inverse is found by damped Newton steps from a given start and
-keeps its branch, so that ways between the views stay short.
+The model is that of the robot description. The inverse takes damped Newton steps from a given seed and keeps its
+branch, so that motions between the views stay short.
 """
 
 from __future__ import annotations
@@ -16,21 +16,17 @@ from common.poses import read_only
 JOINTS = [f"kuka/joint_{i}" for i in range(1, 8)]
 SHOULDER, ELBOW, WRIST = "kuka/joint_2", "kuka/joint_4", "kuka/joint_6"
 MARGIN_RAD = np.radians(5.0)
-"""Views keep so far from the ends of the joint ranges."""
+"""Distance of the views from the ends of the joint ranges."""
 
 MAX_STEPS = 60
 DAMPING = 1e-4
 MAX_STEP_RAD = 0.3
 SHIFT_TOLERANCE_M, TURN_TOLERANCE_RAD = 2e-3, 5e-3
-"""A view does not have to be where it was wanted; the arm measures where it is."""
+"""A view need not be reached exactly: the arm measures its pose there."""
 
 
 class ArmModel:
-    """Kinematics of an arm with seven joints.
-
-    Args:
-        urdf: text of the robot description.
-    """
+    """Kinematics of a seven-joint arm; `urdf` is the text of the robot description."""
 
     def __init__(self, urdf: str) -> None:
         full = pin.buildModelFromXML(urdf)
@@ -43,20 +39,20 @@ class ArmModel:
         self.upper = read_only(self._model.upperPositionLimit - MARGIN_RAD)
 
     def flange(self, q: ArrayLike) -> np.ndarray:
-        """Returns T_base_flange, shape (4, 4) [m], with the joints at q, shape (7,) [rad]."""
+        """Returns T_base_flange, shape (4, 4) [m], for the joints q, shape (7,) [rad]."""
         pin.framesForwardKinematics(self._model, self._data, np.asarray(q, dtype=float))
         return self._data.oMf[self._flange].homogeneous
 
     def spine(self, q: ArrayLike) -> np.ndarray:
-        """Returns base, shoulder, elbow, wrist and flange, shape (5, 3) [m]: the arm as a chain of straight pieces."""
+        """Returns the positions of base, shoulder, elbow, wrist and flange, shape (5, 3) [m]."""
         T = self.flange(q)
         joints = [self._data.oMf[frame].translation for frame in self._frames]
         return np.array([np.zeros(3), *joints, T[:3, 3]])
 
-    def joints_for(self, T_base_flange: np.ndarray, start: ArrayLike) -> np.ndarray | None:
-        """Returns joints, shape (7,) [rad], that bring the flange there, or None if none are found from `start`."""
+    def joints_for(self, T_base_flange: np.ndarray, q_seed: ArrayLike) -> np.ndarray | None:
+        """Returns joints, shape (7,) [rad], for a flange pose; None if the search from `q_seed` does not converge."""
         goal = pin.SE3(T_base_flange[:3, :3], T_base_flange[:3, 3])
-        q = np.clip(np.asarray(start, dtype=float), self.lower, self.upper)
+        q = np.clip(np.asarray(q_seed, dtype=float), self.lower, self.upper)
         for _ in range(MAX_STEPS):
             pin.computeJointJacobians(self._model, self._data, q)
             pin.updateFramePlacements(self._model, self._data)

@@ -1,7 +1,7 @@
-"""The frames of the RGB-D camera: where its two cameras stand in camera_link, and their optical frames.
+"""The frames of the RGB-D camera: the poses of its two cameras in camera_link, and their optical frames.
 
-camera_link and the two camera frames: x ahead, y left, z up. Optical frames: x right, y down, z ahead. They have two
-names each: the driver's, which stand in the pictures' headers, and camera/rgb_frame and camera/depth_frame.
+camera_link and the two camera frames: x forward, y left, z up. Optical frames: x right, y down, z forward. Each optical
+frame has two names: the driver's, which the image headers carry, and camera/rgb_frame or camera/depth_frame.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ class CameraFramesConfig:
     rgb: np.ndarray = vector(3, "m", low=-1.0, high=1.0, doc="colour camera in camera_link")
     depth: np.ndarray = vector(3, "m", low=-1.0, high=1.0, doc="infrared camera in camera_link")
     driver_frames: bool = flag(
-        "true: all frames below camera_link; false: the driver publishes its own, and only our names are added",
-        absent=True,
+        "true: publish all frames below camera_link; false: the driver does, and only our names are added", absent=True
     )
 
 

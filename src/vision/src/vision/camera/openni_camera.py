@@ -1,6 +1,6 @@
-"""The Xtion Pro Live by OpenNI 2: the device's edge, one sentence for whatever can be missing.
+"""Driver of the Xtion Pro Live with OpenNI 2; every missing part is reported in one sentence.
 
-Needs the library libOpenNI2 with its drivers and the Python package openni, which only wraps it.
+It needs the library libOpenNI2 with its drivers, and the Python package openni, which wraps it.
 """
 
 from __future__ import annotations
@@ -30,32 +30,28 @@ class XtionConfig:
     """The schema of xtion.yaml."""
 
     device: str = text(doc="any, or an OpenNI URI")
-    rate: int = integer("Hz", low=1, high=60, doc="pictures a second")
-    depth_registration: bool = flag(doc="depth in the colour camera's pixels instead of its own, by the device")
+    rate: int = integer("Hz", low=1, high=60, doc="images per second")
+    depth_registration: bool = flag(doc="let the device register depth to the colour camera's pixels")
     auto_exposure: bool = flag()
     auto_white_balance: bool = flag()
-    time_offset: float = number("s", low=-1.0, high=1.0, doc="from arrival to the moment that the picture shows")
+    time_offset: float = number("s", low=-1.0, high=1.0, doc="added to the arrival time to get the time of exposure")
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame:
-    """One picture.
+class OpenniFrame:
+    """One image.
 
     Attributes:
         name: rgb or depth.
-        picture: shape (height, width, 3), uint8, red first, or shape (height, width), uint16 [mm], 0 = none.
+        image: RGB, shape (height, width, 3), uint8; or depth, shape (height, width), uint16 [mm], 0 where unknown.
     """
 
     name: str
-    picture: np.ndarray
+    image: np.ndarray
 
 
 class OpenniCamera:
-    """One device. Not thread-safe.
-
-    Args:
-        config: what to ask of the device.
-        rgb, depth: intrinsics; the pictures have their sizes.
+    """One device, not thread-safe. The intrinsics `rgb` and `depth` define the sizes of the images.
 
     Raises:
         DeviceError: the library or the Python package is missing.
@@ -72,7 +68,7 @@ class OpenniCamera:
         """Opens the device, starts both streams and returns the device's name.
 
         Raises:
-            DeviceError: there is none, or it does not do what is asked of it.
+            DeviceError: there is no device, or it does not support the configuration.
         """
         self.disconnect()
         openni = self._openni
@@ -92,21 +88,18 @@ class OpenniCamera:
         return f"{info.vendor.decode()} {info.name.decode()}".strip()
 
     def serial(self) -> str:
-        """Returns the serial number of the open device, empty if it does not tell one."""
+        """Returns the serial number of the open device; empty if it reports none."""
         number = self._openni.c_api.ONI_DEVICE_PROPERTY_SERIAL_NUMBER
         with contextlib.suppress(Exception):
             raw = self._device.get_property(number, SerialNumber)
             return raw.value.decode("ascii").strip()
         return ""
 
-    def read(self, timeout: float) -> Frame | None:
-        """Returns the next picture of either stream, None if none came in time.
-
-        Args:
-            timeout: longest time to wait [s].
+    def read(self, timeout: float) -> OpenniFrame | None:
+        """Returns the next image of either stream, or None if none arrives within `timeout` [s].
 
         Raises:
-            DeviceError: the device is gone.
+            DeviceError: the device is lost.
         """
         names, streams = list(self._streams), list(self._streams.values())
         try:
@@ -116,14 +109,14 @@ class OpenniCamera:
             name = names[streams.index(ready)]
             frame = ready.read_frame()
             try:
-                return Frame(name, _picture(name, frame))
+                return OpenniFrame(name, _image(name, frame))
             finally:
                 frame.close()
         except Exception as error:
-            raise DeviceError(f"The camera stopped: {_reason(error)}.") from None
+            raise DeviceError(f"The camera stopped: {_reason(error)}. Check its USB cable.") from None
 
     def disconnect(self) -> None:
-        """Closes streams and device, in this order: the library crashes in any other. May be called twice."""
+        """Closes the streams, then the device: the library crashes in any other order. May be called twice."""
         for stream in self._streams.values():
             with contextlib.suppress(Exception):
                 stream.close()
@@ -139,7 +132,7 @@ class OpenniCamera:
             stream = self._device.create_stream(sensor)
             self._streams[name] = stream
             mode = stream.get_video_mode()
-            # Some drivers refuse to be told what they do already.
+            # Some drivers refuse a mode that is already set.
             if (mode.resolutionX, mode.resolutionY, mode.fps, mode.pixelFormat) != (*size, rate, pixels):
                 stream.configure_mode(*size, rate, pixels)
             if stream.is_property_supported(self._openni.c_api.ONI_STREAM_PROPERTY_MIRRORING):
@@ -150,7 +143,9 @@ class OpenniCamera:
             stream.start()
         except Exception as error:
             what = f"{size[0]} x {size[1]} at {rate} Hz"
-            raise DeviceError(f"The camera gives no {name} pictures of {what}: {_reason(error)}.") from None
+            raise DeviceError(
+                f"The camera gives no {name} images of {what}: {_reason(error)}. Change rate or size."
+            ) from None
 
     def _register(self) -> None:
         openni, wanted = self._openni, self._config.depth_registration
@@ -172,12 +167,12 @@ def _library() -> ModuleType:
     except Exception:
         folders = ", ".join(FOLDERS)
         raise DeviceError(f"There is no libOpenNI2.so in {folders}; install the package libopenni2-dev.") from None
-    atexit.unregister(openni2.unload)  # it crashes with some drivers, even after all is closed; the process ends anyway
+    atexit.unregister(openni2.unload)  # crashes with some drivers, and the process exits anyway
     return openni2
 
 
-def _picture(name: str, frame: Any) -> np.ndarray:
-    """Returns a copy of the frame's pixels; the library uses its memory again."""
+def _image(name: str, frame: Any) -> np.ndarray:
+    """Returns a copy of the frame's pixels, because the library reuses its memory."""
     kind, channels = (np.uint8, 3) if name == "rgb" else (np.uint16, 1)
     row = frame.width * channels * np.dtype(kind).itemsize
     data = np.frombuffer(frame.get_buffer_as_uint8(), np.uint8)[: frame.height * frame.stride]
@@ -186,7 +181,7 @@ def _picture(name: str, frame: Any) -> np.ndarray:
 
 
 def _reason(error: Exception) -> str:
-    """Returns what the library says, without its codes."""
+    """Returns the library's message without its codes."""
     message = error.args[1] if len(error.args) > 1 else error
     text = message.decode(errors="replace") if isinstance(message, bytes) else str(message)
     return " ".join(text.split()).rstrip(".") or type(error).__name__

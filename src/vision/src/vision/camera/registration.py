@@ -1,39 +1,49 @@
-"""Depth in the colour camera's pixels, the rectified colour picture, and both together as a coloured cloud.
+"""Registers depth to the pixels of the rectified colour camera, rectifies colour, and makes a coloured point cloud.
 
-Each depth pixel becomes a point, the point a pixel of the rectified colour camera; where several meet, the nearest
-stays. What takes long depends on the cameras alone and is done once.
+A depth pixel becomes a point, and the point a pixel of the rectified colour camera; where several coincide, the nearest
+wins. Everything that depends on the cameras alone is computed once.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from common.camera_model import CameraModel
+from common.config import number
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
 """A point of a cloud: metres, and 0x00RRGGBB."""
 
 
+@dataclass(frozen=True)
+class PairsConfig:
+    """Private parameters of the nodes register_rgbd and plane_pose, which pair images."""
+
+    slop: float = number("s", low=0.0, high=1.0, doc="maximum time between colour and depth image", absent=0.04)
+
+
 class Registration:
-    """Brings the pictures of one pair of cameras together.
+    """Registers the images of one pair of cameras.
 
     Args:
-        rgb, depth: the cameras, of raw pictures.
+        rgb, depth: models of the cameras with raw images.
         T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
 
     Attributes:
-        camera: the rectified colour camera that all results belong to.
+        camera: the rectified colour camera to which all results belong.
 
     Raises:
-        ValueError: the distortion of a camera cannot be undone.
+        ValueError: the distortion of a camera cannot be inverted.
     """
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
         self.camera = rgb.rectified()
         K = self.camera.K
         pixels = np.stack(np.meshgrid(np.arange(depth.width), np.arange(depth.height)), axis=-1)
-        # In the rectified camera's axes and already times K: one product and one division a picture.
+        # Rays in the rectified camera's axes, multiplied by K: an image then takes one product and one division.
         KR = K @ rgb.R
         self._rays = (depth.rays(pixels) @ (KR @ T_rgb_depth[:3, :3]).T).reshape(-1, 3).T.astype(np.float32)
         self._shift = (KR @ T_rgb_depth[:3, 3]).astype(np.float32)
@@ -46,27 +56,27 @@ class Registration:
         self._raw_maps = cv2.convertMaps(raw[..., 0], raw[..., 1], cv2.CV_16SC2, nninterpolation=True)
 
     def rectify(self, colour: np.ndarray) -> np.ndarray:
-        """Returns the colour picture, shape (height, width, 3), without distortion.
+        """Returns the rectified colour image, shape (height, width, 3).
 
         Raises:
-            ValueError: it is not of the camera's size.
+            ValueError: the image does not have the camera's size.
         """
         self._check(colour.shape[:2], self._x.shape, "colour")
         return cv2.remap(colour, *self._maps, cv2.INTER_LINEAR)
 
     def register(self, depth: np.ndarray) -> np.ndarray:
-        """Returns depth in the rectified colour camera's pixels, shape (height, width), float32 [m], NaN = none.
+        """Returns depth in the rectified colour camera's pixels, shape (height, width), float32 [m], NaN where unknown.
 
         Args:
-            depth: raw picture, shape (height, width), float32 [m], NaN = none.
+            depth: raw image, shape (height, width), float32 [m], NaN where unknown.
 
         Raises:
-            ValueError: it is not of the camera's size.
+            ValueError: the image does not have the camera's size.
         """
         self._check(depth.shape, self._shape, "depth")
         z = depth.ravel()
-        seen = np.flatnonzero(np.isfinite(z) & (z > 0.0))
-        u, v, z = self._rays[:, seen] * z[seen] + self._shift[:, None]
+        valid = np.flatnonzero(np.isfinite(z) & (z > 0.0))
+        u, v, z = self._rays[:, valid] * z[valid] + self._shift[:, None]
         height, width = self._x.shape
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             u, v = u / z, v / z
@@ -77,17 +87,16 @@ class Registration:
         registered[np.isinf(registered)] = np.nan
         return registered.reshape(height, width)
 
-    def as_taken(self, registered: np.ndarray) -> np.ndarray:
-        """Returns registered depth in the pixels of the raw colour picture, shape (height, width), float32 [m], NaN =
-        none."""
+    def unrectified(self, registered: np.ndarray) -> np.ndarray:
+        """Returns registered depth in the pixels of the raw colour image, same shape and unit."""
         return cv2.remap(registered, *self._raw_maps, cv2.INTER_NEAREST, borderValue=(np.nan,))
 
     def cloud(self, registered: np.ndarray, rectified: np.ndarray) -> np.ndarray:
         """Returns the points, shape (height, width), type POINT, in the rectified colour camera's frame.
 
         Args:
-            registered: as `register` returns it.
-            rectified: colour picture, red first, as `rectify` returns it.
+            registered: result of `register`.
+            rectified: colour image in RGB, result of `rectify`.
         """
         points = np.empty(registered.shape, POINT)
         points["x"], points["y"], points["z"] = self._x * registered, self._y * registered, registered
@@ -98,12 +107,11 @@ class Registration:
     @staticmethod
     def _check(shape: tuple[int, ...], wanted: tuple[int, ...], name: str) -> None:
         if shape != wanted:
-            raise ValueError(f"the {name} picture is {shape[::-1]}, but its camera's {wanted[::-1]}")
+            raise ValueError(f"the {name} image is {shape[::-1]}, but its camera_info says {wanted[::-1]}")
 
 
 def millimetres_from_metres(depth: np.ndarray) -> np.ndarray:
-    """Returns a depth picture in metres, NaN = none, as uint16 in whole millimetres, 0 = none; what is too far for
-    uint16 is none."""
+    """Returns a depth image in metres as uint16 millimetres; unknown depth and depth beyond uint16 are 0."""
     millimetres = np.nan_to_num(depth * np.float32(1000.0), nan=0.0, posinf=0.0, neginf=0.0)
     millimetres[(millimetres < 0.0) | (millimetres > 65535.0)] = 0.0
     return np.rint(millimetres).astype(np.uint16)

@@ -1,7 +1,6 @@
-"""Whether a stream of pictures lives: new ones come, often enough, and they show something new.
+"""Monitors a stream of images: new ones have to arrive, often enough, and with new content.
 
-Times are handed in as seconds of a monotonic clock; a stamp and a picture's digest are only compared with the ones
-before.
+Times are passed in as seconds of a monotonic clock. Stamps and image digests are only compared with the previous ones.
 """
 
 from __future__ import annotations
@@ -18,19 +17,19 @@ RATE_WINDOW_S = 2.0
 class WatchConfig:
     """The schema of camera_watchdog.yaml."""
 
-    silence: float = number("s", above=0.0, high=10.0, doc="longest time without a new picture")
-    min_rate: float = number("Hz", low=0.0, high=60.0, doc="fewer pictures a second are worth a warning; 0 = never")
-    min_depth: float = number(low=0.0, high=1.0, doc="smallest share of pixels with a depth; 0 = none")
-    pictures: bool = flag(doc="look into the pictures too, as long as somebody else takes them")
+    silence: float = number("s", above=0.0, high=10.0, doc="maximum time without a new image")
+    min_rate: float = number("Hz", low=0.0, high=60.0, doc="a lower rate causes a warning; 0 = never")
+    min_depth: float = number(low=0.0, high=1.0, doc="minimum fraction of pixels with a depth; 0 = none")
+    pictures: bool = flag(doc="also check the image content, while another node subscribes to the images")
 
 
 @dataclasses.dataclass(frozen=True)
-class Health:
+class StreamHealth:
     """The state of a stream.
 
     Attributes:
-        state: waiting (none came yet), alive, slow, empty, garbled, frozen or vanished.
-        sentence: what is wrong, or that nothing is.
+        state: waiting (none arrived yet), alive, slow, empty, garbled, frozen or vanished.
+        sentence: the problem and its cure, or that there is none.
     """
 
     state: str
@@ -38,17 +37,12 @@ class Health:
 
     @property
     def usable(self) -> bool:
-        """Whether its pictures may be worked with."""
+        """Whether the images can be used."""
         return self.state in ("alive", "slow")
 
 
 class StreamWatch:
-    """Judges one stream.
-
-    Args:
-        name: in the sentences, such as "colour camera".
-        config: limits.
-    """
+    """Monitors one stream; `name` stands in the sentences, such as "colour camera"."""
 
     def __init__(self, name: str, config: WatchConfig) -> None:
         self._name, self._config = name, config
@@ -61,71 +55,68 @@ class StreamWatch:
         self._garbled, self._garbage = float("-inf"), ""
         self._times: deque[float] = deque()
 
-    def arrived(self, stamp: float, now: float) -> None:
-        """Takes a message with the stamp of a picture in.
-
-        Args:
-            stamp: of the picture [s].
-            now: time of arrival [s].
-        """
+    def add_stamp(self, stamp: float, now: float) -> None:
+        """Records a message with the image stamp `stamp` that arrived at the time `now` [s]."""
         self._last = now
         if stamp != self._stamp:
             self._stamp, self._new_stamp = stamp, now
             self._times.append(now)
 
-    def looked(self, digest: int, now: float, filled: float = 1.0) -> None:
-        """Takes in what a picture shows.
+    def add_content(self, digest: int, now: float, filled: float = 1.0) -> None:
+        """Records the content of an image that arrived at the time `now` [s].
 
         Args:
-            digest: a number that hardly ever is the same for two different pictures.
-            now: time of arrival [s].
-            filled: share of pixels with a depth.
+            digest: checksum of the image.
+            filled: fraction of pixels with a depth.
         """
         if digest != self._digest:
             self._digest, self._new_digest = digest, now
         self._filled = filled
 
-    def looked_in_vain(self, reason: str, now: float) -> None:
-        """Takes in that a picture is garbled.
-
-        Args:
-            reason: a clause.
-            now: time of arrival [s].
-        """
+    def add_garbled(self, reason: str, now: float) -> None:
+        """Records a garbled image that arrived at the time `now` [s]; the reason is a clause."""
         self._garbage, self._garbled = reason, now
 
-    def look_away(self) -> None:
-        """Forgets what pictures showed: nobody takes them any more."""
+    def forget_content(self) -> None:
+        """Forgets the image content: the stream's images are not received any more."""
         self._digest = self._new_digest = None
         self._garbled = float("-inf")
         self._filled = 1.0
 
     def rate(self, now: float) -> float:
-        """Returns new pictures per second over the last RATE_WINDOW_S [Hz]; 0 with fewer than two."""
+        """Returns new images per second over the last RATE_WINDOW_S [Hz]; 0 with fewer than two."""
         while self._times and self._times[0] < now - RATE_WINDOW_S:
             self._times.popleft()
         if len(self._times) < 2:
             return 0.0
         return (len(self._times) - 1) / (self._times[-1] - self._times[0])
 
-    def health(self, now: float) -> Health:
+    def health(self, now: float) -> StreamHealth:
         """Returns the state at the time `now` [s]."""
-        limit = self._config.silence
+        limit, name = self._config.silence, self._name
         if self._last is None or self._new_stamp is None:
-            return Health("waiting", f"The {self._name} has sent nothing yet.")
+            return StreamHealth("waiting", f"The {name} has sent nothing yet: is its driver running?")
         if now - self._last > limit:
-            return Health("vanished", f"The {self._name} vanished: nothing for {now - self._last:.1f} s.")
+            return StreamHealth(
+                "vanished", f"The {name} vanished: nothing for {now - self._last:.1f} s. Check its cable and driver."
+            )
         if now - self._new_stamp > limit:
-            return Health("frozen", f"The {self._name} is frozen: the same stamp for {now - self._new_stamp:.1f} s.")
+            return StreamHealth(
+                "frozen", f"The {name} is frozen: the same stamp for {now - self._new_stamp:.1f} s. Restart its driver."
+            )
         if now - self._garbled <= limit:
-            return Health("garbled", f"The {self._name} sends garbled pictures: {self._garbage}.")
+            return StreamHealth("garbled", f"The {name} sends garbled images: {self._garbage}.")
         if self._filled < self._config.min_depth:
-            return Health(
-                "empty", f"The {self._name} sees nothing: {100.0 * self._filled:.0f} % of the pixels are valid."
+            return StreamHealth(
+                "empty",
+                f"The {name} measures nothing: {100.0 * self._filled:.0f} % of the pixels are valid. Clear its view.",
             )
         if self._new_digest is not None and now - self._new_digest > limit:
-            return Health("frozen", f"The {self._name} is frozen: the same picture for {now - self._new_digest:.1f} s.")
+            return StreamHealth(
+                "frozen",
+                f"The {name} is frozen: the same image for {now - self._new_digest:.1f} s. Restart its driver.",
+            )
         rate = self.rate(now)
         if 0.0 < rate < self._config.min_rate:
-            return Health("slow", f"The {self._name} is slow: {rate:.1f} pictures a second.")
-        return Health("alive", f"The {self._name} sends pictures.")
+            return StreamHealth("slow", f"The {name} is slow: {rate:.1f} images per second. Use another USB port.")
+        return StreamHealth("alive", f"The {name} sends images.")

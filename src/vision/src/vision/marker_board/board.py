@@ -1,4 +1,4 @@
-"""The marker panel on the arm: where the flange stands as seen from the tag, in the numbers of the panel's drawing."""
+"""The marker board on the arm: its pose on the flange, by the dimensions of its drawing."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from common.rotations import rotation_from_zyx
 
 
 @dataclass(frozen=True)
-class PanelConfig:
+class MarkerBoardConfig:
     """The schema of panel.yaml."""
 
     frame: str = text(doc="name of the tag or bundle in tags.yaml")
     rotation: np.ndarray = vector(
-        3, "deg", low=-360.0, high=360.0, doc="turns about z, y, x from the tag to the flange"
+        3, "deg", low=-360.0, high=360.0, doc="rotations about z, y, x from the tag to the flange"
     )
     translation: np.ndarray = vector(
         3, "m", low=-1.0, high=1.0, doc="from the tag to the flange, along the flange's axes"
@@ -26,11 +26,10 @@ class PanelConfig:
 
     @property
     def T_tag_flange(self) -> np.ndarray:
-        """The flange seen from the tag, shape (4, 4) [m]."""
-        R = rotation_from_zyx(*np.radians(self.rotation))
-        return pose(R) @ pose(p=self.translation)
+        """The flange in the frame of the tag, shape (4, 4) [m]."""
+        return pose(rotation_from_zyx(*np.radians(self.rotation))) @ pose(p=self.translation)
 
     @property
     def T_flange_tag(self) -> np.ndarray:
-        """The tag seen from the flange, shape (4, 4) [m]."""
+        """The tag in the frame of the flange, shape (4, 4) [m]."""
         return inverse(self.T_tag_flange)

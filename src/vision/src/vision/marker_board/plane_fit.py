@@ -1,9 +1,9 @@
-"""The plane of the marker panel in a raw depth picture.
+"""The plane of the marker board in a raw depth image.
 
-A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X; it is n / D for the unit normal n and the
-distance D. Along a pixel's ray (x, y, 1) the inverse depth is 1/z = a . ray: linear in a. A structured-light sensor's
-noise and its unit's smooth errors are nearly constant in inverse depth too, so the plane is fitted there. The raw
-picture is used, as the registered one has holes and pixels twice.
+A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X; it equals n / D with the unit normal n and the
+distance D. Along a pixel's ray (x, y, 1) the inverse depth is 1/z = a . ray, which is linear in a. The noise of a
+structured-light sensor and the smooth errors of a unit are nearly constant in inverse depth, so the plane is fitted
+there. The registered image is not used, because it has holes and repeated pixels.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from common.camera_model import CameraModel
 from common.config import integer, number
 
 HYPOTHESES = 120
-"""Triples of pixels that are tried: one without an outlier is among them even where half the pixels are outliers."""
+"""Number of pixel triples: with half of the pixels outliers, one triple without any is among them."""
 MAX_PIXELS = 2500
-"""More pixels than these say nothing new, as neighbours share their noise: the picture is thinned out to these."""
+"""Maximum number of pixels: more add no information, as neighbours share their noise."""
 GATE_SD = 3.0
 RANGE_GATE = 0.15
-"""Depth farther than this share from the colour picture's range is no panel: background, or an arm in front."""
+"""Depth that differs from the range by colour by more than this fraction is background, or an arm in front."""
 TUKEY_SD = 4.685
-"""Beyond so many standard deviations an error has no weight (Tukey's biweight, 95 % efficient for normal errors)."""
+"""Errors beyond this many standard deviations have no weight (Tukey's biweight, 95 % efficient for normal errors)."""
 ROUNDS = 5
 MAD_TO_SD = 1.4826
 
@@ -33,34 +33,34 @@ MAD_TO_SD = 1.4826
 class PlanePoseConfig:
     """The schema of plane_pose.yaml."""
 
-    outline_share: float = number(above=0.0, high=1.0, doc="of the plate's edges that counts as panel")
-    outline_px: float = number("px", low=0.0, high=50.0, doc="so far inside the outline in the depth picture")
-    noise: float = number("1/m", above=0.0, high=0.1, doc="most standard deviation of a pixel's inverse depth, and")
-    noise_floor: float = number("m", low=0.0, high=0.1, doc="of its depth, besides; counts when near")
-    noise_pixels: float = number("px", low=1.0, high=1000.0, doc="neighbouring pixels that share their noise")
-    min_pixels: int = integer("px", low=10, high=100000, doc="fewer pixels with a depth make no plane")
-    min_cover: float = number(above=0.0, high=1.0, doc="likewise, as share of the outline")
-    min_inliers: float = number(above=0.5, high=1.0, doc="share of them that must lie in one plane")
+    outline_share: float = number(above=0.0, high=1.0, doc="fraction of the plate's edges that is used")
+    outline_px: float = number("px", low=0.0, high=50.0, doc="distance from the outline in the depth image")
+    noise: float = number("1/m", above=0.0, high=0.1, doc="maximum standard deviation of a pixel's inverse depth")
+    noise_floor: float = number("m", low=0.0, high=0.1, doc="additional standard deviation of depth; counts when near")
+    noise_pixels: float = number("px", low=1.0, high=1000.0, doc="number of neighbouring pixels that share their noise")
+    min_pixels: int = integer("px", low=10, high=100000, doc="minimum number of pixels with a depth")
+    min_cover: float = number(above=0.0, high=1.0, doc="minimum number of pixels with a depth, as fraction of all")
+    min_inliers: float = number(above=0.5, high=1.0, doc="minimum fraction of them in one plane")
     corner_sd: float = number("px", above=0.0, high=10.0, doc="standard deviation of a tag's corner")
-    focal_sd: float = number(low=0.0, high=0.1, doc="of the colour camera's focal length, as a share of it")
-    scale_sd: float = number(low=0.0, high=0.1, doc="of the depth camera's scale")
-    warp_sd: float = number("1/m", low=0.0, high=0.1, doc="of the smooth error of inverse depth")
-    warp_slope_sd: float = number("1/m", low=0.0, high=1.0, doc="of its slope, over the tangent of the angle of sight")
+    focal_sd: float = number(low=0.0, high=0.1, doc="relative standard deviation of the colour focal length")
+    scale_sd: float = number(low=0.0, high=0.1, doc="relative standard deviation of the depth scale")
+    warp_sd: float = number("1/m", low=0.0, high=0.1, doc="standard deviation of the smooth error of inverse depth")
+    warp_slope_sd: float = number("1/m", low=0.0, high=1.0, doc="of its slope, over the tangent of the viewing angle")
     max_disagreement: float = number(above=0.0, high=100.0, doc="standard deviations between range by colour and depth")
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneFit:
-    """A plane, or why there is none.
+    """A plane, or the reason why there is none.
 
     Attributes:
         a: the plane, shape (3,) [1/m], or None.
-        covariance: of a, from the noise and the unit's errors, shape (3, 3) [1/m^2], or None.
-        pixels: of the outline that have a depth near the panel's.
-        cover: their share of the outline.
-        inliers: share of them that lie in the plane.
-        rms: of the inliers' errors along the axis, in the middle of the panel [m].
-        reason: a sentence without its end, empty where there is a plane.
+        covariance: of a, from noise and the unit's errors, shape (3, 3) [1/m^2], or None.
+        pixels: number of outline pixels with a depth near the marker board's.
+        cover: fraction of the outline that they cover.
+        inliers: fraction of them in the plane.
+        rms: rms of the inliers' errors along the axis, in the middle of the marker board [m].
+        reason: why there is no plane, without a full stop; empty for a plane.
     """
 
     a: np.ndarray | None
@@ -72,32 +72,35 @@ class PlaneFit:
     reason: str = ""
 
 
-def fit_panel(
-    depth: np.ndarray, camera: CameraModel, T_depth_panel: np.ndarray, plate: float, config: PlanePoseConfig
+def fit_board(
+    depth: np.ndarray, camera: CameraModel, T_depth_board: np.ndarray, plate: float, config: PlanePoseConfig
 ) -> PlaneFit:
-    """Returns the panel's plane in the frame of the depth camera.
+    """Returns the marker board's plane in the frame of the depth camera.
 
     Args:
-        depth: raw picture, shape (height, width), float32 [m], NaN = none.
-        camera: that took it.
-        T_depth_panel: roughly where the panel is, by the colour picture, shape (4, 4) [m].
-        plate: edge of the square plate round the panel's origin [m].
-        config: what counts.
+        depth: raw image, shape (height, width), float32 [m], NaN where unknown.
+        camera: the depth camera.
+        T_depth_board: rough pose of the marker board, by the colour image, shape (4, 4) [m].
+        plate: edge of the square plate round the marker board's origin [m].
 
     Raises:
-        ValueError: the picture is not of the camera's size.
+        ValueError: the image does not have the camera's size.
     """
     if depth.shape != (camera.height, camera.width):
-        raise ValueError(f"the depth picture is {depth.shape[::-1]}, but its camera's {(camera.width, camera.height)}")
-    inside = _outline(camera, T_depth_panel, plate * config.outline_share, config.outline_px)
+        raise ValueError(
+            f"the depth image is {depth.shape[::-1]}, but its camera_info says {(camera.width, camera.height)}"
+        )
+    inside = _outline(camera, T_depth_board, plate * config.outline_share, config.outline_px)
     if inside is None or not inside.any():
-        return _none("the panel is not in the depth picture")
-    expected = T_depth_panel[2, 3]
-    half_tilted = plate * np.hypot(*T_depth_panel[2, :2]) / np.sqrt(2.0)
+        return _none("the marker board is outside the depth image: move it towards the centre")
+    expected = T_depth_board[2, 3]
+    half_tilted = plate * np.hypot(*T_depth_board[2, :2]) / np.sqrt(2.0)
     near = inside & (np.abs(depth - expected) < RANGE_GATE * expected + half_tilted)
     count, cover = int(near.sum()), float(near.sum() / inside.sum())
     if count < config.min_pixels or cover < config.min_cover:
-        return _none(f"only {count} pixels, {cover:.0%} of the panel, have a depth near it", count, cover)
+        return _none(
+            f"only {count} pixels, {cover:.0%} of the marker board, have a depth near it: uncover it", count, cover
+        )
     stride = max(1, count // MAX_PIXELS)
     v, u = (index[::stride] for index in np.nonzero(near))
     rays = camera.rays(np.stack((u, v), axis=-1))
@@ -105,25 +108,30 @@ def fit_panel(
     a, weights, sd = fit_plane(rays, w, config.noise + config.noise_floor / expected**2)
     inliers = float((weights > 0.0).mean())
     if inliers < config.min_inliers:
-        return _none(f"only {inliers:.0%} of the panel's pixels lie in one plane", count, cover, inliers)
+        return _none(
+            f"only {inliers:.0%} of the board's pixels lie in one plane: uncover it, and check that the plate is flat",
+            count,
+            cover,
+            inliers,
+        )
     shared = max(1.0, config.noise_pixels / stride)
     noise = shared * sd**2 * np.linalg.inv((rays * weights[:, None]).T @ rays)
-    middle = T_depth_panel[:3, 3] / expected
+    middle = T_depth_board[:3, 3] / expected
     rms = sd / (a @ middle) ** 2
     return PlaneFit(a, noise + unit_covariance(a, middle, config), count, cover, inliers, float(rms))
 
 
 def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Returns the plane, shape (3,) [1/m], that most pixels lie in, the weights of the pixels, shape (n,), and the
-    standard deviation of the inliers' errors [1/m].
+    """Returns the plane through most pixels, shape (3,) [1/m], the weights of the pixels, shape (n,), and the standard
+    deviation of the inliers' errors [1/m].
 
-    The best of many planes through three pixels is the start (RANSAC, with errors that count up to the gate, MSAC);
-    weighted least squares are the end. The triples are the same in every call.
+    The start is the best of many planes through three pixels (MSAC: RANSAC with errors that are clipped at the gate),
+    followed by iteratively reweighted least squares. The triples are the same in every call.
 
     Args:
         rays: of the pixels, shape (n, 3).
         w: their inverse depths, shape (n,) [1/m].
-        noise: most standard deviation of an inverse depth [1/m].
+        noise: maximum standard deviation of an inverse depth [1/m].
     """
     triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
     corners = rays[triples]
@@ -141,12 +149,12 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
 
 
 def unit_covariance(a: np.ndarray, middle: np.ndarray, config: PlanePoseConfig) -> np.ndarray:
-    """Returns the covariance of the plane a, shape (3, 3) [1/m^2], that the unit's own errors make.
+    """Returns the covariance of the plane a from the errors of the sensor unit, shape (3, 3) [1/m^2].
 
-    A wrong scale stretches a; the smooth error of inverse depth is, over the panel, an offset and two slopes.
+    A wrong scale stretches a; over the marker board the smooth error of inverse depth is an offset and two slopes.
 
     Args:
-        middle: ray to the middle of the panel, x, y, 1.
+        middle: ray to the middle of the marker board, x, y, 1.
     """
     J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-middle[0], -middle[1], 1.0]])
     smooth = np.diag(np.square([config.warp_slope_sd, config.warp_slope_sd, config.warp_sd]))
@@ -154,11 +162,7 @@ def unit_covariance(a: np.ndarray, middle: np.ndarray, config: PlanePoseConfig) 
 
 
 def plane_seen_from(T: np.ndarray, a: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns a plane and its covariance in another frame.
-
-    Args:
-        T: pose of the frame that the plane is given in, in the other, shape (4, 4) [m].
-    """
+    """Returns the plane a and its covariance in the frame in which its own frame has the pose T, shape (4, 4) [m]."""
     turned = T[:3, :3] @ a
     D = 1.0 + turned @ T[:3, 3]
     J = (np.eye(3) / D - np.outer(turned, T[:3, 3]) / D**2) @ T[:3, :3]
@@ -166,7 +170,7 @@ def plane_seen_from(T: np.ndarray, a: np.ndarray, covariance: np.ndarray) -> tup
 
 
 def _outline(camera: CameraModel, T: np.ndarray, edge: float, inset: float) -> np.ndarray | None:
-    """Returns which pixels show the square, shape (height, width); None if a corner is behind the camera."""
+    """Returns the mask of the square, shape (height, width); None if a corner is behind the camera."""
     corners = edge / 2.0 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) @ T[:3, :3].T + T[:3, 3]
     if np.any(corners[:, 2] <= 0.0):
         return None

@@ -1,9 +1,9 @@
-"""The panel's pose from the corners of its tags and its plane, and from both with the weight that each deserves.
+"""The pose of the marker board from its tag corners and its plane in the depth image.
 
-Three poses are compared. Colour-only: least squares over the corners (`apriltag_ros.tag_pose`); weak in range, and in
-tilt where the panel faces the camera. Plane: the corners' rays end on the plane; tilt and range are the depth camera's.
-Fused: the pose for which the errors of corners and of plane, each in its standard deviations, are least together. The
-mean of the first two by their covariances would count the corners twice; the least squares count each measurement once.
+Three poses are estimated. Colour-only: least squares over the corners (`apriltag_ros.tag_pose`); inaccurate in range,
+and in tilt where the board faces the camera. Plane: the corners' rays end on the plane, so tilt and range come from
+depth. Fused: the least squares over corners and plane, each weighted by its covariance. A weighted mean of the first
+two would count the corners twice; the least squares count each measurement once.
 """
 
 from __future__ import annotations
@@ -17,116 +17,116 @@ from apriltag_ros.tag_pose import corner_jacobian
 from common.camera_model import CameraModel
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about, unit
-from vision.marker_board.plane_fit import PlaneFit, PlanePoseConfig, fit_panel, plane_seen_from
+from vision.marker_board.plane_fit import PlaneFit, PlanePoseConfig, fit_board, plane_seen_from
 
 MAX_STEPS = 30
 LAST_STEP = 1e-8
-"""The least squares end when a step moves the pose by less [m, rad]."""
+"""The search stops when a step moves the pose by less [m, rad]."""
 DIFFERENCE = 1e-6
 """Step of numeric derivatives [1/m, and of the rays' tangents]."""
 FLAT_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """A pose and how sure it is.
+class PoseEstimate:
+    """A pose and its uncertainty.
 
     Attributes:
-        T_camera_panel: shape (4, 4) [m].
-        covariance: of x, y, z and of small turns about the camera's axes, shape (6, 6) [m^2, m rad, rad^2].
+        T_camera_board: shape (4, 4) [m].
+        covariance: of x, y, z and of small rotations about the camera's axes, shape (6, 6) [m^2, m rad, rad^2].
     """
 
-    T_camera_panel: np.ndarray
+    T_camera_board: np.ndarray
     covariance: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class DepthPose:
-    """The panel in a pair of pictures.
+class RgbdPose:
+    """The marker board in a pair of images.
 
     Attributes:
-        colour: pose from the corners alone, with the camera's own errors in its covariance.
-        plane: pose with tilt and range from depth, or None.
-        fused: the best of both, or None.
-        fit: of the plane, in the depth camera's frame.
-        disagreement: range by colour less range by depth [m]; nan without a plane.
-        reason: why there is no fused pose, as a sentence without its end; empty if there is one.
+        colour: pose by the corners alone; its covariance includes the camera's own errors.
+        plane: pose with tilt and range by depth, or None.
+        fused: pose by both, or None.
+        fit: the plane in the depth camera's frame.
+        disagreement: range by colour minus range by depth [m]; nan without a plane.
+        reason: why there is no fused pose, without a full stop; empty if there is one.
     """
 
-    colour: Estimate
-    plane: Estimate | None
-    fused: Estimate | None
+    colour: PoseEstimate
+    plane: PoseEstimate | None
+    fused: PoseEstimate | None
     fit: PlaneFit
     disagreement: float
     reason: str
 
 
-def depth_pose(
-    T_rgb_panel: np.ndarray,
+def rgbd_pose(
+    T_rgb_board: np.ndarray,
     points: np.ndarray,
     pixels: np.ndarray,
     rgb: CameraModel,
-    depth_picture: np.ndarray,
+    depth_image: np.ndarray,
     depth: CameraModel,
     T_rgb_depth: np.ndarray,
     plate: float,
     config: PlanePoseConfig,
-) -> DepthPose:
-    """Returns the poses of the panel from one colour and one depth picture.
+) -> RgbdPose:
+    """Returns the poses of the marker board from one colour and one depth image.
 
     Args:
-        T_rgb_panel: the colour-only pose, shape (4, 4) [m].
-        points: corners of the tags in the panel, shape (n, 3) [m].
-        pixels: where they are in the colour picture, shape (n, 2) [px].
+        T_rgb_board: colour-only pose, shape (4, 4) [m].
+        points: corners of the tags on the marker board, shape (n, 3) [m].
+        pixels: the same corners in the colour image, shape (n, 2) [px].
         rgb, depth: the cameras.
-        depth_picture: raw, shape (height, width), float32 [m], NaN = none.
+        depth_image: raw, shape (height, width), float32 [m], NaN where unknown.
         T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
         plate: edge of the square plate [m].
-        config: how wrong each sensor may be.
+        config: errors of the sensors, and limits.
 
     Raises:
-        ValueError: the depth picture is not of its camera's size, or the corners do not lie in the plate's plane.
+        ValueError: the depth image does not have its camera's size, or the corners do not lie in the plate's plane.
     """
     if np.abs(points[:, 2]).max() > FLAT_M:
-        raise ValueError("the corners do not lie in one plane with the plate, z = 0 in the panel's frame")
+        raise ValueError("the corners do not lie in the plane of the plate, z = 0: correct tags.yaml")
     rays = rgb.rays(pixels)
     noise = corner_noise(rays, rgb.K, config)
-    colour = colour_estimate(T_rgb_panel, points, rgb.K, noise)
-    fit = fit_panel(depth_picture, depth, inverse(T_rgb_depth) @ T_rgb_panel, plate, config)
+    colour = colour_estimate(T_rgb_board, points, rgb.K, noise)
+    fit = fit_board(depth_image, depth, inverse(T_rgb_depth) @ T_rgb_board, plate, config)
     if fit.a is None or fit.covariance is None:
-        return DepthPose(colour, None, None, fit, np.nan, fit.reason)
+        return RgbdPose(colour, None, None, fit, np.nan, fit.reason)
     a, a_covariance = plane_seen_from(T_rgb_depth, fit.a, fit.covariance)
     plane = plane_estimate(points, rays, rgb.K, noise, a, a_covariance)
     apart, sd = range_disagreement(colour, a, a_covariance)
     if abs(apart) > config.max_disagreement * sd:
-        share = T_rgb_panel[2, 3] / (T_rgb_panel[2, 3] - apart)
+        ratio = T_rgb_board[2, 3] / (T_rgb_board[2, 3] - apart)
         reason = (
-            f"by the size of its tags the panel is {share:.2f} times as far away as by depth, {abs(apart) / sd:.1f} "
-            "standard deviations apart; are the sizes of the tags right, and the calibrations of the cameras?"
+            f"the distance by the tag size is {ratio:.2f} times that by depth, {abs(apart) / sd:.1f} standard "
+            "deviations apart: measure the printed tags, and calibrate the cameras"
         )
-        return DepthPose(colour, plane, None, fit, apart, reason)
-    fused = fuse(plane.T_camera_panel, points, rays, rgb.K, noise, a, a_covariance)
-    return DepthPose(colour, plane, fused, fit, apart, "" if fused is not None else "the least squares found no end")
+        return RgbdPose(colour, plane, None, fit, apart, reason)
+    fused = fuse(plane.T_camera_board, points, rays, rgb.K, noise, a, a_covariance)
+    return RgbdPose(colour, plane, fused, fit, apart, "" if fused is not None else "the fusion did not converge")
 
 
 def corner_noise(rays: np.ndarray, K: np.ndarray, config: PlanePoseConfig) -> np.ndarray:
-    """Returns the covariance, shape (2n, 2n) [px^2], of the corners' pixels: errors of their own, and that of the focal
-    length, which moves all of them away from the middle of the picture together."""
+    """Returns the covariance of the corners' pixels, shape (2n, 2n) [px^2]: independent errors, and a focal length
+    error, which moves all corners away from the image centre together."""
     outwards = (rays[:, :2] * (K[0, 0], K[1, 1])).ravel()
     return config.corner_sd**2 * np.eye(len(outwards)) + config.focal_sd**2 * np.outer(outwards, outwards)
 
 
-def colour_estimate(T: np.ndarray, points: np.ndarray, K: np.ndarray, noise: np.ndarray) -> Estimate:
-    """Returns the colour-only pose T, shape (4, 4) [m], with the covariance that follows from the corners' `noise`."""
+def colour_estimate(T: np.ndarray, points: np.ndarray, K: np.ndarray, noise: np.ndarray) -> PoseEstimate:
+    """Returns the colour-only pose T, shape (4, 4) [m], with its covariance from the corners' `noise`."""
     J = corner_jacobian(T, points, K).reshape(-1, 6)
     gain = np.linalg.solve(J.T @ J, J.T)
-    return Estimate(read_only(T), read_only(gain @ noise @ gain.T))
+    return PoseEstimate(read_only(T), read_only(gain @ noise @ gain.T))
 
 
-def range_disagreement(colour: Estimate, a: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Returns by how much the colour-only pose is farther away than the plane a, shape (3,) [1/m], along its own line
-    of sight, and the standard deviation of that [m]."""
-    p = colour.T_camera_panel[:3, 3]
+def range_disagreement(colour: PoseEstimate, a: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Returns the range by colour minus that by the plane a, shape (3,) [1/m], along the line of sight, and the
+    standard deviation of the difference [m]."""
+    p = colour.T_camera_board[:3, 3]
     z = p[2] / (a @ p)
     sd_plane = z * np.sqrt(p @ covariance @ p) / (a @ p)
     return float(p[2] - z), float(np.hypot(sd_plane, np.sqrt(colour.covariance[2, 2])))
@@ -134,12 +134,12 @@ def range_disagreement(colour: Estimate, a: np.ndarray, covariance: np.ndarray) 
 
 def plane_estimate(
     points: np.ndarray, rays: np.ndarray, K: np.ndarray, noise: np.ndarray, a: np.ndarray, covariance: np.ndarray
-) -> Estimate:
+) -> PoseEstimate:
     """Returns the pose with tilt and range of the plane, and the corners where their rays meet it.
 
     Args:
-        points: corners in the panel, shape (n, 3) [m].
-        rays: into which they are seen, x, y, 1, shape (n, 3).
+        points: corners on the marker board, shape (n, 3) [m].
+        rays: of the corners, x, y, 1, shape (n, 3).
         K: of the colour camera, shape (3, 3) [px].
         noise: covariance of the corners' pixels, shape (2n, 2n) [px^2].
         a, covariance: the plane in the colour camera's frame, shape (3,) [1/m], and (3, 3) [1/m^2].
@@ -153,7 +153,7 @@ def plane_estimate(
             moved[i, axis] += DIFFERENCE
             by_corner.append(_change(T, _pose_on_plane(points, moved, a)) / K[axis, axis])
     J_plane, J_corner = np.array(by_plane).T / DIFFERENCE, np.array(by_corner).T / DIFFERENCE
-    return Estimate(read_only(T), read_only(J_plane @ covariance @ J_plane.T + J_corner @ noise @ J_corner.T))
+    return PoseEstimate(read_only(T), read_only(J_plane @ covariance @ J_plane.T + J_corner @ noise @ J_corner.T))
 
 
 def fuse(
@@ -164,13 +164,12 @@ def fuse(
     noise: np.ndarray,
     a: np.ndarray,
     covariance: np.ndarray,
-) -> Estimate | None:
-    """Returns the pose that fits corners and plane best by their covariances (Gauss and Newton), or None if the search
-    does not settle.
+) -> PoseEstimate | None:
+    """Returns the pose that fits corners and plane best by their covariances (Gauss-Newton), or None if the search does
+    not converge.
 
     Args:
-        start: pose to begin with, shape (4, 4) [m]; the plane's, which lies on the right side of the corners' two
-            solutions.
+        start: shape (4, 4) [m]; the plane's pose, which decides between the corners' two solutions.
         points, rays, K, noise, a, covariance: as for `plane_estimate`.
     """
     T, W_corner, W_plane = start, np.linalg.inv(noise), np.linalg.inv(covariance)
@@ -183,13 +182,12 @@ def fuse(
         step = -np.linalg.solve(H, J_corner.T @ W_corner @ r_corner + J_plane.T @ W_plane @ (plane - a))
         T = pose(pin.exp3(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
         if np.abs(step).max() < LAST_STEP:
-            return Estimate(read_only(T), read_only(np.linalg.inv(H)))
+            return PoseEstimate(read_only(T), read_only(np.linalg.inv(H)))
     return None
 
 
 def _plane_of(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the plane z = 0 of the pose T, shape (3,) [1/m], and how it changes with small shifts and turns of T,
-    shape (3, 6)."""
+    """Returns the plane z = 0 of the pose T, shape (3,) [1/m], and its derivative by changes of T, shape (3, 6)."""
     n, p = -T[:3, 2], T[:3, 3]
     D = n @ p
     J_turn = (np.eye(3) / D - np.outer(n, p) / D**2) @ -pin.skew(n)
@@ -197,7 +195,7 @@ def _plane_of(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _pose_on_plane(points: np.ndarray, rays: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Returns the pose, shape (4, 4) [m], of the panel in the plane a whose corners lie nearest to where the rays meet
+    """Returns the pose in the plane a, shape (4, 4) [m], whose corners are nearest to the points where the rays meet
     the plane; its z axis points to the camera."""
     met = rays / (rays @ a)[:, None]
     z = -unit(a)
@@ -210,5 +208,5 @@ def _pose_on_plane(points: np.ndarray, rays: np.ndarray, a: np.ndarray) -> np.nd
 
 
 def _change(T: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Returns shift and small turn about the camera's axes from T to the other pose, shape (6,) [m, rad]."""
+    """Returns translation and small rotation about the camera's axes from T to the other pose, shape (6,) [m, rad]."""
     return np.concatenate((other[:3, 3] - T[:3, 3], pin.log3(other[:3, :3] @ T[:3, :3].T)))

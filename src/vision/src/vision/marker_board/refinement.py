@@ -1,4 +1,4 @@
-"""Sights of the panel made better by the whole pattern, where the pictures of a view allow it."""
+"""Photometric refinement of the board detections in a view."""
 
 from __future__ import annotations
 
@@ -8,27 +8,28 @@ import numpy as np
 
 from apriltag_ros.photometric import PhotometricRefiner
 from common.camera_model import CameraModel
-from vision.calibration.acceptance import Sight
+from vision.calibration.acceptance import BoardDetection
 
 
 def refined(
-    seen: list[tuple[Sight, np.ndarray]], camera: CameraModel, refiner: PhotometricRefiner
-) -> tuple[list[Sight], str]:
-    """Returns the sights with refined poses, or, if one picture of the view does not allow that, all as they were, and
-    the reason as a sentence without its end; poses of both kinds are not mixed, because they err in different ways.
+    pairs: list[tuple[BoardDetection, np.ndarray]], camera: CameraModel, refiner: PhotometricRefiner
+) -> tuple[list[BoardDetection], str]:
+    """Returns the detections with refined poses and an empty string.
+
+    If one image cannot be used, all detections stay unrefined, because the errors of both kinds differ; the string is
+    then the reason, without a full stop.
 
     Args:
-        seen: sights by the corners, each with its picture, shape (height, width), uint8.
-        camera: that took the pictures, distortion included.
-        refiner: of the panel.
+        pairs: detections by the corners, each with its image, shape (height, width), uint8.
+        camera: model of the raw images, distortion included.
 
     Raises:
-        ValueError: a picture is not of the camera's size.
+        ValueError: an image does not have the camera's size.
     """
     better = []
-    for sight, grey in seen:
-        found = refiner.refine(grey, camera, sight.T_camera_panel)
-        if found.covariance is None:
-            return [sight for sight, _ in seen], found.refused
-        better.append(replace(sight, T_camera_panel=found.T_camera_tag, covariance=found.covariance))
+    for detection, grey in pairs:
+        result = refiner.refine(grey, camera, detection.T_camera_board)
+        if result.covariance is None:
+            return [detection for detection, _ in pairs], result.rejection
+        better.append(replace(detection, T_camera_board=result.T_camera_tag, covariance=result.covariance))
     return better, ""

@@ -42,7 +42,7 @@ RVIZ_S, WINDOW_S = 40.0, 6.0
 """RViz draws a cloud less than once a second without a graphics card."""
 
 
-class Stage:
+class ProgramGroup:
     """The programs that were started; all end with it.
 
     Args:
@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         options.folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=NAME) as folder:
-            stage = Stage(Path(folder))
+            stage = ProgramGroup(Path(folder))
             try:
                 _prepare(stage)
                 for name, take in TAKEN.items():
@@ -103,7 +103,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _prepare(stage: Stage) -> None:
+def _prepare(stage: ProgramGroup) -> None:
     port = free_port()
     os.environ.update(ROS_MASTER_URI=f"http://127.0.0.1:{port}", ROS_IP="127.0.0.1", ROS_LOG_DIR=str(stage.folder))
     os.environ.update(LIBGL_ALWAYS_SOFTWARE="1", QT_X11_NO_MITSHM="1", QT_QPA_PLATFORM="xcb")
@@ -113,7 +113,7 @@ def _prepare(stage: Stage) -> None:
     rospy.init_node(NAME, disable_signals=True)
 
 
-def _screen(stage: Stage) -> str:
+def _screen(stage: ProgramGroup) -> str:
     number = stage.folder / "display"
     width, height = SCREEN
     server = f'exec Xvfb -displayfd 3 -screen 0 {width}x{height}x24 +extension GLX 3>"{number}"'
@@ -121,7 +121,7 @@ def _screen(stage: Stage) -> str:
     return ":" + _wait(lambda: number.exists() and number.read_text().strip(), START_S, "Xvfb")
 
 
-def _world(stage: Stage, *options: str) -> tuple[str, str]:
+def _world(stage: ProgramGroup, *options: str) -> tuple[str, str]:
     """Returns the ports of arm and world."""
     ports = [str(free_port()) for _ in range(5)]
     names = ("--port", "--control-port", "--hand-port", "--hand-control-port", "--world-port")
@@ -131,7 +131,7 @@ def _world(stage: Stage, *options: str) -> tuple[str, str]:
     return ports[0], ports[4]
 
 
-def _calibration(stage: Stage, folder: Path) -> None:
+def _calibration(stage: ProgramGroup, folder: Path) -> None:
     """RViz after a calibration: the cloud of the calibrated camera lies on the arm's model."""
     robot, world = _world(stage, "--scene", "cup", "--panel", "bundle")
     store = stage.folder / "store"
@@ -160,7 +160,7 @@ def _open_hand() -> JointState:
     return message
 
 
-def _headset(stage: Stage, folder: Path) -> None:
+def _headset(stage: ProgramGroup, folder: Path) -> None:
     """The view for the headset: as in 2019, and each eye its own with the lenses undone."""
     _, world = _world(stage, "--scene", "objects")
     common = (f"port:={world}", "control_port:=0", "output:=screen")
@@ -175,7 +175,7 @@ def _headset(stage: Stage, folder: Path) -> None:
         stage.end(keep=3)
 
 
-def _page(stage: Stage, folder: Path) -> None:
+def _page(stage: ProgramGroup, folder: Path) -> None:
     """The view for the headset as a page."""
     file = folder / "headset-page.png"
     browser = shutil.which("chromium")

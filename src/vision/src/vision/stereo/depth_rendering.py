@@ -1,8 +1,8 @@
-"""The picture of one eye from a colour picture and its depth (depth-image-based rendering).
+"""Renders the image of one eye from a colour image and its depth (depth-image-based rendering).
 
-The two eyes look along the camera's axis, half their distance to its left and right. What is at depth z then lies
-f b / z pixels farther to the right in the left eye's picture than in the right eye's, so that it is seen at its true
-distance. Both pictures must be rectified and in the same pixels.
+The two eyes look along the camera's axis, half their distance to its left and right. A point at depth z then lies
+f b / z pixels farther to the right in the left eye's image than in the right eye's, so that it appears at its true
+distance. Both images must be rectified and have the same pixels.
 """
 
 from __future__ import annotations
@@ -11,22 +11,21 @@ import cv2
 import numpy as np
 
 LEFT, RIGHT = 1, -1
-"""The eyes: the direction in which their pictures shift as something comes nearer."""
+"""The eyes: the direction in which their images shift as an object comes nearer."""
 NONE = np.float32(-1e6)
-"""In a map: no pixel of the picture has come here yet."""
+"""Marks a pixel of a map to which no image pixel moved."""
 
 
 def inverse_depth(depth: np.ndarray, nearest: float, instead: float) -> np.ndarray:
     """Returns 1/z for every pixel, float32 [1/m].
 
-    A pixel without depth (NaN, infinite, not positive) gets that of the farther one of its neighbours to the left and
-    right: a depth camera misses mostly what stands in the shadow of something near. A row without any depth counts as
-    the farthest of all pixels.
+    A pixel without depth (NaN, infinite, not positive) gets the depth of the farther of its neighbours to the left and
+    right, because most gaps are shadows of near objects. A row without any depth gets the farthest of all depths.
 
     Args:
         depth: shape (height, width) [m].
-        nearest: smaller depths count as this one [m].
-        instead: depth of a picture in which no pixel has one [m].
+        nearest: smaller depths are replaced by this one [m].
+        instead: depth for an image without any [m].
     """
     known = np.isfinite(depth) & (depth > 0.0)
     if not known.any():
@@ -43,17 +42,17 @@ def inverse_depth(depth: np.ndarray, nearest: float, instead: float) -> np.ndarr
 
 
 def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
-    """Returns the column of the picture that each pixel of an eye's picture shows, shape (height, width), float32 [px].
+    """Returns the image column that each pixel of an eye's image shows, shape (height, width), float32 [px].
 
-    Where several pixels meet, the nearest stays. A hole, which opens beside something near, shows the edge of what is
-    behind. Columns outside the picture say that the camera does not see there.
+    Where several pixels coincide, the nearest wins. A hole, which opens beside a near object, shows the edge of the
+    background. Columns outside the image are outside the camera's view.
 
     Args:
         shift: half the disparity of each pixel, not negative [px].
         eye: LEFT or RIGHT.
     """
     height, width = shift.shape
-    # A later assignment wins. The left eye's pixels move right: of those that meet, the nearest began leftmost.
+    # A later assignment wins. The left eye's pixels move right: of those that coincide, the nearest began leftmost.
     order = slice(None, None, -1 if eye == LEFT else 1)
     move = eye * shift[:, order]
     target = np.rint(np.arange(width, dtype=np.float32)[order] + move)
@@ -64,10 +63,10 @@ def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
     return _without_holes(source.reshape(height, width), eye)
 
 
-def shifted(picture: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Returns the picture, shape (height, width, 3), read at the columns of `eye_map`; black outside."""
+def shifted(image: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Returns the image, shape (height, width, 3), read at the columns of `eye_map`; black outside."""
     rows = np.broadcast_to(np.arange(columns.shape[0], dtype=np.float32)[:, None], columns.shape)
-    return cv2.remap(picture, columns, np.ascontiguousarray(rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return cv2.remap(image, columns, np.ascontiguousarray(rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
 
 
 def _without_holes(source: np.ndarray, eye: int) -> np.ndarray:
@@ -76,7 +75,7 @@ def _without_holes(source: np.ndarray, eye: int) -> np.ndarray:
         return source
     rows, holes = np.nonzero(~known)
     left, right = (columns[rows, holes] for columns in _neighbours(known))
-    # The neighbour that has moved less is farther away; at the edge there is one neighbour only.
+    # The neighbour that moved less is farther away; at the edge there is only one neighbour.
     moved_left = np.where(left >= 0, eye * (left - source[rows, left]), np.inf)
     moved_right = np.where(right >= 0, eye * (right - source[rows, right]), np.inf)
     behind = np.where(moved_left <= moved_right, left, right)

@@ -1,9 +1,9 @@
-"""What the lenses of the Rift DK2 do to its screen, undone by maps that are computed once.
+"""Corrects the lens distortion of the Rift DK2 by maps that are computed once.
 
-A display pixel (u, v), counted from the half's upper left corner with pixel centres at +0.5, is seen in the direction
-(x s, y s, 1) with x = (u - cx) pitch / SCALE, y likewise, and s a polynomial in r2 = x^2 + y^2; red is bent less and
-blue more than green. Directions are those of an optical frame: x right, y down, z forward. The polynomial is a fit
-(error 0.003) to the spline of the Oculus 0.5 SDK; the colours' factors hold for 12 mm between lens and eye.
+A display pixel (u, v), counted from the upper left corner of its half with pixel centres at +0.5, appears in the
+direction (x s, y s, 1) with x = (u - cx) pitch / SCALE, y likewise, and s a polynomial in r2 = x^2 + y^2; red is bent
+less and blue more than green. Directions are those of an optical frame: x right, y down, z forward. The polynomial is a
+fit (error 0.003) to the spline of the Oculus SDK 0.5; the colour factors hold for 12 mm between lens and eye.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from common.camera_model import CameraModel
 
 WIDTH, HEIGHT = 960, 1080
-"""Of one eye's half of the screen [px]."""
+"""Size of one eye's half of the screen [px]."""
 PITCH_M = 0.12576 / 1920
 SCALE_M = 0.036
-"""Of the screen per unit of tan(angle), at the centre."""
+"""Length on the screen per unit of tan(angle), at the centre."""
 CENTRES = ((475.3, 540.0), (484.7, 540.0))
-"""Of the left and the right lens, each in its own half [px]."""
+"""Centres of the left and the right lens, each in its own half [px]."""
 RADIAL = (1.0, 0.2083, -0.0064, 0.1759)
 RED, GREEN, BLUE = range(3)
 COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))
@@ -30,7 +30,7 @@ COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))
 
 
 def directions(pixels: ArrayLike, eye: int, colour: int = GREEN) -> np.ndarray:
-    """Returns tan(angle) to the right and down, shape (..., 2), at which display pixels are seen.
+    """Returns tan(angle) to the right and down, shape (..., 2), at which display pixels appear.
 
     Args:
         pixels: shape (..., 2), pixel centres at +0.5 [px].
@@ -50,13 +50,13 @@ class _EyeMaps:
     maps: tuple[tuple[np.ndarray, np.ndarray], ...]
 
 
-class Lens:
-    """Draws the pictures of both eyes as the Rift DK2's screen must show them.
+class Dk2Lens:
+    """Draws the eye images as the screen of the Rift DK2 must show them.
 
     Args:
-        camera: rectified camera that both eyes' pictures seem to come from.
+        camera: rectified camera of both eye images.
         magnification: 1 shows true angles.
-        chromatic: bend each colour on its own.
+        chromatic: bend each colour separately.
     """
 
     width, height = 2 * WIDTH, HEIGHT
@@ -66,50 +66,45 @@ class Lens:
         self._eyes = [_eye_maps(camera, magnification, eye, colours) for eye in (0, 1)]
 
     def draw(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Returns the screen, shape (1080, 1920, 3), from the eyes' pictures, shape (height, width, 3), red first."""
+        """Returns the screen, shape (1080, 1920, 3), from the RGB eye images, shape (height, width, 3)."""
         screen = np.zeros((self.height, self.width, 3), np.uint8)
-        for eye, picture in enumerate((left, right)):
-            found = self._eyes[eye]
-            half = screen[found.rows, eye * WIDTH : (eye + 1) * WIDTH][:, found.columns]
-            if len(found.maps) == 1:
-                half[:] = cv2.remap(picture, *found.maps[0], cv2.INTER_LINEAR)
+        for eye, image in enumerate((left, right)):
+            area = self._eyes[eye]
+            half = screen[area.rows, eye * WIDTH : (eye + 1) * WIDTH][:, area.columns]
+            if len(area.maps) == 1:
+                half[:] = cv2.remap(image, *area.maps[0], cv2.INTER_LINEAR)
             else:
-                half[:] = cv2.merge(
-                    [cv2.remap(c, *m, cv2.INTER_LINEAR) for c, m in zip(cv2.split(picture), found.maps)]
-                )
+                channels = zip(cv2.split(image), area.maps)
+                half[:] = cv2.merge([cv2.remap(channel, *maps, cv2.INTER_LINEAR) for channel, maps in channels])
         return screen
 
 
-class Plain:
-    """Puts the pictures of both eyes beside each other as they are, for a viewer that undoes its lenses itself.
-
-    Args:
-        camera: rectified camera that both eyes' pictures seem to come from.
-    """
+class NoLens:
+    """Puts the unchanged eye images side by side, for a viewer that corrects its own lenses."""
 
     def __init__(self, camera: CameraModel) -> None:
         self.width, self.height = 2 * camera.width, camera.height
 
     def draw(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Returns both pictures, shape (height, 2 width, 3)."""
+        """Returns both images, shape (height, 2 width, 3)."""
         return np.hstack((left, right))
 
 
 def _eye_maps(camera: CameraModel, magnification: float, eye: int, colours: tuple[int, ...]) -> _EyeMaps:
-    """Returns the maps of the part of an eye's half in which some colour shows something of the camera's picture."""
+    """Returns the maps of that part of an eye's half in which some colour shows something of the camera image."""
     pixels = np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), axis=-1)
     found = [
         (directions(pixels, eye, colour) / magnification * (camera.K[0, 0], camera.K[1, 1]) + camera.K[:2, 2])
         for colour in colours
     ]
-    seen = np.zeros((HEIGHT, WIDTH), bool)
+    visible = np.zeros((HEIGHT, WIDTH), bool)
     for uv in found:
-        seen |= ((uv > -1.0) & (uv < (camera.width, camera.height))).all(axis=-1)
-    rows, columns = _extent(seen.any(axis=1)), _extent(seen.any(axis=0))
+        visible |= ((uv > -1.0) & (uv < (camera.width, camera.height))).all(axis=-1)
+    rows, columns = _extent(visible.any(axis=1)), _extent(visible.any(axis=0))
     maps = (uv[rows, columns].astype(np.float32) for uv in found)
     return _EyeMaps(rows, columns, tuple(cv2.convertMaps(m[..., 0], m[..., 1], cv2.CV_16SC2) for m in maps))
 
 
-def _extent(seen: np.ndarray) -> slice:
-    indices = np.flatnonzero(seen)
+def _extent(mask: np.ndarray) -> slice:
+    indices = np.flatnonzero(mask)
     return slice(int(indices[0]), int(indices[-1]) + 1) if len(indices) else slice(0, 1)

@@ -1,7 +1,7 @@
 """A camera of 32 x 24 pixels, as the package's module openni2 shows it.
 
 The file that the environment variable FAKE_CAMERA names says what it does: `present`, `absent` (not plugged in, or
-pulled out), `silent` (no pictures), `unable` (other modes only, no registration), `nameless` (no serial number),
+pulled out), `silent` (no images), `unable` (other modes only, no registration), `nameless` (no serial number),
 `unloadable` (no library).
 """
 

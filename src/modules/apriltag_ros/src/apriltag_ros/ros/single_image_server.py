@@ -1,4 +1,4 @@
-"""The node apriltag_ros_single_image_server: detects tags in a picture in a file, on demand."""
+"""The node apriltag_ros_single_image_server: detects the tags in an image file on demand."""
 
 from __future__ import annotations
 
@@ -7,35 +7,33 @@ import rospy
 from std_msgs.msg import Header
 
 from apriltag_ros.detector import TagDetector
-from apriltag_ros.drawing import drawn
-from apriltag_ros.ros import parameters
-from apriltag_ros.ros.messages import detection_array
+from apriltag_ros.finder import draw_tags
+from apriltag_ros.ros.messages import detection_array, read_parameters
 from apriltag_ros.srv import AnalyzeSingleImage, AnalyzeSingleImageResponse
 from common.ros.images import camera_model_from_info
 from common.ros.node import run
 
 
 def _answer(detector: TagDetector, request) -> AnalyzeSingleImageResponse:
-    """Raises rospy.ServiceException with a sentence where there is nothing to answer."""
+    """Returns the detections; raises rospy.ServiceException if the image cannot be read, analysed or saved."""
     source, goal = request.full_path_where_to_get_image, request.full_path_where_to_save_image
     grey = cv2.imread(source, cv2.IMREAD_GRAYSCALE)
     if grey is None:
-        raise rospy.ServiceException(f"There is no picture that can be read in {source!r}.")
+        raise rospy.ServiceException(f"Cannot read an image from {source!r}: check the path on the node's computer.")
     detector.reset()
     try:
         result = detector.detect(grey, camera_model_from_info(request.camera_info), 0.0)
-        saved = not goal or cv2.imwrite(goal, drawn(grey, result.found))
+        saved = not goal or cv2.imwrite(goal, draw_tags(grey, result.tags))
     except (ValueError, cv2.error) as error:
-        raise rospy.ServiceException(f"The picture {source!r} was not analysed: {error}.") from error
+        raise rospy.ServiceException(f"The image {source!r} was not analysed: {error}.") from error
     if not saved:
-        raise rospy.ServiceException(f"The picture could not be saved as {goal!r}.")
+        raise rospy.ServiceException(f"Cannot save the image as {goal!r}: check that the folder exists.")
     header = Header(frame_id=request.camera_info.header.frame_id, stamp=rospy.Time.now())
     return AnalyzeSingleImageResponse(detection_array(result.targets, header))
 
 
 def _run() -> None:
-    settings, targets = parameters.read()
-    detector = TagDetector(settings, targets)
+    detector = TagDetector(*read_parameters())
     rospy.Service("single_image_tag_detection", AnalyzeSingleImage, lambda request: _answer(detector, request))
     rospy.loginfo("Ready: %s.", rospy.resolve_name("single_image_tag_detection"))
     rospy.spin()

@@ -1,4 +1,4 @@
-"""Shows an old and a new place of the camera in RViz, as frames and as markers."""
+"""Shows an old and a new camera pose in RViz, as frames and as markers."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ LINE_M = 0.004
 VIEWER_WAIT_S, POLL_S = 1.0, 0.05
 
 
-class Comparison:
-    """Publishes the frames camera_calibration/old and camera_calibration/new, and a pyramid of sight for each.
+class RvizComparison:
+    """Publishes the frames camera_calibration/old and camera_calibration/new, and a view pyramid for each.
 
-    To be made when the program starts: RViz needs a moment to listen, and the program may end as soon as it has shown.
+    Create it at the start of the program: RViz needs a moment to subscribe, and the program may exit after `show`.
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class Comparison:
         self._markers = rospy.Publisher(TOPIC, MarkerArray, queue_size=1, latch=True)
 
     def show(self, old: np.ndarray | None, new: np.ndarray) -> None:
-        """Shows the poses T_base_camera, shape (4, 4) [m]; there may be no old one. Waits a moment for RViz."""
+        """Shows the poses T_base_camera, shape (4, 4) [m], with or without an old one; waits a moment for RViz."""
         deadline = time.monotonic() + VIEWER_WAIT_S
         while not self._markers.get_num_connections() and time.monotonic() < deadline:
             time.sleep(POLL_S)

@@ -1,4 +1,4 @@
-"""The folder with the calibrations of the camera's place: one dated yaml file each, never changed once written."""
+"""The folder with the calibrations of the camera pose: a dated yaml file each, never changed once written."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ PREFIX = "camera_place_"
 
 @dataclass(frozen=True)
 class StoreConfig:
-    """Where calibrations are kept, and what they belong to."""
+    """The folder of the calibrations, and the hardware that they belong to."""
 
     folder: str = path(doc="folder of the calibrations; empty: leap_rig/ in ROS's home, ~/.ros")
-    camera: str = text(doc="serial number of the camera; empty: what its driver reads from it", empty=True)
+    camera: str = text(doc="serial number of the camera; empty: the one that its driver reads", empty=True)
     robot: str = text(doc="the arm: LBR7R800 or LBR14R820")
     flange: str = text(doc="its media flange")
 
@@ -35,18 +35,17 @@ class CalibrationStore:
         self.folder = Path(config.folder) if config.folder else Path(rospkg.get_ros_home()) / "leap_rig"
 
     def newest(self) -> tuple[CalibrationRecord, Path] | None:
-        """Returns the newest calibration of this arm and camera, and its file; None if there is none.
+        """Returns the newest calibration of this arm and camera, and its file; None without one.
 
-        A file that is torn or holds something else is named in the log, and the one before it counts.
+        A damaged file is logged and skipped.
         """
         for file in sorted(self.folder.glob(f"{PREFIX}*.yaml"), reverse=True):
             try:
                 record = read(file)
             except (ConfigError, DeviceError) as error:
-                rospy.logerr("The calibration %s is left aside: %s", file, error)
+                rospy.logerr("Skipped the calibration %s: %s Delete it, or calibrate again.", file, error)
                 continue
-            mine = (self._config.robot, self._config.camera)
-            if (record.robot, record.camera) == mine:
+            if (record.robot, record.camera) == (self._config.robot, self._config.camera):
                 return record, file
             rospy.loginfo("The calibration %s is for %s and camera %s.", file, record.robot, record.camera)
         return None
@@ -64,7 +63,10 @@ class CalibrationStore:
         try:
             write_whole(file, content)
         except OSError as error:
-            raise DeviceError(f"Cannot write {file}: {error.strerror}; the calibration before stays.") from None
+            raise DeviceError(
+                f"Cannot write {file}: {error.strerror}. The previous calibration stays valid; free the disk or choose "
+                "another folder."
+            ) from None
         return file
 
 
@@ -73,12 +75,12 @@ def read(file: Path) -> CalibrationRecord:
 
     Raises:
         DeviceError: the file cannot be read.
-        ConfigError: it is torn, or holds something else.
+        ConfigError: the file is damaged, or is not a calibration.
     """
     try:
         values = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise DeviceError(f"Cannot read {file}: {error}.") from None
     except yaml.YAMLError as error:
-        raise ConfigError([f"{file} is torn or no yaml: {' '.join(str(error).split())}."]) from None
+        raise ConfigError([f"{file} is not valid yaml: {' '.join(str(error).split())}."]) from None
     return record_from_mapping(values)

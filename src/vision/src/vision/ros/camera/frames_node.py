@@ -1,4 +1,4 @@
-"""Publishes the frames of the RGB-D camera, which never move in it."""
+"""The node camera_frames: publishes the static frames of the RGB-D camera."""
 
 from __future__ import annotations
 

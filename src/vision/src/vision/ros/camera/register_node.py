@@ -1,8 +1,8 @@
-"""The node register_rgbd: depth in the colour camera's pixels and the coloured cloud.
+"""The node register_rgbd: depth in the colour camera's pixels, and a coloured point cloud.
 
-It stands in for the nodelets of image_proc and depth_image_proc, on the same topics: rgb/image_rect_color, and below
+It replaces the nodelets of image_proc and depth_image_proc on the same topics: rgb/image_rect_color, and under
 depth_registered: sw_registered/image_rect_raw (16UC1, mm), sw_registered/image_rect (32FC1, m),
-sw_registered/camera_info and points. Nothing is computed, or asked of the camera, that nobody listens to.
+sw_registered/camera_info and points. Without subscribers it computes nothing and does not subscribe to the camera.
 """
 
 from __future__ import annotations
@@ -17,16 +17,15 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.images import camera_info_message, image_message
 from common.ros.node import run
 from common.ros.params import private_config
-from vision.camera.registration import POINT, Registration, millimetres_from_metres
-from vision.node_parameters import PairsConfig
+from vision.camera.registration import POINT, PairsConfig, Registration, millimetres_from_metres
 from vision.ros.camera.rgbd_pairs import RgbdPair, RgbdPairs
 
 REGISTERED = "depth_registered/sw_registered"
 LISTENERS_PERIOD_S = 0.2
 
 
-class RegisterRgbd:
-    """Publishes what is listened to."""
+class RegisterNode:
+    """Publishes the outputs that have subscribers."""
 
     def __init__(self, config: PairsConfig) -> None:
         self._registration: Registration | None = None
@@ -42,9 +41,9 @@ class RegisterRgbd:
         Diagnostics("register_rgbd", self._diagnose)
 
     def run(self) -> None:
-        """Listens to the camera while somebody listens to the node, until ROS shuts down."""
+        """Subscribes to the camera while the node has subscribers, until ROS shuts down."""
         while not rospy.is_shutdown():
-            self._pairs.listen_if(self._wanted())
+            self._pairs.subscribe(self._wanted())
             time.sleep(LISTENERS_PERIOD_S)
 
     def _wanted(self) -> bool:
@@ -69,7 +68,7 @@ class RegisterRgbd:
         self._milliseconds = 1e3 * (time.perf_counter() - started)
 
     def _for(self, pair: RgbdPair) -> Registration:
-        """Returns what belongs to these cameras; a calibration may be replaced while the node runs."""
+        """Returns the registration of these cameras; a calibration may change while the node runs."""
         rgb, depth = pair.rgb_info, pair.depth_info
         made_for = (rgb.K, rgb.D, rgb.P, rgb.R, depth.K, depth.D, pair.T_rgb_depth.tobytes())
         if self._registration is None or made_for != self._made_for:
@@ -80,7 +79,7 @@ class RegisterRgbd:
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         values = {"pairs": self._pairs.pairs, "milliseconds": f"{self._milliseconds:.1f}"}
         if not self._wanted():
-            return DiagnosticStatus.OK, "Nobody listens.", values
+            return DiagnosticStatus.OK, "No subscribers.", values
         if self._pairs.waits_for:
             return DiagnosticStatus.WARN, f"Waits for {self._pairs.waits_for}.", values
         return DiagnosticStatus.OK, "Registers.", values
@@ -89,16 +88,12 @@ class RegisterRgbd:
 def _cloud_message(points, header) -> PointCloud2:
     """Returns the message of an array of POINT, shape (height, width)."""
     height, width = points.shape
-    # rgb is the bits of an integer in the type of a float, as point clouds in ROS have it
+    # Point clouds in ROS store rgb as an integer's bits in a float field.
     fields = [PointField(name, POINT.fields[name][1], PointField.FLOAT32, 1) for name in POINT.names]
     size = POINT.itemsize
     return PointCloud2(header, height, width, fields, False, size, width * size, points.tobytes(), False)
 
 
-def _run() -> None:
-    RegisterRgbd(private_config(PairsConfig)).run()
-
-
 def main() -> None:
     """Runs the node until ROS shuts down."""
-    run("register_rgbd", _run)
+    run("register_rgbd", lambda: RegisterNode(private_config(PairsConfig)).run())

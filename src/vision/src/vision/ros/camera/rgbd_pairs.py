@@ -1,4 +1,4 @@
-"""Colour and depth pictures of one moment, with their cameras and the place of one camera in the other."""
+"""Pairs of colour and depth images from the same time, with their cameras and the pose of one camera in the other."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from common.ros.images import camera_model_from_info, colour_from_image, depth_f
 from common.ros.node import while_running
 
 BUFFER_BYTES = 2**24
-"""Room for many pictures: rospy drops all but the newest only among those that it has read."""
+"""Room for several images: rospy drops old images only after it has read them."""
 QUEUE = 5
 THROTTLE_S = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class RgbdPair:
-    """A pair of pictures.
+    """A pair of images.
 
     Attributes:
-        header: of the colour picture.
-        colour: shape (height, width, 3), uint8, red first.
-        depth: raw, shape (height, width), float32 [m], NaN = none.
-        rgb_info, depth_info: descriptions of the cameras.
+        header: of the colour image.
+        colour: RGB, shape (height, width, 3), uint8.
+        depth: raw, shape (height, width), float32 [m], NaN where unknown.
+        rgb_info, depth_info: camera_info of both.
         T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
     """
 
@@ -45,18 +45,18 @@ class RgbdPair:
 
     @property
     def rgb(self) -> CameraModel:
-        """The colour camera; ValueError if it is not calibrated."""
+        """The colour camera; raises ValueError if it is not calibrated."""
         return camera_model_from_info(self.rgb_info)
 
     @property
     def depth_camera(self) -> CameraModel:
-        """The depth camera; ValueError if it is not calibrated."""
+        """The depth camera; raises ValueError if it is not calibrated."""
         return camera_model_from_info(self.depth_info)
 
 
-class _NearInTime(message_filters.ApproximateTimeSynchronizer):
-    """Pairs of pictures near in time. Starts anew where stamps go back, as in a recording that begins again: the later
-    ones would stay in the queue for ever and push the new ones out."""
+class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
+    """Pairs images by time. Empties its queues when stamps go back, as when a recording restarts: the later messages
+    would otherwise stay in the queue for ever and push the new ones out."""
 
     def add(self, msg, my_queue, my_queue_index=None):
         with self.lock:
@@ -67,15 +67,15 @@ class _NearInTime(message_filters.ApproximateTimeSynchronizer):
 
 
 class RgbdPairs:
-    """Listens to rgb/image_raw and depth/image_raw, and to camera_info beside each.
+    """Subscribes to rgb/image_raw and depth/image_raw, and to their camera_info.
 
     Args:
-        on_pair: takes each pair; a ValueError from it drops the pair with a sentence in the log.
-        slop: farthest apart in time that the pictures of a pair may be [s].
+        on_pair: callback for each pair; if it raises ValueError, the pair is dropped and the reason logged.
+        slop: maximum time between the images of a pair [s].
 
     Attributes:
-        pairs: that were taken.
-        waits_for: what is missing for a pair, as a noun; empty when pairs come.
+        pairs: number of processed pairs.
+        waits_for: what is missing for a pair, as a noun; empty while pairs arrive.
     """
 
     def __init__(self, on_pair: Callable[[RgbdPair], None], slop: float) -> None:
@@ -86,19 +86,19 @@ class RgbdPairs:
         self._lock = threading.Lock()
         self._subscribers: list[message_filters.Subscriber] = []
         self.pairs = 0
-        self.waits_for = "pictures"
+        self.waits_for = "images"
         for name in ("rgb", "depth"):
             rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._on_info, callback_args=name, queue_size=1)
 
-    def listen_if(self, wanted: bool) -> None:
-        """Subscribes to the pictures or lets them go: a camera takes none that nobody wants."""
+    def subscribe(self, wanted: bool) -> None:
+        """Subscribes to the images, or unsubscribes: a camera need not send images that nobody wants."""
         if wanted and not self._subscribers:
             self._subscribers = [
                 message_filters.Subscriber(f"{name}/image_raw", Image, queue_size=1, buff_size=BUFFER_BYTES)
                 for name in ("rgb", "depth")
             ]
-            pairs = _NearInTime(self._subscribers, QUEUE, self._slop)
-            pairs.registerCallback(self._on_pictures)
+            pairs = _Synchronizer(self._subscribers, QUEUE, self._slop)
+            pairs.registerCallback(self._on_images)
         elif not wanted and self._subscribers:
             for subscriber in self._subscribers:
                 subscriber.unregister()
@@ -107,19 +107,19 @@ class RgbdPairs:
     def _on_info(self, message: CameraInfo, name: str) -> None:
         self._infos[name] = message
 
-    def _on_pictures(self, rgb: Image, depth: Image) -> None:
+    def _on_images(self, rgb: Image, depth: Image) -> None:
         if not self._lock.acquire(blocking=False):
-            return  # the one before still takes its time
+            return  # the previous pair is still being processed
         try:
             with while_running():
-                self._take(rgb, depth)
+                self._process(rgb, depth)
         except ValueError as error:
-            self.waits_for = f"pictures that are of use: {error}"
-            rospy.logwarn_throttle(THROTTLE_S, f"A pair of pictures was dropped: {error}.")
+            self.waits_for = f"usable images: {error}"
+            rospy.logwarn_throttle(THROTTLE_S, f"Dropped a pair of images: {error}.")
         finally:
             self._lock.release()
 
-    def _take(self, rgb: Image, depth: Image) -> None:
+    def _process(self, rgb: Image, depth: Image) -> None:
         missing = [rospy.resolve_name(f"{name}/camera_info") for name in ("rgb", "depth") if name not in self._infos]
         if missing:
             self._wait(" and ".join(missing))
@@ -129,15 +129,9 @@ class RgbdPairs:
         except tf2_ros.TransformException:
             self._wait(f"the frame {depth.header.frame_id} in {rgb.header.frame_id}")
             return
-        pair = RgbdPair(
-            rgb.header,
-            colour_from_image(rgb),
-            depth_from_image(depth),
-            self._infos["rgb"],
-            self._infos["depth"],
-            pose_from_transform(found.transform),
-        )
-        self._on_pair(pair)
+        T_rgb_depth = pose_from_transform(found.transform)
+        infos = self._infos["rgb"], self._infos["depth"]
+        self._on_pair(RgbdPair(rgb.header, colour_from_image(rgb), depth_from_image(depth), *infos, T_rgb_depth))
         self.pairs += 1
         self.waits_for = ""
 

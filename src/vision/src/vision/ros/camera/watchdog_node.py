@@ -1,7 +1,7 @@
-"""Watches the camera: says within a second that it froze, vanished or sends garbage, and that it came back.
+"""The node camera_watchdog: reports within a second that the camera froze, vanished or sends garbage, and recovered.
 
-Stamps are taken from `rgb/camera_info` and `depth/camera_info`, which cost nothing. What the pictures show is looked at
-only while somebody else takes them, so that the watch alone keeps no camera busy.
+It subscribes to `rgb/camera_info` and `depth/camera_info`, which are small. It checks the images only while another
+node subscribes to them, so that the watchdog alone does not keep the camera busy.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import array_from_image
 from common.ros.params import private_config
-from vision.camera.stream_watch import Health, StreamWatch, WatchConfig
+from vision.camera.stream_watch import StreamHealth, StreamWatch, WatchConfig
 
 POLL_S = 0.1
 LISTENERS_PERIOD_S = 1.0
@@ -28,29 +28,21 @@ LEVELS = {"waiting": DiagnosticStatus.WARN, "slow": DiagnosticStatus.WARN, "aliv
 
 
 class WatchedStream:
-    """One camera's topics and the watch over them.
-
-    Args:
-        name: rgb or depth.
-        config: limits.
-
-    Attributes:
-        garbled: pictures that nobody can work with.
-    """
+    """The topics of one camera, rgb or depth, and their watch; `garbled` counts the unusable images."""
 
     def __init__(self, name: str, config: WatchConfig) -> None:
-        self._name, self._looks_inside = name, config.pictures
+        self._name, self._checks_content = name, config.pictures
         self._watch = StreamWatch(STREAMS[name], config)
         self._lock = threading.Lock()
-        self._pictures: rospy.Subscriber | None = None
-        self._said = "waiting"
+        self._images: rospy.Subscriber | None = None
+        self._reported = "waiting"
         self._size: tuple[int, int] | None = None
         self.garbled = 0
         self.topic = rospy.resolve_name(f"{name}/image_raw")
-        rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._take_info, queue_size=1)
+        rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._on_info, queue_size=1)
 
-    def health(self) -> tuple[Health, float]:
-        """Returns the present state and the pictures per second [Hz]."""
+    def health(self) -> tuple[StreamHealth, float]:
+        """Returns the present state and the images per second [Hz]."""
         with self._lock:
             now = time.monotonic()
             return self._watch.health(now), self._watch.rate(now)
@@ -58,42 +50,42 @@ class WatchedStream:
     def report(self) -> bool:
         """Logs a change of state; returns whether there was one."""
         health, _ = self.health()
-        if health.state == self._said:
+        if health.state == self._reported:
             return False
-        self._said = health.state
+        self._reported = health.state
         (rospy.loginfo if health.usable else rospy.logwarn)("%s", health.sentence)
         return True
 
-    def look_if(self, wanted: bool) -> None:
-        """Takes the pictures while somebody else does."""
-        if wanted and self._looks_inside and self._pictures is None:
-            self._pictures = rospy.Subscriber(self.topic, Image, self._take_picture, queue_size=1, buff_size=2**22)
-        elif not wanted and self._pictures is not None:
-            self._pictures.unregister()
-            self._pictures = None
+    def subscribe(self, wanted: bool) -> None:
+        """Subscribes to the images while another node does."""
+        if wanted and self._checks_content and self._images is None:
+            self._images = rospy.Subscriber(self.topic, Image, self._on_image, queue_size=1, buff_size=2**22)
+        elif not wanted and self._images is not None:
+            self._images.unregister()
+            self._images = None
             with self._lock:
-                self._watch.look_away()
+                self._watch.forget_content()
 
-    def _take_info(self, message: CameraInfo) -> None:
+    def _on_info(self, message: CameraInfo) -> None:
         with self._lock:
             self._size = message.height, message.width
-            self._watch.arrived(message.header.stamp.to_sec(), time.monotonic())
+            self._watch.add_stamp(message.header.stamp.to_sec(), time.monotonic())
 
-    def _take_picture(self, message: Image) -> None:
+    def _on_image(self, message: Image) -> None:
         try:
-            picture = array_from_image(message)
-            if self._size not in (None, picture.shape[:2]):
-                raise ValueError(f"a picture of {message.width} x {message.height} is not of the size in camera_info")
+            image = array_from_image(message)
+            if self._size not in (None, image.shape[:2]):
+                raise ValueError(f"an image of {message.width} x {message.height} has not the size in camera_info")
         except ValueError as error:
             with self._lock:
                 self.garbled += 1
-                self._watch.looked_in_vain(str(error), time.monotonic())
+                self._watch.add_garbled(str(error), time.monotonic())
             return
-        filled = np.count_nonzero(picture) / picture.size if self._name == "depth" else 1.0
+        filled = np.count_nonzero(image) / image.size if self._name == "depth" else 1.0
         digest = zlib.crc32(message.data)
         with self._lock:
-            if self._pictures is not None:
-                self._watch.looked(digest, time.monotonic(), filled)
+            if self._images is not None:
+                self._watch.add_content(digest, time.monotonic(), filled)
 
 
 class CameraWatchdog:
@@ -109,9 +101,9 @@ class CameraWatchdog:
         while not rospy.is_shutdown():
             if time.monotonic() >= next_count:
                 next_count = time.monotonic() + LISTENERS_PERIOD_S
-                taken = _topics_that_others_take()
+                subscribed = _topics_of_other_subscribers()
                 for stream in self._streams.values():
-                    stream.look_if(taken(stream.topic))
+                    stream.subscribe(subscribed(stream.topic))
             if any([stream.report() for stream in self._streams.values()]):
                 self._diagnostics.publish()
             time.sleep(POLL_S)
@@ -127,8 +119,8 @@ class CameraWatchdog:
         return level, " ".join(sentences), values
 
 
-def _topics_that_others_take() -> Callable[[str], bool]:
-    """Returns a function that says whether some other node subscribes to a topic; nobody does if the master is gone."""
+def _topics_of_other_subscribers() -> Callable[[str], bool]:
+    """Returns a function that says whether another node subscribes to a topic; none does if the master is gone."""
     try:
         _, subscribers, _ = rospy.get_master().getSystemState()[2]
     except OSError:

@@ -1,4 +1,4 @@
-"""The Xtion Pro Live as a node, with the topics of openni2_camera (`common.ros.rgbd_topics`)."""
+"""The driver node of the Xtion Pro Live, with the topics of openni2_camera (`common.ros.rgbd_topics`)."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ from common.ros.images import metres_from_millimetres
 from common.ros.params import private_config, private_values
 from common.ros.rgbd_topics import RgbdTopics
 from vision.camera.frames import CameraFramesConfig, depth_in_rgb
-from vision.camera.openni_camera import Frame, OpenniCamera, XtionConfig
+from vision.camera.openni_camera import OpenniCamera, OpenniFrame, XtionConfig
 from vision.camera.registration import Registration, millimetres_from_metres
 
 CALIBRATIONS = ("rgb_calibration", "depth_calibration")
 FRAMES = "frames"
 SERIAL = "serial"
-"""Private parameter that the node writes: the device's serial number, for whoever keeps something about this camera."""
+"""Private parameter that the node writes: the serial number of the device, for nodes that store its calibration."""
 
 TIMEOUT_S = 0.5
 SILENCE_S = 2.0
-"""After so long without a picture the camera is opened anew."""
+"""After this time without an image the camera is reopened."""
 RETRY_PERIOD_S = 2.0
 
 
-class Xtion:
-    """Publishes what the camera sends; opens it again when it was lost.
+class XtionNode:
+    """Publishes the camera's images; reopens the camera when it was lost.
 
     Args:
-        config: of the device.
         rgb, depth: intrinsics of the two cameras.
         T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
 
@@ -48,8 +47,8 @@ class Xtion:
         self._camera = OpenniCamera(config, rgb, depth)
         self._topics = RgbdTopics(rgb, depth)
         self._offset = rospy.Duration.from_sec(config.time_offset)
-        self._trouble = "The camera is not open yet."
-        self._pictures = self._losses = 0
+        self._fault = "The camera is not open yet."
+        self._images = self._losses = 0
 
     def run(self) -> None:
         """Publishes until ROS shuts down.
@@ -64,16 +63,16 @@ class Xtion:
                 try:
                     self._publish_until_lost()
                 except DeviceError as error:
-                    self._lost(error)
+                    self._reconnect(error)
         finally:
             self._camera.disconnect()
 
     def _connect(self) -> None:
         name = self._camera.connect()
-        self._trouble = ""
+        self._fault = ""
         serial = self._camera.serial()
         rospy.set_param(rospy.resolve_name(f"~{SERIAL}"), serial)
-        rospy.loginfo("The camera %s, serial number %s, sends pictures.", name, serial or "unknown")
+        rospy.loginfo("The camera %s, serial number %s, sends images.", name, serial or "unknown")
 
     def _publish_until_lost(self) -> None:
         last = time.monotonic()
@@ -83,47 +82,46 @@ class Xtion:
                 last = time.monotonic()
                 self._publish(frame)
             elif time.monotonic() - last > SILENCE_S:
-                raise DeviceError(f"The camera has sent nothing for {SILENCE_S:g} s.")
+                raise DeviceError(f"The camera has sent nothing for {SILENCE_S:g} s; it is reopened.")
 
-    def _lost(self, error: DeviceError) -> None:
-        """Waits until the camera is there again."""
+    def _reconnect(self, error: DeviceError) -> None:
         self._losses += 1
         rospy.logerr("%s", error)
-        self._trouble = str(error)
+        self._fault = str(error)
         while not rospy.is_shutdown():
             try:
                 return self._connect()
             except DeviceError as again:
-                self._trouble = str(again)
+                self._fault = str(again)
                 rospy.rostime.wallsleep(RETRY_PERIOD_S)
 
-    def _publish(self, frame: Frame) -> None:
+    def _publish(self, frame: OpenniFrame) -> None:
         stamp = rospy.Time.now() + self._offset
         if frame.name == "rgb":
-            self._publish_as("rgb", lambda: frame.picture, stamp)
+            self._publish_on("rgb", lambda: frame.image, stamp)
         elif self._config.depth_registration:
-            self._publish_as("depth_registered", lambda: frame.picture, stamp)
+            self._publish_on("depth_registered", lambda: frame.image, stamp)
         else:
-            self._publish_as("depth", lambda: frame.picture, stamp)
-            self._publish_as("depth_registered", lambda: self._registered(frame.picture), stamp)
-        self._pictures += 1
+            self._publish_on("depth", lambda: frame.image, stamp)
+            self._publish_on("depth_registered", lambda: self._registered(frame.image), stamp)
+        self._images += 1
 
-    def _publish_as(self, name: str, picture: Callable[[], np.ndarray], stamp: rospy.Time) -> None:
-        """Publishes a picture, which is made only if somebody wants it."""
+    def _publish_on(self, name: str, image: Callable[[], np.ndarray], stamp: rospy.Time) -> None:
+        """Publishes an image, which is made only if the topic has subscribers."""
         if self._topics.wanted(name):
-            self._topics.publish(name, picture(), stamp)
+            self._topics.publish(name, image(), stamp)
         self._topics.publish_info(name, stamp)
 
     def _registered(self, depth: np.ndarray) -> np.ndarray:
-        """Returns depth in the pixels of the raw colour picture, as the device itself could give it instead."""
-        registration = self._registration
-        return millimetres_from_metres(registration.as_taken(registration.register(metres_from_millimetres(depth))))
+        """Returns depth in the pixels of the raw colour image, as the device's own registration does."""
+        registered = self._registration.register(metres_from_millimetres(depth))
+        return millimetres_from_metres(self._registration.unrectified(registered))
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
-        values = {"pictures": self._pictures, "losses": self._losses}
-        if self._trouble:
-            return DiagnosticStatus.ERROR, self._trouble, values
-        return DiagnosticStatus.OK, "Pictures come.", values
+        values = {"pictures": self._images, "losses": self._losses}
+        if self._fault:
+            return DiagnosticStatus.ERROR, self._fault, values
+        return DiagnosticStatus.OK, "Images arrive.", values
 
 
 def main() -> None:
@@ -131,4 +129,4 @@ def main() -> None:
     config = private_config(XtionConfig, others=(*CALIBRATIONS, FRAMES, SERIAL))
     rgb, depth = (from_calibration(private_values().get(name, {})) for name in CALIBRATIONS)
     frames = private_config(CameraFramesConfig, FRAMES)
-    Xtion(config, rgb, depth, depth_in_rgb(frames)).run()
+    XtionNode(config, rgb, depth, depth_in_rgb(frames)).run()

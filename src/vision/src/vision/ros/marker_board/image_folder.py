@@ -1,10 +1,12 @@
-"""A folder with pictures of the panel and the truth, as `rosrun rig_simulation panel_pictures.py` fills it."""
+"""A folder with images of the marker board and the truth, written by `rosrun rig_simulation panel_pictures.py`."""
 
 from __future__ import annotations
 
 import json
 import subprocess
+import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +16,7 @@ import rospkg
 import yaml
 
 from apriltag_ros.settings import TAG_KEYS, targets
-from apriltag_ros.target import Target
+from apriltag_ros.target import TagTarget
 from common.camera_model import CameraModel, from_calibration
 from common.errors import DeviceError
 from common.poses import check_pose
@@ -23,28 +25,27 @@ from common.ros.images import metres_from_millimetres
 INDEX = "pictures.json"
 TAGS = {"bundle": "tags.yaml", "single": "tags_single.yaml"}
 TIMEOUT_S = 1800.0
-"""The taking of the pictures ends within this."""
+"""Maximum time for rendering the images."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """A colour and a depth picture of the panel with the truth."""
+class BoardImagePair:
+    """A colour and a depth image of the marker board with the truth."""
 
     grey: np.ndarray
     depth: np.ndarray
     distance: float
     tilt: float
-    T_rgb_panel: np.ndarray
+    T_rgb_board: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Pictures:
-    """A folder of pictures.
+class BoardImageSet:
+    """A folder of images.
 
     Attributes:
-        folder: where they are.
-        entries: what each shows.
-        plate: edge of the panel [m].
+        entries: the description of each pair.
+        plate: edge of the marker board [m].
         rgb, depth: the cameras.
         T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
     """
@@ -56,30 +57,35 @@ class Pictures:
     depth: CameraModel
     T_rgb_depth: np.ndarray
 
-    def pairs(self) -> Iterator[Pair]:
+    def pairs(self) -> Iterator[BoardImagePair]:
         """Reads one pair after the other.
 
         Raises:
-            DeviceError: a file is missing or no picture.
+            DeviceError: a file is missing, or is not an image.
         """
         for entry in self.entries:
             grey = cv2.imread(str(self.folder / entry["colour"]), cv2.IMREAD_GRAYSCALE)
             depth = cv2.imread(str(self.folder / entry["depth"]), cv2.IMREAD_UNCHANGED)
             if grey is None or depth is None or depth.dtype != np.uint16:
-                raise DeviceError(f"{entry['colour']} and {entry['depth']} in {self.folder} are no pair of pictures.")
+                raise DeviceError(
+                    f"{entry['colour']} and {entry['depth']} in {self.folder} are not a colour and a depth image: "
+                    "render the folder again."
+                )
             T = check_pose(entry["T_rgb_panel"])
-            yield Pair(grey, metres_from_millimetres(depth), float(entry["distance"]), float(entry["tilt"]), T)
+            yield BoardImagePair(
+                grey, metres_from_millimetres(depth), float(entry["distance"]), float(entry["tilt"]), T
+            )
 
 
-def read_pictures(folder: Path) -> Pictures:
-    """Returns what a folder holds.
+def read_images(folder: Path) -> BoardImageSet:
+    """Returns the content of a folder.
 
     Raises:
-        DeviceError: it holds no pictures.
+        DeviceError: its index is missing or incomplete.
     """
     try:
         index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        return Pictures(
+        return BoardImageSet(
             folder,
             list(index["pictures"]),
             float(max(index["panel"]["size"])),
@@ -89,46 +95,54 @@ def read_pictures(folder: Path) -> Pictures:
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DeviceError(
-            f"{folder / INDEX} does not say what pictures show: {type(error).__name__}: {error}."
+            f"{folder / INDEX} does not describe images: {type(error).__name__}: {error}. Fill the folder with rosrun "
+            "rig_simulation panel_pictures.py."
         ) from None
 
 
-def take_pictures(folder: Path, panel: str, *options: str) -> None:
-    """Lets the simulation fill a folder.
+def render_images(folder: Path, board: str, *options: str) -> None:
+    """Lets the simulation fill a folder with images of a board, bundle or single.
 
     Args:
-        panel: bundle or single.
-        options: more of panel_pictures.py.
+        options: further options of panel_pictures.py.
 
     Raises:
-        DeviceError: it takes none.
+        DeviceError: the simulation failed.
     """
-    command = ["rosrun", "rig_simulation", "panel_pictures.py", str(folder), "--panel", panel]
+    command = ["rosrun", "rig_simulation", "panel_pictures.py", str(folder), "--panel", board]
     command += ["--rgb", str(config_file("xtion_rgb.yaml")), "--depth", str(config_file("xtion_depth.yaml")), *options]
     try:
         code = subprocess.run(command, timeout=TIMEOUT_S, check=False).returncode
     except FileNotFoundError:
-        raise DeviceError("There is no rosrun: source devel/setup.bash, or say where pictures are.") from None
+        raise DeviceError("rosrun is not installed: source devel/setup.bash, or give a folder of images.") from None
     except subprocess.TimeoutExpired:
-        raise DeviceError(f"The pictures were not taken within {TIMEOUT_S:g} s.") from None
+        raise DeviceError(f"Rendering took longer than {TIMEOUT_S:g} s and was stopped: try fewer images.") from None
     if code != 0:
-        raise DeviceError(f"The pictures were not taken: {' '.join(command[:3])} ended with exit code {code}.")
+        raise DeviceError(f"No images: {' '.join(command[:3])} exited with code {code}; see its message above.")
 
 
-def panel_target(panel: str) -> Target:
-    """Returns the tags of the panel, bundle or single."""
-    (target,) = targets({key: config(TAGS[panel]).get(key) for key in TAG_KEYS})
+@contextmanager
+def rendered_images(board: str, *options: str) -> Iterator[Path]:
+    """Yields a temporary folder with rendered images; arguments and errors are those of `render_images`."""
+    with tempfile.TemporaryDirectory(prefix="board_images") as folder:
+        render_images(Path(folder), board, *options)
+        yield Path(folder)
+
+
+def board_target(board: str) -> TagTarget:
+    """Returns the tags of a board, bundle or single."""
+    (target,) = targets({key: read_config(TAGS[board]).get(key) for key in TAG_KEYS})
     return target
 
 
-def config(name: str) -> dict:
-    """Returns a yaml file of this package."""
+def read_config(name: str) -> dict:
+    """Returns the content of a yaml file of this package."""
     return yaml.safe_load(config_file(name).read_text(encoding="utf-8"))
 
 
 def config_file(name: str) -> Path:
-    """Raises DeviceError where ROS does not know this package."""
+    """Returns the path of a file in config/; raises DeviceError if ROS does not find this package."""
     try:
         return Path(rospkg.RosPack().get_path("vision")) / "config" / name
     except rospkg.ResourceNotFound:
-        raise DeviceError("ROS does not know the package vision: source devel/setup.bash.") from None
+        raise DeviceError("ROS does not find the package vision: source devel/setup.bash.") from None

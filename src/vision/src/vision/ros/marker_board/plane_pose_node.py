@@ -1,8 +1,8 @@
-"""The node plane_pose: the marker panel's pose with depth, in the topics and frames that apriltag_ros uses.
+"""The node plane_pose: publishes the marker board's pose with depth, in the topics and frames of apriltag_ros.
 
-In: rgb/image_raw, depth/image_raw and camera_info beside each. Out: tag_detections_fused (colour and depth by their
-covariances) and tag_detections_plane (tilt and range from depth alone), AprilTagDetectionArray, empty where there is no
-such pose; in tf the frames <panel>/fused and <panel>/plane. The colour-only pose beside them is the detector's own.
+In: rgb/image_raw, depth/image_raw and camera_info of each. Out: tag_detections_fused (colour and depth by their
+covariances) and tag_detections_plane (tilt and range by depth alone), AprilTagDetectionArray, empty without such a
+pose; in tf the frames <board>/fused and <board>/plane. The detector node publishes the colour-only pose.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from apriltag_ros.detector import Detection
+from apriltag_ros.detector import TargetDetection
 from apriltag_ros.msg import AprilTagDetectionArray
 from apriltag_ros.ros.messages import detection_array
-from apriltag_ros.settings import TAG_KEYS, detector_settings, targets
-from apriltag_ros.target import Target
+from apriltag_ros.settings import detector_settings
 from common.errors import ConfigError
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run
 from common.ros.params import private_config, private_values
 from common.rotations import rotation_angle
-from vision.marker_board.board import PanelConfig
+from vision.camera.registration import PairsConfig
+from vision.marker_board.board import MarkerBoardConfig
 from vision.marker_board.plane_fit import PlanePoseConfig
-from vision.marker_board.rgbd_detector import DepthDetection, DepthTagDetector
-from vision.node_parameters import PairsConfig
+from vision.marker_board.rgbd_detector import RgbdDetection, RgbdDetector
 from vision.ros.camera.rgbd_pairs import RgbdPair, RgbdPairs
+from vision.ros.marker_board.detections import board_target
 
 METHODS = ("plane", "fused")
 SECTIONS = ("detector", "panel", "plane_pose")
@@ -38,27 +38,26 @@ THROTTLE_S = 5.0
 
 
 class PlanePoseNode:
-    """Publishes the panel's poses for every pair of pictures.
+    """Publishes the marker board's poses for every pair of images.
 
     Args:
-        detector: looks for the panel.
-        frame: of the panel in tf.
-        publish_tf: whether the poses go to tf.
-        slop: of a pair of pictures [s].
+        frame: frame of the marker board in tf.
+        publish_tf: whether to publish the poses in tf.
+        slop: maximum time between the images of a pair [s].
     """
 
-    def __init__(self, detector: DepthTagDetector, frame: str, publish_tf: bool, slop: float) -> None:
+    def __init__(self, detector: RgbdDetector, frame: str, publish_tf: bool, slop: float) -> None:
         self._detector, self._frame, self._publish_tf = detector, frame, publish_tf
         self._fused = self._refused = 0
         self._values: dict[str, str] = {}
-        self._reason = "the panel was not seen yet"
+        self._reason = "the marker board has not been detected yet"
         self._publishers = {
             name: rospy.Publisher(f"tag_detections_{name}", AprilTagDetectionArray, queue_size=1, tcp_nodelay=True)
             for name in METHODS
         }
         self._broadcaster = tf2_ros.TransformBroadcaster()
         self._pairs = RgbdPairs(self._on_pair, slop)
-        self._pairs.listen_if(True)
+        self._pairs.subscribe(True)
         Diagnostics("plane_pose", self._diagnose)
 
     def _on_pair(self, pair: RgbdPair) -> None:
@@ -72,12 +71,12 @@ class PlanePoseNode:
             if self._publish_tf and detections:
                 T, child = detections[0].pose.T_camera_tag, f"{self._frame}/{name}"
                 self._broadcaster.sendTransform(stamped_transform(T, pair.header.frame_id, child, pair.header.stamp))
-        self._tell(found)
+        self._report(found)
 
-    def _tell(self, found: DepthDetection | None) -> None:
-        """Counts, and logs why a panel that is seen has no fused pose."""
+    def _report(self, found: RgbdDetection | None) -> None:
+        """Counts, and logs why a detected marker board has no fused pose."""
         if found is None:
-            self._reason = "no tag of the panel is seen"
+            self._reason = "no tag of the marker board is visible"
             return
         self._reason = found.depth.reason
         if found.depth.fused is None:
@@ -85,7 +84,7 @@ class PlanePoseNode:
             rospy.logwarn_throttle(THROTTLE_S, f"No pose with depth: {self._reason}.")
             return
         self._fused += 1
-        colour, fused = found.depth.colour.T_camera_panel, found.depth.fused.T_camera_panel
+        colour, fused = found.depth.colour.T_camera_board, found.depth.fused.T_camera_board
         self._values = {
             "colour_to_fused_mm": f"{1e3 * np.linalg.norm(colour[:3, 3] - fused[:3, 3]):.2f}",
             "colour_to_fused_deg": f"{np.degrees(rotation_angle(colour[:3, :3].T @ fused[:3, :3])):.3f}",
@@ -100,42 +99,32 @@ class PlanePoseNode:
             return DiagnosticStatus.WARN, f"waits for {self._pairs.waits_for}", values
         if self._reason:
             return DiagnosticStatus.WARN, self._reason, values
-        return DiagnosticStatus.OK, "the panel is seen with depth", values
+        return DiagnosticStatus.OK, "the marker board has a pose with depth", values
 
 
-def _detections(found: DepthDetection | None, name: str) -> tuple[Detection, ...]:
-    """Returns the detector's record with the pose of that name instead of its own; empty where there is none."""
+def _detections(found: RgbdDetection | None, name: str) -> tuple[TargetDetection, ...]:
+    """Returns the detection with the pose of that name instead of its own; empty if there is none."""
     estimate = None if found is None else getattr(found.depth, name)
     if estimate is None:
         return ()
-    pose = replace(found.colour.pose, T_camera_tag=estimate.T_camera_panel, covariance=estimate.covariance)
+    pose = replace(found.colour.pose, T_camera_tag=estimate.T_camera_board, covariance=estimate.covariance)
     return (replace(found.colour, pose=pose),)
-
-
-def _panel_target(section: dict, frame: str) -> Target:
-    """Raises ConfigError if the detector's section names no such panel."""
-    known = targets({key: section.get(key) for key in TAG_KEYS})
-    for target in known:
-        if target.name == frame:
-            return target
-    raise ConfigError([f"~detector looks for {', '.join(t.name for t in known)}, but not for the panel {frame}."])
 
 
 def _run() -> None:
     cv2.setNumThreads(1)
     config = private_config(PairsConfig, others=SECTIONS)
-    panel = private_config(PanelConfig, "panel")
+    board = private_config(MarkerBoardConfig, "panel")
     poses = private_config(PlanePoseConfig, "plane_pose")
-    detector_values = private_values().get("detector", {})
-    raw = {**detector_values, "rectified": False}  # it looks at image_raw
-    settings = detector_settings(raw, prefix="~detector/")
-    target = _panel_target(detector_values, panel.frame)
+    values = private_values().get("detector", {})
+    settings = detector_settings({**values, "rectified": False}, prefix="~detector/")  # the images are raw
+    target = board_target(values, "~detector", board.frame)
     rospy.loginfo("%s; %s", settings, poses)
     try:
-        detector = DepthTagDetector(settings, target, panel.plate, poses)
+        detector = RgbdDetector(settings, target, board.plate, poses)
     except ValueError as error:
         raise ConfigError([f"{str(error)[0].upper()}{str(error)[1:]}."]) from None
-    PlanePoseNode(detector, panel.frame, settings.publish_tf, config.slop)
+    PlanePoseNode(detector, board.frame, settings.publish_tf, config.slop)
     rospy.spin()
 
 

@@ -1,42 +1,185 @@
-"""The node stereo_web: serves the view for headsets and phones as a page; asks the camera only while one looks."""
+"""The node stereo_web: serves the headset view as a page for headsets and phones, with its images on the same port.
+
+The page requests an image by a message on a WebSocket at /pictures, and the next one once it has shown it, so that no
+image waits in a queue. Each answer is one text message, {"picture": true, "tangents": [left, right, up, down],
+"deep": ...}, and then the JPEG with both eyes side by side; or {"picture": false} if no new image arrived for a while.
+The node subscribes to the camera only while a page is open.
+"""
 
 from __future__ import annotations
+
+import json
+import logging
+import pathlib
+import ssl
+import threading
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import rospy
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.sync.server import ServerConnection, serve
 
+from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run
 from common.ros.params import private_config
-from vision.node_parameters import WebConfig
-from vision.ros.stereo.eye_images import Seen, StereoPictures
-from vision.ros.stereo.web import Frame, StereoWeb
-from vision.stereo.config import StereoViewConfig
+from vision.ros.stereo.eye_images import ShownView, StereoImageSource
+from vision.stereo.config import StereoViewConfig, WebConfig
 
 REFRESH_S = 0.2
+SILENCE_S = 0.5
+"""The page is notified after this time without a new image."""
+REQUEST_S = 10.0
+"""A page without a request for this time is gone."""
+CLOSE_S = 1.0
+MAX_PAGES = 4
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+@dataclass(frozen=True)
+class StereoFrame:
+    """An image for the page.
+
+    Attributes:
+        jpeg: both eyes side by side.
+        tangents: tan(angle) of the edges of each eye image, to the left, right, up and down.
+        deep: whether the eye images differ by depth.
+    """
+
+    jpeg: bytes
+    tangents: tuple[float, float, float, float]
+    deep: bool
+
+
+class StereoWeb:
+    """A server in threads of its own; `address` is that of the page.
+
+    Raises:
+        DeviceError: the page, the certificate or the port is not available.
+    """
+
+    def __init__(self, config: WebConfig) -> None:
+        self._frame: StereoFrame | None = None
+        self._number = 0
+        self._pages: set[ServerConnection] = set()
+        self._change = threading.Condition()
+        self._local = config.host in LOOPBACK
+        logging.getLogger("websockets").setLevel(logging.CRITICAL)
+        try:
+            self._page = pathlib.Path(config.page).read_bytes()
+            tls = None
+            if config.certificate:
+                tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+                tls.load_cert_chain(config.certificate, config.key)
+            self._server = serve(
+                self._converse,
+                config.host,
+                config.port,
+                process_request=self._answer,
+                ssl=tls,
+                compression=None,
+                close_timeout=CLOSE_S,
+            )
+        except (OSError, OverflowError) as error:
+            raise DeviceError(
+                f"Cannot serve the page on {config.host}:{config.port}: {error}. Check page and certificate, or choose "
+                "another port."
+            ) from error
+        port = self._server.socket.getsockname()[1]
+        self._scheme = "https" if tls else "http"
+        self.address = f"{self._scheme}://{config.host}:{port}/"
+        threading.Thread(target=self._server.serve_forever, name="web", daemon=True).start()
+
+    @property
+    def watched(self) -> bool:
+        """Whether a page is open."""
+        return bool(self._pages)
+
+    def put(self, frame: StereoFrame) -> None:
+        """Sends an image to every page that has shown the previous one."""
+        with self._change:
+            self._frame = frame
+            self._number += 1
+            self._change.notify_all()
+
+    def close(self) -> None:
+        """Stops the server and closes the pages' connections."""
+        self._server.shutdown()
+        with self._change:
+            pages = list(self._pages)
+        for connection in pages:
+            connection.close(1001)
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answers requests without a WebSocket, and refuses the pages of other sites."""
+        host = request.headers.get("Host", "")
+        if self._local and host.rpartition(":")[0].strip("[]") not in LOOPBACK:
+            return connection.respond(403, "This page is for this computer only.\n")
+        if request.path.partition("?")[0] == "/":
+            headers = Headers([("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(self._page)))])
+            headers["Connection"] = "close"
+            headers["Cache-Control"] = "no-store"
+            return Response(200, "OK", headers, self._page)
+        if request.path != "/pictures":
+            return connection.respond(404, "Not found.\n")
+        if request.headers.get("Origin", f"{self._scheme}://{host}") != f"{self._scheme}://{host}":
+            return connection.respond(403, "These images are for their own page only.\n")
+        return None
+
+    def _converse(self, connection: ServerConnection) -> None:
+        with self._change:
+            if len(self._pages) >= MAX_PAGES:
+                connection.close(1013, f"{MAX_PAGES} pages are open already")
+                return
+            self._pages.add(connection)
+        shown = self._number
+        try:
+            while True:
+                connection.recv(timeout=REQUEST_S)
+                number, frame = self._after(shown)
+                if number == shown:
+                    connection.send(json.dumps({"picture": False}))
+                    continue
+                shown = number
+                connection.send(json.dumps({"picture": True, "tangents": frame.tangents, "deep": frame.deep}))
+                connection.send(frame.jpeg)
+        except (ConnectionClosed, TimeoutError):
+            pass
+        finally:
+            with self._change:
+                self._pages.remove(connection)
+
+    def _after(self, number: int) -> tuple[int, StereoFrame | None]:
+        """Returns the newest image and its number, which is the given one if none arrived for SILENCE_S."""
+        with self._change:
+            self._change.wait_for(lambda: self._number > number, SILENCE_S)
+            return self._number, self._frame
 
 
 def _run() -> None:
     config = private_config(StereoViewConfig, "view")
     web = StereoWeb(private_config(WebConfig, "web"))
     rospy.loginfo("The view is at %s", web.address)
-    pictures = StereoPictures(config)
-    Diagnostics("stereo_web", pictures.diagnose)
+    images = StereoImageSource(config)
+    Diagnostics("stereo_web", images.diagnose)
     try:
         while not rospy.is_shutdown():
-            pictures.listen_if(web.watched)
-            seen = pictures.wait(REFRESH_S)
-            if seen is not None and seen.new and web.watched:
-                web.put(_frame(seen, config.jpeg_quality))
+            images.subscribe(web.watched)
+            shown = images.wait(REFRESH_S)
+            if shown is not None and shown.new and web.watched:
+                web.put(_frame(shown, config.jpeg_quality))
     finally:
         web.close()
 
 
-def _frame(seen: Seen, quality: int) -> Frame:
-    picture = np.hstack((seen.eyes.left, seen.eyes.right))
-    _, jpeg = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return Frame(jpeg.tobytes(), seen.view.tangents, seen.eyes.deep)
+def _frame(shown: ShownView, quality: int) -> StereoFrame:
+    image = np.hstack((shown.eyes.left, shown.eyes.right))
+    _, jpeg = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return StereoFrame(jpeg.tobytes(), shown.view.tangents, shown.eyes.deep)
 
 
 def main() -> None:

@@ -1,4 +1,5 @@
-"""A camera, a detector and an arm's controller of a few lines, for tests of the nodes: the panel is seen where it is.
+"""A camera, a detector and an arm's controller of a few lines, for tests of the nodes: the marker board is seen where
+it is.
 
 The flange's pose comes from the test; the camera stands at a known place.
 """
@@ -14,12 +15,12 @@ import yaml
 
 from common.config import parse
 from common.poses import inverse, pose
-from vision.marker_board.board import PanelConfig
+from vision.marker_board.board import MarkerBoardConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 OPTICAL, DETECTOR = "camera_rgb_optical_frame", "apriltag_ros_continuous_node"
 T_LINK_OPTICAL = pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], (0.0, -0.045, 0.0))
-T_FLANGE_PANEL = parse(PanelConfig, yaml.safe_load((CONFIG / "panel.yaml").read_text())).T_flange_tag
+T_FLANGE_BOARD = parse(MarkerBoardConfig, yaml.safe_load((CONFIG / "panel.yaml").read_text())).T_flange_tag
 SD = np.array([3e-4, 3e-4, 6e-4, 1.5e-3, 1.5e-3, 5e-4])
 
 
@@ -34,16 +35,16 @@ def parameters(folder, **views):
 FILES = {"panel": "panel.yaml", "limits": "camera_calibration.yaml", "views": "calibration_views.yaml"}
 
 
-class PanelScene:
+class BoardScene:
     """Publishes camera_info, tag_detections and tf, twenty times a second.
 
     Args:
-        T_base_camera, T_flange_panel: the truth, shape (4, 4) [m].
+        T_base_camera, T_flange_board: the truth, shape (4, 4) [m].
         flange: returns T_base_flange, shape (4, 4), or None while nobody measures it.
         measured: whether the flange is published in tf.
     """
 
-    def __init__(self, T_base_camera, T_flange_panel, flange, measured=True):
+    def __init__(self, T_base_camera, T_flange_board, flange, measured=True):
         import rospy
         import tf2_ros
         from sensor_msgs.msg import CameraInfo
@@ -52,9 +53,9 @@ class PanelScene:
         from common.camera_model import pinhole
         from common.ros.conversions import stamped_transform
 
-        self.T_base_camera, self.T_flange_panel, self.flange, self.measured = (
+        self.T_base_camera, self.T_flange_board, self.flange, self.measured = (
             T_base_camera,
-            T_flange_panel,
+            T_flange_board,
             flange,
             measured,
         )
@@ -105,7 +106,7 @@ class PanelScene:
         from apriltag_ros.msg import AprilTagDetection
         from common.rotations import quaternion_from_rotation
 
-        T = inverse(self.T_base_camera) @ T_base_flange @ self.T_flange_panel
+        T = inverse(self.T_base_camera) @ T_base_flange @ self.T_flange_board
         noise = self._rng.normal(0.0, self.noise)
         T = pose(pin.exp3(noise[3:]) @ T[:3, :3], T[:3, 3] + noise[:3])
         stamped = PoseWithCovarianceStamped(header=header)

@@ -1,44 +1,48 @@
-"""Drawings of tags as the camera would show them, to be compared with its picture.
+"""Renders tags as the camera would see them, for comparison with its image.
 
-Every pixel is the mean of samples, each of which looks through the lens at the plane of the tag; the whole is blurred
-in the picture's plane. The derivatives by the pose follow from the drawing's own slopes: what a change of the pose does
-is to move each point of the tag in the picture.
+A pixel is the mean of samples, each a ray through the lens to the plane of the tag; the result is blurred in the image
+plane. The derivatives by the pose follow from the gradient of the rendered image: a change of the pose moves each point
+of the tag in the image.
 """
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
+from functools import lru_cache
 
+import apriltag
 import cv2
 import numpy as np
 
+from apriltag_ros.settings import FAMILIES
 from apriltag_ros.tag_pose import corner_jacobian
-from apriltag_ros.target import TagPlace
+from apriltag_ros.target import TargetTag
 from common.camera_model import CameraModel
 
 RING = 0.5
-"""So much of the white ring round the black square is compared, in cells."""
+"""Width of the white ring round the black square that is compared [cells]."""
 PAPER = 2
-"""So many white cells round the black square are drawn."""
+"""Width of the white margin that is rendered [cells]."""
 SUB = 4
 """Samples along each edge of a pixel."""
 SAMPLES = (2, 64)
-"""Fewest and most pixels of the bitmap along a cell."""
+"""Limits of the bitmap pixels along a cell."""
 BLURS_PX = (0.2, 4.0)
-"""Smallest and greatest standard deviation of the point spread."""
+"""Limits of the standard deviation of the point spread."""
 BLUR_STEP_PX = 0.02
 
 
-class Pattern:
-    """A tag's pattern: 1 where it is white, 0 where black."""
+class TagPattern:
+    """The pattern of a tag: 1 is white, 0 is black."""
 
-    def __init__(self, tag: TagPlace, black: np.ndarray) -> None:
+    def __init__(self, tag: TargetTag, black: np.ndarray) -> None:
         self.tag, self.cells = tag, len(black)
         self.white = np.pad(~black, PAPER, constant_values=True).astype(np.float32)
 
     def bitmap(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the pattern with so many pixels a cell, and the matrix, shape (3, 3), from x, y, 1 in the tag's plane
-        [m] to its pixels."""
+        """Returns the pattern with `samples` pixels a cell, and the matrix, shape (3, 3), from x, y, 1 in the tag's
+        plane [m] to its pixels."""
         scale = samples * self.cells / self.tag.size
         middle = samples * (self.cells / 2.0 + PAPER) - 0.5
         A = np.array([[scale, 0.0, middle], [0.0, -scale, middle], [0.0, 0.0, 1.0]])
@@ -47,16 +51,16 @@ class Pattern:
 
 @dataclass(frozen=True, eq=False)
 class TagView:
-    """The part of the picture round one tag.
+    """The part of the image round one tag.
 
     Attributes:
-        T_target_tag: shape (4, 4) [m].
+        T_target_tag: pose of the tag, shape (4, 4) [m].
         bitmap: the pattern, shape (b, b).
-        A: from x, y, 1 in the tag's plane to the bitmap's pixels, shape (3, 3).
+        A: matrix from x, y, 1 in the tag's plane to the bitmap's pixels, shape (3, 3).
         rays: directions x, y of the samples, shape (SUB h, SUB w, 2).
-        compared: pixels that count, shape (h, w), bool; n of them.
-        grey: what the camera saw there, shape (n,).
-        directions: x, y, 1 of these pixels, shape (n, 3).
+        compared: mask of the n compared pixels, shape (h, w), bool.
+        grey: their grey values, shape (n,).
+        directions: their rays x, y, 1, shape (n, 3).
         to_pixels: derivative of the pixel by the direction, shape (n, 2, 2).
     """
 
@@ -70,8 +74,8 @@ class TagView:
     to_pixels: np.ndarray
 
     @staticmethod
-    def of(pattern: Pattern, grey: np.ndarray, camera: CameraModel, T_start: np.ndarray) -> TagView | None:
-        """Returns the view, or None if the tag with its ring is not wholly in the picture."""
+    def of(pattern: TagPattern, grey: np.ndarray, camera: CameraModel, T_start: np.ndarray) -> TagView | None:
+        """Returns the view, or None if the image cuts off the tag or its ring."""
         T = T_start @ pattern.tag.T_target_tag
         half = pattern.tag.size * (0.5 + RING / pattern.cells)
         area = _area(T, half, camera)
@@ -96,19 +100,19 @@ class TagView:
             to_pixels=np.linalg.inv(np.stack((across[compared], down[compared]), axis=-1)),
         )
 
-    def draw(self, T_camera_target: np.ndarray, blur: float) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the drawing of the pixels that count, shape (n,), 0 black to 1 white, and its derivatives by pose and
-        blur, shape (n, 7)."""
+    def render(self, T_camera_target: np.ndarray, blur: float) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the rendered values of the compared pixels, shape (n,), 0 black to 1 white, and their derivatives by
+        pose and blur, shape (n, 7)."""
         T = T_camera_target @ self.T_target_tag
         M = np.linalg.inv(T[:3, [0, 1, 3]])
         places = cv2.transform(self.rays, (self.A @ M).astype(np.float32))
         places = places[..., :2] / places[..., 2:]
-        crisp = cv2.remap(  # type: ignore[call-overload]  # cv2's types do not know that both maps may be in one array
+        crisp = cv2.remap(  # type: ignore[call-overload]  # the type stubs demand two maps
             self.bitmap, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
         soft = cv2.GaussianBlur(crisp, (0, 0), SUB * blur, borderType=cv2.BORDER_REPLICATE)
         softer = cv2.GaussianBlur(crisp, (0, 0), SUB * (blur + BLUR_STEP_PX), borderType=cv2.BORDER_REPLICATE)
-        shown, across, down, change = (
+        values, across, down, change = (
             self._pixels(part)
             for part in (
                 soft,
@@ -122,7 +126,7 @@ class TagView:
         points = local @ self.T_target_tag[:3, :3].T + self.T_target_tag[:3, 3]
         moves = self.to_pixels @ corner_jacobian(T_camera_target, points, np.eye(3))
         J = -np.einsum("ni,nij->nj", np.stack((across, down), axis=1), moves)
-        return shown, np.column_stack((J, change))
+        return values, np.column_stack((J, change))
 
     def _pixels(self, fine: np.ndarray) -> np.ndarray:
         h, w = self.compared.shape
@@ -130,16 +134,44 @@ class TagView:
 
 
 def _area(T: np.ndarray, half: float, camera: CameraModel) -> tuple[np.ndarray, np.ndarray] | None:
-    """Returns the columns and rows of the picture round the square from -half to half [m] in the plane of T, with room
-    for the blur; None if the square is not wholly in the picture."""
+    """Returns the image columns and rows round the square from -half to half [m] in the plane of T, with a margin for
+    the blur; None if the image cuts off the square."""
     grid = np.linspace(-half, half, 5)
-    seen = np.array([(x, y, 0.0) for x in grid for y in grid]) @ T[:3, :3].T + T[:3, 3]
-    if np.any(seen[:, 2] <= 0.0):
+    points = np.array([(x, y, 0.0) for x in grid for y in grid]) @ T[:3, :3].T + T[:3, 3]
+    if np.any(points[:, 2] <= 0.0):
         return None
-    pixels, size = camera.project(seen), np.array([camera.width, camera.height])
+    pixels, size = camera.project(points), np.array([camera.width, camera.height])
     low, high = np.floor(pixels.min(axis=0)).astype(int), np.ceil(pixels.max(axis=0)).astype(int)
     if np.any(low < 0) or np.any(high > size - 1):
         return None
-    room = int(np.ceil(3.0 * BLURS_PX[1]))
-    low, high = np.maximum(low - room, 0), np.minimum(high + room, size - 1)
+    margin = int(np.ceil(3.0 * BLURS_PX[1]))
+    low, high = np.maximum(low - margin, 0), np.minimum(high + margin, size - 1)
     return np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)
+
+
+@lru_cache(maxsize=1)
+def _library() -> ctypes.CDLL:
+    return apriltag.Detector().libc
+
+
+@lru_cache(maxsize=None)
+def black_cells(family: str, tag: int) -> np.ndarray:
+    """Returns which cells of the black square of a tag are black, top row first, shape (n, n), bool.
+
+    Args:
+        family: one of FAMILIES.
+        tag: id in the family.
+
+    Raises:
+        ValueError: the family has no such tag.
+    """
+    if family not in FAMILIES:
+        raise ValueError(f"unknown tag family {family}; use one of {', '.join(FAMILIES)}")
+    table = _library().apriltag_family_create(family.encode()).contents
+    if not 0 <= tag < table.ncodes:
+        raise ValueError(f"tag id {tag} is not in the family {family}, which has 0 to {table.ncodes - 1}")
+    edge, border, code = table.d, table.black_border, table.codes[tag]
+    white = [code >> (edge * edge - 1 - i) & 1 for i in range(edge * edge)]
+    black = np.pad(~np.array(white, dtype=bool).reshape(edge, edge), border, constant_values=True)
+    black.flags.writeable = False
+    return black
