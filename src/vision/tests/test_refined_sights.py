@@ -39,7 +39,7 @@ def test_all_sights_of_a_view_are_refined():
 def test_one_image_that_is_of_no_use_keeps_all_of_them_as_they_were():
     pairs = [seen(20.0)[1], (seen(35.0)[1][0], np.full((480, 640), 90, np.uint8))]
     detections, reason = refined(pairs, RGB, REFINER)
-    assert "grey levels apart" in reason
+    assert "contrast" in reason
     assert detections == [detection for detection, _ in pairs]
 
 
@@ -76,6 +76,8 @@ def test_the_program_prints_both_tables(tmp_path, capsys, monkeypatch):
     program = pytest.importorskip("vision.ros.calibration.evaluate_program")
     from depth_scene import T_RGB_DEPTH, load
 
+    from vision.ros.marker_board import image_folder
+
     def take(folder, board, *options):
         entries = []
         for i in range(4):
@@ -88,7 +90,7 @@ def test_the_program_prints_both_tables(tmp_path, capsys, monkeypatch):
         index = {"panel": {"size": [0.125, 0.125]}, **calibrations, "T_rgb_depth": T_RGB_DEPTH.tolist()}
         (folder / "pictures.json").write_text(json.dumps({**index, "pictures": entries}))
 
-    monkeypatch.setattr(program, "take_pictures", take)
+    monkeypatch.setattr(image_folder, "render_images", take)
     monkeypatch.setattr(program, "VIEW_COUNT", 4)
     monkeypatch.setattr(program, "replace", lambda limits, **k: _relaxed(limits, **k))
     assert program.main(["--panel", "single", "--draws", "2"]) == 0

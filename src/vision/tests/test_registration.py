@@ -37,13 +37,13 @@ def test_a_point_lands_where_the_rectified_camera_sees_it(u, v, z):
 
 @settings(max_examples=20)
 @given(slant=st.floats(-0.4, 0.4), z=st.floats(0.6, 2.0))
-def test_as_taken_is_the_depth_of_what_the_raw_colour_image_shows(slant, z):
+def test_unrectified_is_the_depth_of_what_the_raw_colour_image_shows(slant, z):
     """A slanted wall: every pixel of the raw image looks at one place of it."""
     normal = np.array([slant, 0.0, 1.0])
     n = T_RGB_DEPTH[:3, :3].T @ normal
     rays = DEPTH.rays(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1))
     depth = ((z - normal @ T_RGB_DEPTH[:3, 3]) / (rays @ n)).astype(np.float32)
-    taken = REGISTRATION.as_taken(REGISTRATION.register(depth))
+    taken = REGISTRATION.unrectified(REGISTRATION.register(depth))
     v, u = np.nonzero(np.isfinite(taken[60:420, 80:560]))
     u, v = u + 80, v + 60
     seen = RGB.rays(np.stack((u, v), axis=-1))

@@ -133,7 +133,7 @@ def test_the_board_comes_fused_and_by_its_plane_in_topics_and_tf(ros, camera, st
         wait_until(lambda frame=frame: buffer.can_transform(RGB_OPTICAL, frame, rospy.Time(0)), 15.0, frame)
         found = buffer.lookup_transform(RGB_OPTICAL, frame, rospy.Time(0)).transform
         np.testing.assert_allclose(pose_from_transform(found), TRUTH, atol=6e-3)
-    wait_until(lambda: status().get("message") == "the marker board is seen with depth", 15.0, "the status")
+    wait_until(lambda: status().get("message") == "the marker board has a pose with depth", 15.0, "the status")
     assert float(status()["colour_to_fused_mm"]) < 5.0
     listener.unregister()
 
@@ -160,25 +160,23 @@ def test_what_does_not_belong_together_is_waited_for(ros, camera, start, wait_un
     start()
     wait_until(lambda: status().get("message") == "waits for images", 30.0, "the status")
     camera.late = 0.0
-    wait_until(lambda: status().get("message") == "the marker board is seen with depth", 30.0, "pairs")
+    wait_until(lambda: status().get("message") == "the marker board has a pose with depth", 30.0, "pairs")
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("changes", "faults"),
     [
-        ({"panel/frame": "box"}, "not for the panel box"),
-        ({"plane_pose/noise": 0.0}, "~plane_pose/noise is 0"),
-        ({"plane_pose/nose": 1.0}, "~plane_pose/nose is not a known key"),
-        ({"detector/tag_family": "tag99"}, "~detector/tag_family is 'tag99'"),
-        ({"slop": -1.0}, "~slop is -1"),
-        ({"slip": 1.0}, "~slip is not a known key"),
+        ({"panel/frame": "box"}, ("the marker board box",)),
+        ({"plane_pose/noise": 0.0, "plane_pose/nose": 1.0}, ("~plane_pose/noise is 0", "~plane_pose/nose")),
+        ({"detector/tag_family": "tag99"}, ("~detector/tag_family",)),
+        ({"slop": -1.0, "slip": 1.0}, ("~slop is -1", "~slip")),
     ],
 )
-def test_plane_pose_ends_with_a_sentence(ros, start, change, sentence):
-    process = start(**change)
+def test_plane_pose_names_wrong_parameters(ros, start, changes, faults):
+    process = start(**changes)
     assert process.wait(60.0) == 1
     log = process.log_path.read_text()
-    assert sentence in log
+    assert all(fault in log for fault in faults)
     assert "Traceback" not in log
 
 
@@ -187,7 +185,7 @@ def test_tags_out_of_the_plates_plane_are_refused(ros, start):
     tags[0]["layout"][1]["z"] = 0.02
     process = start(**{"detector/tag_bundles": tags})
     assert process.wait(60.0) == 1
-    assert "do not lie in one plane" in process.log_path.read_text()
+    assert "tags.yaml" in process.log_path.read_text()
 
 
 def test_a_camera_that_is_absent_is_waited_for_and_an_interrupt_ends_it(ros, start, processes, wait_until):
@@ -206,7 +204,7 @@ def test_registered_depth_and_cloud_come_only_while_somebody_listens(ros, camera
 
     process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
     status = diagnostics(ros, "register_rgbd")
-    wait_until(lambda: status().get("message") == "Nobody listens.", 30.0, "the status")
+    wait_until(lambda: status().get("message") == "No subscribers.", 30.0, "the status")
     assert camera.images["rgb"].get_num_connections() == 0
     base = "depth_registered/sw_registered"
     kinds = {
@@ -239,14 +237,11 @@ def test_registered_depth_and_cloud_come_only_while_somebody_listens(ros, camera
     assert "Traceback" not in process.log_path.read_text()
 
 
-@pytest.mark.parametrize(
-    ("parameter", "sentence"), [("_slop:=2.0", "~slop is 2.0"), ("_slip:=0.1", "~slip is not a known key")]
-)
-def test_register_rgbd_ends_with_a_sentence(ros, parameter, sentence):
-    process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera", parameter)
+def test_register_rgbd_names_wrong_parameters(ros):
+    process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera", "_slop:=2.0", "_slip:=0.1")
     assert process.wait(60.0) == 1
     log = process.log_path.read_text()
-    assert sentence in log
+    assert "~slop is 2.0" in log and "~slip" in log
     assert "Traceback" not in log
 
 
@@ -256,8 +251,8 @@ def test_a_image_of_another_size_is_dropped_with_a_sentence(ros, camera, images,
     camera.depth = images[1][:240, :320].copy()
     clouds, status = ros.record("camera/depth_registered/points", PointCloud2), diagnostics(ros, "register_rgbd")
     process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
-    wait_until(lambda: "A pair of images was dropped" in process.log_path.read_text(), 30.0, "the sentence")
-    wait_until(lambda: "Waits for images that are of use" in status().get("message", ""), 15.0, "the reason")
+    wait_until(lambda: "Dropped a pair of images" in process.log_path.read_text(), 30.0, "the sentence")
+    wait_until(lambda: "Waits for usable images" in status().get("message", ""), 15.0, "the reason")
     camera.depth = images[1]
     clouds.wait(1, 30.0)
 

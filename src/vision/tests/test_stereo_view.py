@@ -14,9 +14,8 @@ from common.config import parse
 from common.errors import ConfigError
 from vision.stereo.config import StereoViewConfig
 from vision.stereo.depth_rendering import LEFT, RIGHT, eye_map, inverse_depth, shifted
-from vision.stereo.image_age import ImageAge, age_text, mark_age
 from vision.stereo.lens import BLUE, CENTRES, GREEN, HEIGHT, RED, WIDTH, Dk2Lens, directions
-from vision.stereo.view import StereoView
+from vision.stereo.view import ImageAge, StereoView, age_text, mark_age
 
 CAMERA = pinhole("test", 64, 48, [[60.0, 0.0, 31.5], [0.0, 60.0, 23.5], [0.0, 0.0, 1.0]])
 CONFIG = load("stereo_view.yaml")
