@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Finds where the camera stands: the arm shows the marker board to it from many sides. See --help."""
+"""Finds the camera pose: the arm shows the marker board to the camera from many sides. See --help."""
 
 from vision.ros.calibration.calibrate_program import main
 

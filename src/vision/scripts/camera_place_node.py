@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Publishes where the camera stands, from the stored calibration or live."""
+"""Publishes the camera pose, from the stored calibration or live."""
 
 from vision.ros.calibration.camera_pose_node import main
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Node that says when the camera froze or vanished."""
+"""Node that reports a frozen or vanished camera."""
 
 from common.ros.node import run
 from vision.ros.camera.watchdog_node import main

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What the photometric refinement gains for the camera's calibration; see --help."""
+"""Measures the gain of the photometric refinement for the calibration; see --help."""
 
 import sys
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The view for the headset as a web page."""
+"""The headset view as a web page."""
 
 from vision.ros.stereo.web_node import main
 

@@ -9,7 +9,7 @@ from common.poses import inverse, pose
 from vision.calibration.hand_eye import CalibrationView
 
 SD = np.array([4e-4, 4e-4, 2e-3, 3e-3, 3e-3, 1e-3])
-"""Standard deviations of a seen board: worst along the line of detection, and about the axes across it [m, rad]."""
+"""Standard deviations of a board detection: largest along the line of sight, and about the axes across it [m, rad]."""
 
 
 def random_pose(rng, reach):

@@ -214,7 +214,7 @@ def test_by_hand_without_a_controller(processes, still_scene):
     program = processes.start("bash", "-c", "printf '\\nq\\n' | rosrun vision calibrate_camera.py --by-hand")
     assert program.wait(90.0) == 1
     log = program.log_path.read_text()
-    assert "calibrate_camera: tf has no path from kuka/base_frame" in log and "give --ip" in log
+    assert "calibrate_camera: tf has no path from kuka/base_frame" in log and "--ip" in log
 
 
 def test_by_hand_the_program_asks_the_arm_itself(processes, scene, arm):

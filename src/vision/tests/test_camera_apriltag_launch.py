@@ -37,14 +37,14 @@ def test_the_simulated_board_sits_where_the_drawing_says(simulated, file):
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(("panel", "plate", "bundles"), [("bundle", 0.3, 1), ("single", 0.125, 0)])
+@pytest.mark.parametrize(("board", "plate", "bundles"), [("bundle", 0.3, 1), ("single", 0.125, 0)])
 def test_parameters(board, plate, bundles):
     out = subprocess.run(
-        ["roslaunch", "--dump-params", "vision", "camera_apriltag.launch", f"board:={board}", "serial:=0712"],
+        ["roslaunch", "--dump-params", "vision", "camera_apriltag.launch", f"panel:={board}", "serial:=0712"],
         capture_output=True, text=True, timeout=60.0, check=True,
     ).stdout  # fmt: skip
     values = yaml.safe_load(out)
-    assert "/kuka/mounting" not in values, "a controller may have told it"
+    assert "/kuka/mounting" not in values, "a controller may have set it"
     assert values["/camera_calibration/panel/plate"] == plate
     assert values["/camera_calibration/store/camera"] == "0712"
     assert len(values["/apriltag_ros_continuous_node/tag_bundles"]) == bundles
