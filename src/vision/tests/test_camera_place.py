@@ -121,9 +121,7 @@ def test_what_moves_or_is_uncertain_is_not_stored(ros, scene, wait_until, tmp_pa
 
 
 @pytest.mark.parametrize(("serial", "stores"), [("1207290099", True), ("", False)])
-def test_the_serial_number_is_the_drivers_and_needed_to_store(
-    ros, scene, wait_until, tmp_path, serial, stores
-):
+def test_the_serial_number_is_the_drivers_and_needed_to_store(ros, scene, wait_until, tmp_path, serial, stores):
     import rospy
 
     rospy.set_param("camera_calibration/store/camera", "")
