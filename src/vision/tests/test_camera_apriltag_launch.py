@@ -27,12 +27,12 @@ def test_the_simulated_board_sits_where_the_drawing_says(simulated, file):
     from common.config import parse
     from common.poses import pose
     from rig_simulation.world.files import read_board
-    from rig_simulation.world.model import R_FLANGE_PANEL
+    from rig_simulation.world.model import R_FLANGE_BOARD
     from vision.marker_board.board import MarkerBoardConfig
 
     board = parse(MarkerBoardConfig, yaml.safe_load((CONFIG / file).read_text()))
     plate = read_board(simulated)
-    np.testing.assert_allclose(board.T_flange_tag, pose(R_FLANGE_PANEL, plate["centre"]), atol=1e-12)
+    np.testing.assert_allclose(board.T_flange_tag, pose(R_FLANGE_BOARD, plate["centre"]), atol=1e-12)
     assert plate["size"] == [board.plate, board.plate]
 
 

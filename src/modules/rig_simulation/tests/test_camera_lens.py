@@ -34,15 +34,15 @@ def test_each_pixel_sees_its_own_ray(camera):
     u, v = np.meshgrid(np.arange(160), np.arange(120))
     rays = camera.rays(np.stack((u, v), axis=-1))
     # The map's coordinates are whole 1/32 px.
-    np.testing.assert_allclose(lens.look(x.astype(np.float32)), rays[..., 0], atol=0.5 / 32 / 150 + 1e-5)
-    np.testing.assert_allclose(lens.look(y.astype(np.float32)), -rays[..., 1], atol=0.5 / 32 / 148 + 1e-5)
+    np.testing.assert_allclose(lens.distort(x.astype(np.float32)), rays[..., 0], atol=0.5 / 32 / 150 + 1e-5)
+    np.testing.assert_allclose(lens.distort(y.astype(np.float32)), -rays[..., 1], atol=0.5 / 32 / 148 + 1e-5)
 
 
 def test_the_nearest_pixel_is_at_most_half_a_pixel_away(camera):
     lens = CameraLens(camera)
     x, _ = directions(lens)
-    straight = lens.look_beside(x.astype(np.float32), np.zeros((120, 160, 2), np.int16))
-    assert np.abs(straight - lens.look(x.astype(np.float32))).max() <= 0.52 / 150
+    straight = lens.distort_nearest(x.astype(np.float32), np.zeros((120, 160, 2), np.int16))
+    assert np.abs(straight - lens.distort(x.astype(np.float32))).max() <= 0.52 / 150
 
 
 def test_a_shift_goes_to_the_right_and_up(camera):
@@ -50,7 +50,7 @@ def test_a_shift_goes_to_the_right_and_up(camera):
     shift = np.broadcast_to(np.array([2, 1], np.int16), (120, 160, 2))
     for picture, step in zip(directions(lens), (2 / 150, 1 / 148)):
         picture = picture.astype(np.float32)
-        moved = lens.look_beside(picture, shift) - lens.look_beside(picture, np.zeros_like(shift))
+        moved = lens.distort_nearest(picture, shift) - lens.distort_nearest(picture, np.zeros_like(shift))
         np.testing.assert_allclose(moved, step, atol=1e-5)
 
 
@@ -59,7 +59,7 @@ def test_a_shift_goes_to_the_right_and_up(camera):
 def test_a_window_sampled_beside_its_centres_shows_the_same(camera, dx, dy):
     lens = CameraLens(camera, (dx, dy))
     x, y = directions(lens)
-    expected = CameraLens(camera).look(x.astype(np.float32))
-    np.testing.assert_allclose(lens.look((x + dx / 150).astype(np.float32)), expected, atol=1.1 / 32 / 150)
-    expected = CameraLens(camera).look(y.astype(np.float32))
-    np.testing.assert_allclose(lens.look((y + dy / 148).astype(np.float32)), expected, atol=1.1 / 32 / 148)
+    expected = CameraLens(camera).distort(x.astype(np.float32))
+    np.testing.assert_allclose(lens.distort((x + dx / 150).astype(np.float32)), expected, atol=1.1 / 32 / 150)
+    expected = CameraLens(camera).distort(y.astype(np.float32))
+    np.testing.assert_allclose(lens.distort((y + dy / 148).astype(np.float32)), expected, atol=1.1 / 32 / 148)

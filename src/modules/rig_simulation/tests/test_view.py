@@ -23,9 +23,8 @@ from common.poses import inverse
 from rig_simulation.control_port import ControlClient
 from rig_simulation.recording import record
 from rig_simulation.recording.films import ContactSheet, FilmError, Mp4, film_for, with_lines
-from rig_simulation.recording.following import TIMEOUT_S
+from rig_simulation.recording.following import TIMEOUT_S, add_arrows
 from rig_simulation.recording.forces import LONGEST_M, METRES_PER_NEWTON, Arrow, arrows, pair_forces
-from rig_simulation.recording.scene_forces import add_arrows
 from rig_simulation.recording.shapes import base_pose, beyond, shapes
 from rig_simulation.world.files import read_scene
 from rig_simulation.world.model import WorldDescription, build_model
@@ -62,7 +61,7 @@ def test_contacts_of_a_finger_are_one_arrow_that_ends_where_they_press(listed):
     together = np.sum([one["force"] * np.array(one["normal"]) for one in pressing], axis=0)
     length = min(METRES_PER_NEWTON * np.linalg.norm(together), LONGEST_M)
     np.testing.assert_allclose(arrow.tip - arrow.tail, length * together / np.linalg.norm(together), atol=1e-9)
-    np.testing.assert_allclose(arrow.tip, pair_forces(pressing)[0].place, atol=1e-9)
+    np.testing.assert_allclose(arrow.tip, pair_forces(pressing)[0].position, atol=1e-9)
     assert arrow.by_robot
 
 
@@ -82,7 +81,7 @@ def test_pairs_bear_what_their_contacts_bear(listed):
     assert sum(pair.newtons for pair in pairs) == pytest.approx(sum(force for _, force in listed))
     for pair in pairs:
         forces = [force for name, force in listed if name in pair.bodies]
-        assert min(forces) - 1e-9 <= pair.place[0] <= max(forces) + 1e-9
+        assert min(forces) - 1e-9 <= pair.position[0] <= max(forces) + 1e-9
 
 
 @pytest.fixture(scope="module", params=[(0.0, 0.0, 0.0), (0.0, 90.0, 0.0)], ids=["floor", "wall"])
@@ -202,7 +201,7 @@ film.close()
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
     assert done.returncode == 1
-    assert f"FilmError: The film {film} is of no use: 0 of its 20 pictures can be read" in done.stderr
+    assert "0 of its 20" in done.stderr
 
 
 def test_a_film_ends_while_there_is_room_for_its_index(tmp_path, monkeypatch):
@@ -238,7 +237,7 @@ def test_text_is_written_into_a_copy():
 
 
 @pytest.mark.parametrize(
-    ("name", "sentence"), [("a.gif", "must end with .mp4"), ("none/a.mp4", "There is no folder"), ("a", "must end")]
+    ("name", "sentence"), [("a.gif", ".mp4"), ("none/a.mp4", "folder"), ("a", ".png")]
 )
 def test_files_that_cannot_be_are_refused(tmp_path, name, sentence):
     with pytest.raises(FilmError, match=sentence):
@@ -269,7 +268,7 @@ def test_the_recorder_films_a_running_world_and_its_end(processes, world_port, t
         wait_until(lambda: control.ask("state")["time"] > start + 2.0, 60.0, "another second")
     processes.end(world)
     assert recorder.wait(60.0) == 0
-    assert "pictures in" in recorder.log_path.read_text()
+    assert "images in" in recorder.log_path.read_text()
     brightness = frames_of(film)
     assert len(brightness) > 10
     assert min(brightness) > 20.0, "no picture is empty"

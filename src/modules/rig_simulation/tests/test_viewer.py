@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from rig_simulation.control_port import ControlClient
-from rig_simulation.recording.scene_forces import OF_OTHERS
+from rig_simulation.recording.following import OF_OTHERS
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 LONG_S = 60.0
@@ -98,7 +98,7 @@ def test_it_follows_a_change_of_scene_and_ends_with_the_world(viewer, screen, wo
         control.ask("set_scene", scene="cup")
         wait_until(lambda: screen.shows(OF_OTHERS), LONG_S, "the cup again")
     processes.end(process)
-    assert ends(viewer) == (0, "viewer: The world has ended.\n")
+    assert ends(viewer) == (0, "viewer: The world has stopped.\n")
 
 
 @needs_screen
@@ -126,7 +126,7 @@ def test_without_a_world_it_says_so(screen, free_port):
 
 @pytest.mark.parametrize(
     ("display", "sentence"),
-    [(None, "There is no screen (DISPLAY is not set)."), (":98765", "There is no screen :98765")],
+    [(None, "DISPLAY is not set"), (":98765", ":98765")],
 )
 def test_without_a_screen_it_says_so(display, sentence):
     assert sentence in failed(display)

@@ -16,7 +16,7 @@ from rig_simulation.devices.reflex.servo import OVERLOAD_BIT
 from rig_simulation.devices.reflex.wire import POSITION, ModeCommand, TargetCommand
 from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.world.hand import COUNTS_PER_N, PhysicalMechanics
-from rig_simulation.world.hand_model import FLEXURE_SHARE, prepare_hand
+from rig_simulation.world.hand_model import FLEXURE_RATIO, prepare_hand
 from rig_simulation.world.mjcf import numbers, quaternion
 from rig_simulation.world.objects import add_object
 from rig_simulation.world.robot import add_robot
@@ -129,7 +129,7 @@ def test_a_free_finger_shares_the_tendon_as_the_kinematic_one_does_and_is_far_fr
         state = bench.hand.state()
         proximal, distal = np.array(state["proximal"]), np.array(state["distal"])
         np.testing.assert_allclose(proximal + distal, spool, atol=0.06)
-        np.testing.assert_allclose(distal, FLEXURE_SHARE * proximal, atol=0.12)
+        np.testing.assert_allclose(distal, FLEXURE_RATIO * proximal, atol=0.12)
         assert max(state["efforts"][i] * CLOSING[i] for i in range(3)) < 250
         assert not bench.counts()[:, :8].any()
 

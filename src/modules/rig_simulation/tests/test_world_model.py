@@ -12,7 +12,7 @@ from common.tag36h11 import CODES, black_cells
 from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.devices.sunrise.robot import JOINTS, Robot
 from rig_simulation.world.files import read_board, read_scene
-from rig_simulation.world.model import R_FLANGE_PANEL, WorldDescription, build_model, camera_link_pose
+from rig_simulation.world.model import R_FLANGE_BOARD, WorldDescription, build_model, camera_link_pose
 from rig_simulation.world.scene import scene_from
 from rig_simulation.world.tags import tag_mesh
 
@@ -59,7 +59,7 @@ def test_flange_and_gravity_are_those_of_the_controllers_model(pair, q):
 def test_the_panel_stands_as_the_rigs_part_does(panel, beyond):
     # Seen from the tag: the flange's attitude about Z, Y, X is 180, 0, 90 deg; the tag is 71.1 mm beside the flange's
     # axis; the single one is 43.5 mm beyond its face, the larger plate farther, to clear the forearm.
-    T_flange_tag = pose(R_FLANGE_PANEL, read_board(panel)["centre"])
+    T_flange_tag = pose(R_FLANGE_BOARD, read_board(panel)["centre"])
     np.testing.assert_allclose(T_flange_tag[:3, :3].T, rotation_from_zyx(np.pi, 0.0, np.pi / 2.0), atol=1e-12)
     np.testing.assert_allclose(T_flange_tag[2, 3], beyond, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(T_flange_tag[:2, 3]), 0.0711, atol=1e-12)

@@ -206,7 +206,7 @@ def test_the_objects_can_be_put_back_and_exchanged(start):
     assert program.world.ask("set_scene", scene="objects") == {"loads": 2}
     assert len(program.world.ask("snapshot")["qpos"]) == len(before["qpos"]) + 4 * 7
     assert program.world.ask("scene")["scene"] == read_scene("objects")
-    for scene, sentence in (("kitchen", "no file 'kitchen'"), ({"table": 3}, "table is 3"), (7, "configuration is 7")):
+    for scene, sentence in (("kitchen", "'kitchen'"), ({"table": 3}, "table is 3"), (7, "configuration is 7")):
         with pytest.raises(DeviceError, match=sentence):
             program.world.ask("set_scene", scene=scene)
     assert program.world.ask("state")["loads"] == 2
@@ -220,11 +220,11 @@ def test_time_that_runs_by_itself_cannot_be_stepped(start):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--scene", "kitchen"], "There is no file 'kitchen' among the scenes"),
-        (["--panel", "wall"], "There is no file 'wall' among the panels"),
-        (["--speed", "-1"], "'-1' is not a number above 0"),
-        (["--mounting", "0", "90", "0"], "There is no room"),
-        (["--interface", "none9"], "There is no network interface 'none9'"),
+        (["--scene", "kitchen"], "'kitchen'"),
+        (["--panel", "wall"], "'wall'"),
+        (["--speed", "-1"], "'-1'"),
+        (["--mounting", "0", "90", "0"], "room"),
+        (["--interface", "none9"], "'none9'"),
         (["--sceen", "cup"], "unknown arguments: --sceen cup"),
     ],
 )

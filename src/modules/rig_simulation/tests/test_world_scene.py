@@ -58,7 +58,7 @@ def test_there_is_a_scene_with_one_of_each_kind():
         (lambda s: s["objects"]["cup"].update(wall=0.5), "objects/cup/wall is 0.5"),
         (lambda s: s["objects"]["cup"].update(kind="mug"), "objects/cup/kind is 'mug', but must be one of cup, box"),
         (lambda s: s["objects"]["bottle"].update(neck_height=0.2), "objects/bottle/the neck must be lower"),
-        (lambda s: s["objects"].update({"My Cup": s["objects"]["cup"]}), "objects/My Cup is no name"),
+        (lambda s: s["objects"].update({"My Cup": s["objects"]["cup"]}), "objects/My Cup"),
         (lambda s: s.update(objects=[1]), "objects is [1]"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Films and contact sheets of a sequence of pictures, each with the time that it shows."""
+"""Films and contact sheets of a sequence of images with time stamps."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from common.errors import RigError
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 MARGIN_PX, LINE_PX, LETTERS = 10, 24, 0.6
 LEAST_FREE_BYTES = 2**24
-"""With less left on the disk a film ends: its index, without which nothing of it is readable, comes last."""
+"""With less free space a film stops: without its index, written last, it is unreadable."""
 
 
 class FilmError(RigError):
-    """A file that cannot be written."""
+    """A film or contact sheet that cannot be written."""
 
 
 class Film(Protocol):
-    """What pictures are put into."""
+    """A sink for images."""
 
-    def add(self, picture: np.ndarray, time: float) -> None:
-        """Takes a picture, shape (height, width, 3), RGB, uint8, of the time [s]."""
+    def add(self, image: np.ndarray, time: float) -> None:
+        """Adds an image, shape (height, width, 3), RGB, uint8, of the time [s]."""
 
     def close(self) -> None:
-        """Writes what is left."""
+        """Completes the file."""
 
 
 def film_for(path: Path, rate: float) -> Film:
-    """Returns the film that the file's suffix asks for: .mp4 or .png.
+    """Returns the film for a file of type .mp4 or .png.
 
     Raises:
-        FilmError: another suffix, or no such folder.
+        FilmError: another type, or the folder does not exist.
     """
     if not path.resolve().parent.is_dir():
-        raise FilmError(f"There is no folder {path.resolve().parent} for {path.name}.")
+        raise FilmError(f"There is no folder {path.resolve().parent} for {path.name}; make it first.")
     if path.suffix == ".mp4":
         return Mp4(path, rate)
     if path.suffix == ".png":
@@ -48,11 +48,11 @@ def film_for(path: Path, rate: float) -> Film:
 
 
 class Mp4:
-    """A film in the time of its pictures: where they come late, the one before stays.
+    """A film in the time of its images; a late image prolongs the one before.
 
     Args:
         path: of the file.
-        rate: pictures a second.
+        rate: images a second.
     """
 
     def __init__(self, path: Path, rate: float) -> None:
@@ -62,36 +62,36 @@ class Mp4:
         self._last = np.empty(0)
         self.frames = 0
 
-    def add(self, picture: np.ndarray, time: float) -> None:
-        """Takes a picture; see Film.
+    def add(self, image: np.ndarray, time: float) -> None:
+        """Adds an image; see Film.
 
         Raises:
-            FilmError: the film cannot be written, or the disk is nearly full; what was taken before stays.
+            FilmError: the film cannot be written, or the disk is nearly full; earlier images remain.
         """
         if shutil.disk_usage(self._path.resolve().parent).free < LEAST_FREE_BYTES:
             raise FilmError(
-                f"The film {self._path} ends after {self.frames / self._rate:.1f} s: "
-                f"less than {LEAST_FREE_BYTES / 1e6:.0f} MB are free on its disk."
+                f"The film {self._path} stops after {self.frames / self._rate:.1f} s: "
+                f"its disk has less than {LEAST_FREE_BYTES / 1e6:.0f} MB free."
             )
         if self._writer is None:
             self._start = time
-            height, width = picture.shape[:2]
+            height, width = image.shape[:2]
             self._writer = cv2.VideoWriter(
                 str(self._path), cv2.VideoWriter.fourcc(*"mp4v"), self._rate, (width, height)
             )
             if not self._writer.isOpened():
-                raise FilmError(f"The film {self._path} cannot be written.")
+                raise FilmError(f"Cannot write the film {self._path}.")
         due = math.floor((time - self._start) * self._rate + 1e-6)
         while self.frames < due:
             self._write(self._writer, self._last)
         if self.frames == due:
-            self._write(self._writer, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+            self._write(self._writer, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
 
     def close(self) -> None:
-        """Ends the file.
+        """Completes the file.
 
         Raises:
-            FilmError: it does not hold all pictures; the writer itself never complains.
+            FilmError: images are missing in it; the writer itself reports no error.
         """
         if self._writer is None:
             return
@@ -101,22 +101,19 @@ class Mp4:
         count = round(written.get(cv2.CAP_PROP_FRAME_COUNT)) if written.isOpened() else 0
         written.release()
         if count != self.frames:
-            raise FilmError(
-                f"The film {self._path} is of no use: {count} of its {self.frames} pictures can be read; "
-                "is the disk full?"
-            )
+            readable = f"only {count} of its {self.frames} images are readable"
+            raise FilmError(f"The film {self._path} is damaged: {readable}. Is the disk full?")
 
-    def _write(self, writer: cv2.VideoWriter, picture: np.ndarray) -> None:
-        writer.write(picture)
-        self._last = picture
+    def _write(self, writer: cv2.VideoWriter, image: np.ndarray) -> None:
+        writer.write(image)
+        self._last = image
         self.frames += 1
 
 
 class ContactSheet:
-    """A few pictures at equal intervals over the whole time, on one sheet.
+    """A sheet of a few images at equal intervals.
 
-    How long it will last is not known beforehand, so twice as many are kept as are shown, and whenever they are
-    complete every second one goes.
+    Its duration is unknown beforehand: it keeps up to twice as many images as it shows, and then drops every second.
 
     Args:
         path: of the file.
@@ -129,11 +126,11 @@ class ContactSheet:
         self._kept: list[np.ndarray] = []
         self._next = -math.inf
 
-    def add(self, picture: np.ndarray, time: float) -> None:
-        """Takes a picture; see Film."""
+    def add(self, image: np.ndarray, time: float) -> None:
+        """Adds an image; see Film."""
         if time < self._next:
             return
-        half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         self._kept.append(cv2.cvtColor(half, cv2.COLOR_RGB2BGR))
         if len(self._kept) >= 2 * self._count:
             self._kept = self._kept[::2]
@@ -144,21 +141,21 @@ class ContactSheet:
         """Writes the sheet.
 
         Raises:
-            FilmError: it cannot be written.
+            FilmError: the file cannot be written.
         """
         if not self._kept:
             return
         chosen = np.linspace(0, len(self._kept) - 1, min(self._count, len(self._kept))).round().astype(int)
-        pictures = [self._kept[i] for i in chosen]
-        pictures += [np.zeros_like(pictures[0])] * (-len(pictures) % self._columns)
-        rows = [np.hstack(pictures[i : i + self._columns]) for i in range(0, len(pictures), self._columns)]
+        images = [self._kept[i] for i in chosen]
+        images += [np.zeros_like(images[0])] * (-len(images) % self._columns)
+        rows = [np.hstack(images[i : i + self._columns]) for i in range(0, len(images), self._columns)]
         if not cv2.imwrite(str(self._path), np.vstack(rows)):
-            raise FilmError(f"The contact sheet {self._path} cannot be written.")
+            raise FilmError(f"Cannot write the contact sheet {self._path}; is the disk full?")
 
 
-def with_lines(picture: np.ndarray, lines: list[str]) -> np.ndarray:
-    """Returns the picture with lines of text in its upper left corner."""
-    written = picture.copy()
+def with_lines(image: np.ndarray, lines: list[str]) -> np.ndarray:
+    """Returns the image with lines of text in its upper left corner."""
+    written = image.copy()
     for i, line in enumerate(lines):
         at = (MARGIN_PX, MARGIN_PX + LINE_PX * (i + 1) - LINE_PX // 3)
         for colour, width in ((BLACK, 4), (WHITE, 1)):

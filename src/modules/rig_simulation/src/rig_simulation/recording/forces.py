@@ -1,7 +1,7 @@
-"""Contact forces of the world: one arrow and one label for each pair of bodies, whatever number of contacts they have.
+"""Contact forces of the world: one arrow and one label for each pair of bodies, for all their contacts together.
 
-An arrow lies where it can be seen. The robot's forces have their tips where they act and stand out of its fingers; all
-others begin where they act, so that what a table bears rises out of the object and does not hide under the table.
+Arrows are placed where they are visible: forces of the robot end where they act, outside its fingers; all others start
+there, so that the force of a table rises out of the object.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ ROBOT = ("kuka/", "reflex/", "panel")
 
 @dataclass(frozen=True)
 class Arrow:
-    """What all contacts of two bodies bear together, as an arrow in the direction in which it acts on the first.
+    """The total force of all contacts of two bodies, as an arrow in its direction on the first body.
 
     Attributes:
         tail, tip: shape (3,) [m] in the world.
-        by_robot: whether the robot is one of the two bodies; then the force acts at the tip, else at the tail.
+        by_robot: whether one body is the robot; then the force acts at the tip, else at the tail.
     """
 
     tail: np.ndarray
@@ -36,38 +36,38 @@ class Arrow:
 
 @dataclass(frozen=True)
 class PairForce:
-    """What all contacts of two bodies bear together.
+    """The total force of all contacts of two bodies.
 
     Attributes:
         bodies: their names; the force acts on the first.
-        place: where it acts, shape (3,) [m] in the world: the mean of the contacts, weighted by their forces.
+        position: mean of the contacts, weighted by their forces, shape (3,) [m] in the world.
         newtons: sum of the forces along the normals [N].
         force: their vector sum, on the first body, shape (3,) [N].
         by_robot: as in Arrow.
     """
 
     bodies: tuple[str, str]
-    place: np.ndarray
+    position: np.ndarray
     newtons: float
     force: np.ndarray
     by_robot: bool
 
 
 def arrows(pairs: Sequence[PairForce]) -> list[Arrow]:
-    """Returns the arrows of forces; those that cancel each other have none."""
+    """Returns the arrows of forces; forces that cancel each other have none."""
     found = []
     for pair in pairs:
         newtons = float(np.linalg.norm(pair.force))
         if newtons < LEAST_N:
             continue
-        way = min(METRES_PER_NEWTON, LONGEST_M / newtons) * pair.force
-        tail = pair.place - way if pair.by_robot else pair.place
-        found.append(Arrow(read_only(tail), read_only(tail + way), pair.by_robot))
+        arrow = min(METRES_PER_NEWTON, LONGEST_M / newtons) * pair.force
+        tail = pair.position - arrow if pair.by_robot else pair.position
+        found.append(Arrow(read_only(tail), read_only(tail + arrow), pair.by_robot))
     return found
 
 
 def pair_forces(contacts: Sequence[Mapping[str, Any]]) -> list[PairForce]:
-    """Returns the forces of pairs of bodies, of all contacts that the world's control port lists, in order of names."""
+    """Returns the forces of pairs of bodies, sorted by names, from the contacts of the world's control port."""
     pairs: dict[tuple[str, str], list[tuple[float, np.ndarray, np.ndarray]]] = {}
     for contact in contacts:
         bodies, sign = _on_first(contact["bodies"])
@@ -78,19 +78,19 @@ def pair_forces(contacts: Sequence[Mapping[str, Any]]) -> list[PairForce]:
     for bodies, all_acting in sorted(pairs.items()):
         total = sum(newtons for newtons, _, _ in all_acting)
         if total >= LEAST_N:
-            place = np.sum([newtons * position for newtons, position, _ in all_acting], axis=0) / total
+            centre = np.sum([newtons * position for newtons, position, _ in all_acting], axis=0) / total
             force = np.sum([force for _, _, force in all_acting], axis=0)
-            found.append(PairForce(bodies, read_only(place), total, read_only(force), _by_robot(bodies)))
+            found.append(PairForce(bodies, read_only(centre), total, read_only(force), _by_robot(bodies)))
     return found
 
 
 def short(body: str) -> str:
-    """Returns the name of a body as people read it: without the group that it belongs to."""
+    """Returns the name of a body without its group."""
     return body.partition("/")[2] or body
 
 
 def _on_first(bodies: Sequence[str]) -> tuple[tuple[str, str], float]:
-    """Returns the pair with the body first that the force is shown on, an object before others, and its sign."""
+    """Returns the pair in the order of display, an object first, and the sign of the force on the first body."""
     first, second = bodies
     if first.startswith("object/") and not second.startswith("object/"):
         return (first, second), -1.0

@@ -1,13 +1,12 @@
-"""The program `record.py`: films the simulated world from outside of its process, without a screen.
+"""The program `record.py`: films the simulated world in a process of its own, without a display.
 
-It follows the world through its control port, so that the world keeps its real time; the film runs in the world's time.
+It follows the world through its control port and does not slow it down; the film has the world's time.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import sys
 import threading
 import time
 from pathlib import Path
@@ -16,7 +15,7 @@ import mujoco
 import numpy as np
 
 from common.errors import DeviceError, RigError
-from rig_simulation.command_line import parse_options, positive
+from rig_simulation.command_line import failed, parse_options, positive
 from rig_simulation.control_port import ControlClient, PortClosedError
 from rig_simulation.devices.camera.world_copy import WorldCopy
 from rig_simulation.recording.films import Film, film_for, with_lines
@@ -26,13 +25,13 @@ from rig_simulation.recording.following import (
     PATIENCE_S,
     RETRY_S,
     TIMEOUT_S,
+    add_arrows,
     add_options,
-    aim,
+    point_camera,
     stop_when_interrupted,
     wait_for_world,
 )
 from rig_simulation.recording.forces import arrows, pair_forces, short
-from rig_simulation.recording.scene_forces import add_arrows
 
 NAME = "record"
 MAX_GEOMS = 5000
@@ -40,7 +39,7 @@ SHOWN_FORCES = 6
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Films until it is interrupted, the world ends, or the time is over; returns the exit code."""
+    """Films until it is interrupted, the world stops, or the time is over; returns the exit code."""
     options = _options(arguments)
     stop = stop_when_interrupted()
     os.nice(NICENESS)
@@ -48,16 +47,15 @@ def main(arguments: list[str] | None = None) -> int:
         films = [film_for(path, options.rate) for path in options.files]
         with ControlClient(HOST, options.port, TIMEOUT_S) as client:
             wait_for_world(client, options.wait, stop)
-            pictures = record(client, films, options, stop)
+            images = record(client, films, options, stop)
     except RigError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
-    print(f"{NAME}: {pictures} pictures in {', '.join(map(str, options.files))}", flush=True)
+        return failed(NAME, error)
+    print(f"{NAME}: {images} images in {', '.join(map(str, options.files))}", flush=True)
     return 0
 
 
 def record(client: ControlClient, films: list[Film], options: argparse.Namespace, stop: threading.Event) -> int:
-    """Puts pictures of the world into the films and closes these; returns how many pictures there were.
+    """Adds images of the world to the films and closes them; returns the number of images.
 
     Raises:
         RigError: a film cannot be written, this machine cannot render, or the world hangs.
@@ -69,12 +67,12 @@ def record(client: ControlClient, films: list[Film], options: argparse.Namespace
             due = max(due + 1.0 / options.rate, time.monotonic())
             if not _follow(view, stop):
                 break
-            picture = view.picture()
+            image = view.image()
             start = view.time if start is None else start
             if options.duration is not None and view.time - start > options.duration:
                 break
             for film in films:
-                film.add(picture, view.time)
+                film.add(image, view.time)
             count += 1
     finally:
         view.close()
@@ -84,10 +82,10 @@ def record(client: ControlClient, films: list[Film], options: argparse.Namespace
 
 
 def _follow(view: FilmView, stop: threading.Event) -> bool:
-    """Lets the view follow the world, with patience; returns False if the world has ended, or `stop` is set.
+    """Lets the view follow the world; returns False if the world stopped, or `stop` is set.
 
     Raises:
-        DeviceError: the world is there and does not answer.
+        DeviceError: the world runs but does not answer.
     """
     deadline = time.monotonic() + PATIENCE_S
     while not stop.is_set():
@@ -98,21 +96,21 @@ def _follow(view: FilmView, stop: threading.Event) -> bool:
             return False
         except DeviceError as error:
             if time.monotonic() > deadline:
-                raise DeviceError(f"The film ends at {view.time:.1f} s of the world: {error}") from None
+                raise DeviceError(f"The film stops at {view.time:.1f} s of the world: {error}") from None
         stop.wait(RETRY_S)
     return False
 
 
 class FilmView:
-    """Looks at a copy of the world.
+    """Renders a copy of the world.
 
     Args:
         client: of the world's control port.
-        size: width and height of a picture [px].
-        view: from where it looks, see following.aim.
+        size: width and height of an image [px].
+        view: of the camera, see following.point_camera.
 
     Attributes:
-        time: of the world, when it was last followed [s].
+        time: of the world at the last `follow` [s].
     """
 
     def __init__(self, client: ControlClient, size: tuple[int, int], view: tuple[float, float, float]) -> None:
@@ -126,7 +124,7 @@ class FilmView:
         self.time = 0.0
 
     def follow(self) -> None:
-        """Takes the present state of the world over.
+        """Copies the present state of the world.
 
         Raises:
             DeviceError: the world does not answer.
@@ -135,8 +133,8 @@ class FilmView:
         self._contacts = self._client.ask("contacts")["contacts"]
         self.time = self._client.ask("state")["time"]
 
-    def picture(self) -> np.ndarray:
-        """Returns a picture of what was followed last, shape (height, width, 3), RGB.
+    def image(self) -> np.ndarray:
+        """Returns an image of the last state, shape (height, width, 3), RGB.
 
         Raises:
             DeviceError: this machine cannot render.
@@ -154,7 +152,7 @@ class FilmView:
         return with_lines(self._renderer.render(), lines)
 
     def close(self) -> None:
-        """Gives the renderer's memory back."""
+        """Frees the renderer."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
@@ -166,8 +164,8 @@ class FilmView:
         try:
             self._renderer = mujoco.Renderer(model, height, width, max_geom=MAX_GEOMS)
         except (RuntimeError, AttributeError, ImportError, mujoco.FatalError) as error:
-            raise DeviceError(f"Cannot render without a screen; install libegl1 and libegl-mesa0: {error}.") from None
-        aim(self._camera, self._view, self._world.data)
+            raise DeviceError(f"Cannot render without a display: {error}. Install libegl1 and libegl-mesa0.") from None
+        point_camera(self._camera, self._view, self._world.data)
 
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
@@ -175,6 +173,6 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     add_options(parser)
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="FILE", help="a film (.mp4) or a contact sheet (.png)")
-    add("--size", type=int, nargs=2, default=(960, 540), metavar=("WIDTH", "HEIGHT"), help="of a picture, px")
-    add("--duration", type=positive, metavar="S", help="seconds of the world; without it until it is interrupted")
+    add("--size", type=int, nargs=2, default=(960, 540), metavar=("WIDTH", "HEIGHT"), help="of an image, px")
+    add("--duration", type=positive, metavar="S", help="seconds of the world; default: until it is interrupted")
     return parse_options(parser, arguments)

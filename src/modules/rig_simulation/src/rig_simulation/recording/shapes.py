@@ -1,4 +1,4 @@
-"""Table and objects of the world as plain shapes, for programs that do not know MuJoCo."""
+"""Table and objects of the world as plain shapes, for programs without MuJoCo."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _KINDS = {
     mujoco.mjtGeom.mjGEOM_CYLINDER: CYLINDER,
 }
 SMALLEST_M = 0.004
-"""Radius below which a ball is no part of the look: the feet of objects."""
+"""Smaller balls, the feet of objects, are not shown."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Shape:
 
 
 def beyond(parts: Sequence[Shape], towards: np.ndarray, clearance: float) -> np.ndarray:
-    """Returns the point straight from the middle of a body in a direction, `clearance` [m] beyond its farthest point.
+    """Returns the point from the middle of a body in a direction, `clearance` [m] beyond its farthest point.
 
     Args:
         parts: all shapes of the body.
@@ -66,7 +66,7 @@ def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
 
     Args:
         model: the world's.
-        data: with kinematics computed.
+        data: with computed kinematics.
     """
     T_base_world = inverse(base_pose(data))
     found = []

@@ -1,20 +1,19 @@
-"""The program `viewer.py`: the simulated world in MuJoCo's own window, in a process apart, so that it keeps its time.
+"""The program `viewer.py`: the simulated world in MuJoCo's viewer, in a process of its own that does not slow it down.
 
-What is dragged or pressed in the window has no effect on the world.
+Input in the window has no effect on the world.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import sys
 import threading
 import time
 import warnings
 from typing import Any
 
 from common.errors import DeviceError
-from rig_simulation.command_line import parse_options
+from rig_simulation.command_line import failed, parse_options
 from rig_simulation.control_port import ControlClient, PortClosedError
 from rig_simulation.devices.camera.world_copy import WorldCopy
 from rig_simulation.recording.following import (
@@ -22,20 +21,20 @@ from rig_simulation.recording.following import (
     NICENESS,
     PATIENCE_S,
     TIMEOUT_S,
+    add_arrows,
     add_options,
-    aim,
+    point_camera,
     stop_when_interrupted,
     wait_for_world,
 )
 from rig_simulation.recording.forces import arrows, pair_forces
-from rig_simulation.recording.scene_forces import add_arrows
 
 NAME = "viewer"
 CLOSING_S = 30.0
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Shows the world until the window is closed, it is interrupted, or the world ends; returns the exit code."""
+    """Shows the world until the window is closed, it is interrupted, or the world stops; returns the exit code."""
     parser = argparse.ArgumentParser(prog=f"{NAME}.py", description="Shows the simulated world in a window.")
     add_options(parser)
     options = parse_options(parser, arguments)
@@ -47,13 +46,12 @@ def main(arguments: list[str] | None = None) -> int:
             wait_for_world(client, options.wait, stop)
             _show(client, options, stop)
     except DeviceError as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
+        return failed(NAME, error)
     return 0
 
 
 def _check_screen() -> None:
-    """Opens the connection to the screen: the window's own thread could tell nobody that there is none.
+    """Opens the connection to the screen; the thread of the window could not report its absence.
 
     Raises:
         DeviceError: there is no screen.
@@ -62,19 +60,21 @@ def _check_screen() -> None:
 
     screen = os.environ.get("DISPLAY")
     if not screen:
-        raise DeviceError("There is no screen (DISPLAY is not set).")
+        raise DeviceError("There is no screen: DISPLAY is not set. Start without the viewer, or set DISPLAY.")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it warns of what the sentence below says
+        warnings.simplefilter("ignore")  # the error below says the same
         opened = glfw.init()
     if not opened:
-        raise DeviceError(f"There is no screen {screen} (DISPLAY), or it does not let this program in.")
+        raise DeviceError(
+            f"Cannot open the screen {screen} (DISPLAY). Allow access to it, or start without the viewer."
+        )
 
 
 def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Event) -> None:
-    """Shows the world in a window, and in a new one after a change of scene, until it ends.
+    """Shows the world in a window, in a new one after a change of the scene, until it stops.
 
     Raises:
-        DeviceError: the world is there and does not answer.
+        DeviceError: the world runs but does not answer.
     """
     world, window, answered = WorldCopy(client), None, time.monotonic()
     try:
@@ -83,7 +83,7 @@ def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Ev
                 pairs = pair_forces(client.ask("contacts")["contacts"])
                 is_new = world.follow()
             except PortClosedError:
-                print(f"{NAME}: The world has ended.", flush=True)
+                print(f"{NAME}: The world has stopped.", flush=True)
                 break
             except DeviceError:
                 if time.monotonic() - answered > PATIENCE_S:
@@ -105,8 +105,8 @@ class ViewerWindow:
     """MuJoCo's passive viewer of a copy of the world.
 
     Args:
-        world: what it shows.
-        view: from where it looks, see following.aim.
+        world: to show.
+        view: of the camera, see following.point_camera.
     """
 
     def __init__(self, world: WorldCopy, view: tuple[float, float, float]) -> None:
@@ -116,11 +116,11 @@ class ViewerWindow:
         self._handle: Any = viewer.launch_passive(world.model, world.data, show_left_ui=False, show_right_ui=False)
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         with self._handle.lock():
-            aim(self._handle.cam, view, world.data)
+            point_camera(self._handle.cam, view, world.data)
 
     @property
     def is_open(self) -> bool:
-        """Whether nobody has closed it."""
+        """Whether the window is open."""
         return self._handle.is_running()
 
     def show(self, forces: list) -> None:
@@ -131,7 +131,7 @@ class ViewerWindow:
         self._handle.sync()
 
     def close(self) -> None:
-        """Closes it and waits for the thread that draws: one that still draws while the program ends crashes it."""
+        """Closes it and waits for its drawing thread, which would crash the program at its exit."""
         self._handle.close()
         for thread in self._threads:
             thread.join(CLOSING_S)

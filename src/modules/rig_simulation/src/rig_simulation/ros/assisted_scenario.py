@@ -1,7 +1,7 @@
-"""The scenario assisted_grasp on the running rig: the person works with the proposals of the network.
+"""The scenario assisted_grasp on the running rig: the operator works with the proposals of the network.
 
-Meets the nodes ggcnn and grasp_execution on their topics and services. What each grasp came to is told on
-`simulation/scenario`, in the values that `round_values` names.
+It uses the topics and services of the nodes ggcnn and grasp_execution, and reports each grasp on
+`simulation/scenario` with the values of `round_values`.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from rig_simulation.operator.assisted_grasp import (
     Round,
 )
 from rig_simulation.operator.pick_and_place import Plan
-from rig_simulation.ros.scenario import AT_HOME, FOLLOWING, PERIOD_S, Eyes, Story
+from rig_simulation.ros.scenario import AT_HOME, FOLLOWING, PERIOD_S, ProgressReport, RigObserver
 
 FRESH_S = 2.0
-"""Proposals in an older picture are not looked at."""
+"""Proposals of an older image are ignored."""
 SERVICE_TIMEOUT_S = 10.0
 HOLD_S = 2.0
 NETWORK_START_S = 180.0
-"""Where other programs want the processor, the network's libraries take a minute and more to load."""
+"""On a busy machine, the libraries of the network take more than a minute to load."""
 
 
 class GraspTopics:
-    """What the two nodes of grasping say."""
+    """The topics of the two nodes of grasping."""
 
     def __init__(self) -> None:
         self._grasps: GraspList | None = None
@@ -55,18 +55,18 @@ class GraspTopics:
         rospy.Subscriber("grasping/outcome", GraspOutcome, self._take_outcome, queue_size=10)
 
     @property
-    def came(self) -> bool:
-        """Whether the network has said anything yet."""
+    def received(self) -> bool:
+        """Whether the network has published anything yet."""
         return self._grasps is not None
 
     def best(self) -> tuple[ProposedGrasp | None, str]:
-        """Returns the best grasp in a fresh picture that the arm reaches, and if there is none, why."""
+        """Returns the best reachable grasp of a fresh image, or None and the reason."""
         grasps = self._grasps
         if grasps is None:
-            return None, "no list of grasps came yet"
+            return None, "no list of grasps has arrived yet"
         age = (rospy.Time.now() - grasps.header.stamp).to_sec()
         if age > FRESH_S:
-            return None, f"the newest picture is {age:.1f} s old"
+            return None, f"the newest image is {age:.1f} s old"
         for grasp in grasps.grasps:
             if grasp.reachable and grasp.pose_base.header.frame_id:
                 return _proposal(grasp), ""
@@ -83,27 +83,27 @@ class GraspTopics:
 
 
 class AssistedScenario:
-    """Lets proposed grasps be executed, and corrects them by hand.
+    """Executes proposed grasps, and corrects them by hand.
 
     Args:
         name: of the scenario.
-        rounds: how many grasps there are to be.
+        rounds: number of grasps.
         leapd: control port of the simulated Leap service, which must run guided.
         world: control port of the simulated world.
 
     Raises:
-        RigError: the rig or its world is not what the scenario needs.
+        RigError: the arm is not upright.
     """
 
     def __init__(self, name: str, rounds: int, leapd: ControlClient, world: ControlClient) -> None:
         self._leapd = leapd
-        self._eyes, self._story, self._proposals = Eyes(name, world), Story(name), GraspTopics()
-        self._person = AssistedGrasp(OperatorHabits(rounds), Plan(hold=HOLD_S), self._eyes.center_line)
+        self._rig, self._report, self._proposals = RigObserver(name, world), ProgressReport(name), GraspTopics()
+        self._operator = AssistedGrasp(OperatorHabits(rounds), Plan(hold=HOLD_S), self._rig.center_line)
         self._streams = False
         rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=10)
 
     def run(self) -> None:
-        """Works until the scenario is over or ROS shuts down, then takes the hand away.
+        """Runs until the scenario is over or ROS shuts down, then takes the hand away.
 
         Raises:
             DeviceError: the world or the Leap service does not answer.
@@ -111,20 +111,20 @@ class AssistedScenario:
         self._wait_for_network()
         while not rospy.is_shutdown():
             time.sleep(PERIOD_S)
-            if self._eyes.grip is None:
+            if self._rig.grip is None:
                 continue
-            result = self._person.step(self._scene(), time.monotonic())
+            result = self._operator.step(self._scene(), time.monotonic())
             self._do(result)
-            self._story.tell(result.step, result.failure, **round_values(result.round))
+            self._report.publish(result.step, result.failure, **round_values(result.round))
             if result.over:
                 break
         self._leapd.ask(HIDE)
 
     def _wait_for_network(self) -> None:
-        """Waits for the first list of grasps; without one the person looks in vain, and says so."""
+        """Waits for the first list of grasps; without one, the operator reports why it gives up."""
         deadline = time.monotonic() + NETWORK_START_S
-        while not rospy.is_shutdown() and not self._proposals.came and time.monotonic() < deadline:
-            self._story.tell("network starts")
+        while not rospy.is_shutdown() and not self._proposals.received and time.monotonic() < deadline:
+            self._report.publish("network starts")
             time.sleep(PERIOD_S)
 
     def _do(self, result: AssistedStep) -> None:
@@ -136,7 +136,7 @@ class AssistedScenario:
             success, message = self._call(result.request)
             rospy.loginfo("grasping/%s: %s", result.request, message)
             if result.request == EXECUTE:
-                self._person.answer(success, message, time.monotonic())
+                self._operator.answer(success, message, time.monotonic())
 
     def _call(self, name: str) -> tuple[bool, str]:
         try:
@@ -146,18 +146,18 @@ class AssistedScenario:
         return answer.success, answer.message
 
     def _scene(self) -> AssistedView:
-        eyes, execution = self._eyes, self._proposals.execution
-        fingers = heading(eyes.R)
+        rig, execution = self._rig, self._proposals.execution
+        fingers = heading(rig.R)
         objects = {}
-        for name, seen in eyes.objects().items():
-            turn = turn_to(eyes.shapes[name], rotation_from_quaternion(seen["quaternion"]), fingers)
+        for name, seen in rig.objects().items():
+            turn = turn_to(rig.shapes[name], rotation_from_quaternion(seen["quaternion"]), fingers)
             objects[name] = ObservedObject(seen["top"], seen["clearance"], turn)
         proposal, complaint = self._proposals.best()
         return AssistedView(
-            grip=eyes.grip,
+            grip=rig.grip,
             heading=fingers,
-            following=self._streams and eyes.mode == FOLLOWING,
-            at_home=eyes.mode == AT_HOME,
+            following=self._streams and rig.mode == FOLLOWING,
+            at_home=rig.mode == AT_HOME,
             objects=objects,
             proposal=proposal,
             complaint=complaint,
@@ -171,7 +171,7 @@ class AssistedScenario:
 
 
 def round_values(grasp: Round) -> dict[str, str]:
-    """Returns what is told of a grasp: its number, the object, what was proposed, refused, corrected, and achieved."""
+    """Returns the published values of a grasp."""
     return {
         "round": str(grasp.number),
         "object": grasp.object,
@@ -187,9 +187,9 @@ def round_values(grasp: Round) -> dict[str, str]:
     }
 
 
-def _sentences(told: tuple[str, ...]) -> str:
+def _sentences(reasons: tuple[str, ...]) -> str:
     """Returns each different sentence once."""
-    return "; ".join(dict.fromkeys(sentence.rstrip(".") for sentence in told))
+    return "; ".join(dict.fromkeys(sentence.rstrip(".") for sentence in reasons))
 
 
 def _number(value: float | None) -> str:

@@ -1,6 +1,6 @@
 """The simulated RGB-D camera as a node, with the topics of openni2_camera (`common.ros.rgbd_topics`).
 
-Pictures are taken only while somebody listens; all pictures of one moment have one stamp.
+It takes only images with subscribers; all images of one moment have one stamp.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from rig_simulation.node_parameters import LOOPBACK, CameraConfig
 RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 1.0
 SMOOTHING = 0.1
-"""Weight of the newest value in the times that diagnostics show."""
+"""Weight of the newest value in the durations of the diagnostics."""
 SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
 
 
 class CameraNode:
-    """Follows the world, takes pictures and publishes them.
+    """Follows the world, takes images and publishes them.
 
     Args:
         config: private parameters.
-        camera: what takes the pictures.
-        open_topics: says where they go; it is given what each message of a picture becomes on its way out.
+        camera: takes the images.
+        open_topics: opens the topics; its argument changes each outgoing image message.
         faults: those of CAMERA_FAULTS.
     """
 
@@ -59,10 +59,10 @@ class CameraNode:
         Diagnostics("camera", self._diagnose)
 
     def run(self) -> None:
-        """Publishes until ROS shuts down; waits where the world does not answer.
+        """Publishes until ROS shuts down; waits while the world does not answer.
 
         Raises:
-            DeviceError: this machine cannot render without a screen.
+            DeviceError: this machine cannot render off-screen.
         """
         due = time.monotonic()
         while not rospy.is_shutdown():
@@ -70,12 +70,12 @@ class CameraNode:
                 new = self._world.follow()
             except DeviceError as error:
                 if self._trouble != str(error):
-                    rospy.logwarn("No pictures: %s", error)
+                    rospy.logwarn("No images: %s", error)
                 self._trouble = str(error)
                 due = time.monotonic() + RETRY_PERIOD_S
             else:
                 if self._trouble:
-                    rospy.loginfo("The simulated world answers; pictures come.")
+                    rospy.loginfo("The simulated world answers; images are published.")
                     self._trouble = ""
                 if new:
                     self._camera.attach(self._world.model)
@@ -95,16 +95,16 @@ class CameraNode:
         if exposure is None:
             return
         started = time.perf_counter()
-        pictures = exposure.images
-        for name, picture in zip(FRAMES, (pictures.colour, pictures.depth, pictures.registered)):
-            if picture is not None:
-                topics.publish(name, picture, exposure.stamp)
+        images = exposure.images
+        for name, image in zip(FRAMES, (images.colour, images.depth, images.registered)):
+            if image is not None:
+                topics.publish(name, image, exposure.stamp)
             topics.publish_info(name, exposure.stamp)
         self._published += 1
-        self._count({**pictures.seconds, "publish": time.perf_counter() - started})
+        self._count({**images.seconds, "publish": time.perf_counter() - started})
 
     def _present_topics(self) -> RgbdTopics | None:
-        """Opens the topics, or closes them while the driver restarts; returns None then."""
+        """Opens the topics; closes them and returns None while the driver restarts."""
         if self._faults.is_on("restarted"):
             if self._topics is not None:
                 self._topics.close()
@@ -135,7 +135,7 @@ class CameraNode:
             return DiagnosticStatus.ERROR, self._trouble, values
         if active:
             return DiagnosticStatus.WARN, f"Faults are on: {', '.join(active)}.", values
-        return DiagnosticStatus.OK, "Pictures come.", values
+        return DiagnosticStatus.OK, "Images are published.", values
 
 
 def main() -> None:

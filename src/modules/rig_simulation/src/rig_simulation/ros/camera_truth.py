@@ -1,7 +1,7 @@
-"""Publishes where the camera of the simulated world truly is: what a perfect calibration would say.
+"""Publishes the true pose of the camera in the simulated world, the result of a perfect calibration.
 
-Static transform kuka/base_frame -> camera_link. It takes the place of the node camera_place, which publishes the same
-transform from a calibration: one of the two, never both.
+Static transform kuka/base_frame -> camera_link. It replaces the node camera_place, which publishes the same transform
+from a calibration; start only one of the two.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def camera_in_base(fields: dict) -> np.ndarray:
 
 
 def main() -> None:
-    """Runs the node with its private parameters: publishes at the start and after each change of scene."""
+    """Runs the node with its private parameters: publishes at the start and after each change of the scene."""
     config = private_config(WorldConfig)
     client = ControlClient(config.host, config.port, TIMEOUT_S)
     broadcaster = tf2_ros.StaticTransformBroadcaster()

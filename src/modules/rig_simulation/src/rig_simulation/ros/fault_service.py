@@ -1,6 +1,6 @@
-"""The service `simulation/fault`: switches the faults of all simulated devices from one place.
+"""The service `simulation/fault`: switches the faults of all simulated devices.
 
-It hands the request to the control port of the device; which faults there are, the devices themselves say.
+It passes the request to the control port of the device, which knows its own faults.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class FaultService:
     def _switch(self, request: SimulationFaultRequest) -> SimulationFaultResponse:
         if request.device not in self._devices:
             known = ", ".join(self._devices)
-            return SimulationFaultResponse(False, f"The device {request.device!r} is not known; known are {known}.")
+            return SimulationFaultResponse(False, f"Unknown device {request.device!r}; the devices are {known}.")
         for name in ("value", "duration"):
             if not math.isfinite(getattr(request, name)):
                 return SimulationFaultResponse(False, f"The {name} {getattr(request, name)} is not a finite number.")
@@ -51,14 +51,9 @@ class FaultService:
         if not request.fault:
             listed = device.ask("faults")["faults"]
             return " ".join(f"{fault['name']}: {fault['doc']}{' (on)' if fault['on'] else ''}." for fault in listed)
-        active = device.ask(
-            "fault",
-            name=request.fault,
-            on=request.on,
-            value=request.value or None,
-            duration=request.duration or None,
-        )["active"]
-        return f"{', '.join(active)} on." if active else "none is on."
+        numbers = {"value": request.value or None, "duration": request.duration or None}
+        active = device.ask("fault", name=request.fault, on=request.on, **numbers)["active"]
+        return f"on: {', '.join(active)}." if active else "no fault is on."
 
 
 def main() -> None:

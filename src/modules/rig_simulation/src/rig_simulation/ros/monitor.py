@@ -1,21 +1,20 @@
-"""Publishes the truth about the simulated arm, which no real rig knows, and offers its keys.
+"""Publishes the true state of the simulated arm, which a real rig does not know, and offers its keys.
 
 Topics: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status` (stops, goals, mode, speed of
-the tool: now, at most since the last status, at most since the controller started) [m/s].
-Services: `simulation/release`, the key "run" after a safety stop; `simulation/back_off`, the jog keys, which move an
-arm that presses on something back on the way it came.
+the tool: now, highest since the last status, highest since the start) [m/s].
+Services: `simulation/release`, the run key after a safety stop; `simulation/back_off`, the jog keys, which move a
+pressing arm back along its path.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+from std_srvs.srv import Trigger
 
 from common.errors import DeviceError
 from common.frames import BASE
@@ -23,7 +22,7 @@ from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation
 from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import MonitorConfig
-from rig_simulation.ros.polling import poll
+from rig_simulation.ros.polling import poll, trigger
 
 FLANGE_PERIOD_S = 0.01
 STATUS_PERIOD_S = 0.1
@@ -32,7 +31,7 @@ SHOWN = ("mode", "tcp_speed", "max_tcp_speed", "stops", "goals", "safety_stop", 
 
 
 class Monitor:
-    """Polls the control port of the simulated controller and publishes what it says."""
+    """Polls the control port of the simulated controller and publishes its state."""
 
     def __init__(self, config: MonitorConfig) -> None:
         self._client = ControlClient(config.host, config.port, TIMEOUT_S)
@@ -40,10 +39,9 @@ class Monitor:
         self._status = rospy.Publisher("simulation/status", DiagnosticStatus, queue_size=10)
         self._next_status = 0.0
         self._peak_speed = 0.0
-        rospy.Service(
-            "simulation/release", Trigger, self._key("release", "The safety stop is released; the arm goes on.")
-        )
-        rospy.Service("simulation/back_off", Trigger, self._key("back_off", "The arm backs off."))
+        released = "The safety stop is released; the arm resumes."
+        rospy.Service("simulation/release", Trigger, trigger(self._client, "release", released))
+        rospy.Service("simulation/back_off", Trigger, trigger(self._client, "back_off", "The arm backs off."))
 
     def run(self) -> None:
         """Polls until ROS shuts down; waits where the controller does not answer."""
@@ -75,16 +73,6 @@ class Monitor:
     def _publish_status(self, level: int, message: str, values: dict) -> None:
         texts = [KeyValue(name, "" if value is None else str(value)) for name, value in values.items()]
         self._status.publish(DiagnosticStatus(level=level, name="simulation", message=message, values=texts))
-
-    def _key(self, request: str, done: str) -> Callable[[TriggerRequest], TriggerResponse]:
-        def press(_: TriggerRequest) -> TriggerResponse:
-            try:
-                self._client.ask(request)
-            except DeviceError as error:
-                return TriggerResponse(False, str(error))
-            return TriggerResponse(True, done)
-
-        return press
 
 
 def main() -> None:

@@ -1,8 +1,7 @@
-"""The person of the demonstration: waits for the arm, switches the controls on, puts a hand over the Leap.
+"""The simulated operator: waits for the arm, enables the controls, and holds a hand above the Leap.
 
-Nobody stands beside a simulated rig, so this node does what a person does by hand: it waits until the controller runs
-and the arm stands at home, switches gripper and arm control on, and tells the simulated Leap service to play. With a
-scenario it then steers the hand by what it sees.
+It waits until the controller runs and the arm is at home, enables gripper and arm control, and starts the hand of the
+simulated Leap service. With a scenario it then steers the hand by its observations.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ AT_HOME = np.radians(1.0)
 
 
 class Operator:
-    """Does one step after the other, each with the same time-out."""
+    """Performs the steps one by one, each with the same time-out."""
 
     def __init__(self, config: OperatorConfig) -> None:
         self._config = config
@@ -40,19 +39,19 @@ class Operator:
         rospy.Subscriber("kuka/joint_positions", jointPositions, self._take_joints, queue_size=1)
 
     def run(self) -> None:
-        """Starts everything, then lives as long as the rig.
+        """Starts the rig and the scenario, then spins until ROS shuts down.
 
         Raises:
-            RigError: something was not to be had in time, or was refused.
+            RigError: a step timed out.
         """
         self._wait(lambda: rospy.has_param("kuka/joints_home"), "the controller has computed the home position")
         home = np.asarray(rospy.get_param("kuka/joints_home"), dtype=float)
-        self._wait(lambda: self._stands_at(home), "the arm is at home")
+        self._wait(lambda: self._is_at(home), "the arm is at home")
         if self._config.auto_start:
             self._switch("kuka/gripper_control", setGripperControl)
             self._switch("kuka/kuka_control", setKukaControl)
         self._wait(self._leapd_plays, "the simulated Leap service plays")
-        rospy.loginfo("A hand comes in over the Leap.")
+        rospy.loginfo("A hand enters the view of the Leap.")
         if self._config.scenario:
             self._scenario().run()
         rospy.spin()
@@ -66,7 +65,7 @@ class Operator:
     def _take_joints(self, message: jointPositions) -> None:
         self._joints = np.array([getattr(message, f"joint_{i}") for i in range(1, 8)])
 
-    def _stands_at(self, home: np.ndarray) -> bool:
+    def _is_at(self, home: np.ndarray) -> bool:
         return self._joints is not None and bool(np.abs(self._joints - home).max() < AT_HOME)
 
     def _switch(self, name: str, service_type: type) -> None:
@@ -93,11 +92,11 @@ class Operator:
         return True
 
     def _wait(self, condition: Callable[[], bool], what: str) -> None:
-        """Polls the condition.
+        """Waits for a condition.
 
         Raises:
-            RigError: it was not met in time.
-            rospy.ROSInterruptException: ROS shut down meanwhile.
+            RigError: it timed out.
+            rospy.ROSInterruptException: ROS shut down.
         """
         start = time.monotonic()
         remind = start + 1.0
@@ -107,7 +106,7 @@ class Operator:
             if rospy.is_shutdown():
                 raise rospy.ROSInterruptException(f"shut down while waiting until {what}")
             if now - start > self._config.time_out:
-                raise RigError(f"Waited {self._config.time_out:g} s in vain until {what}{self._why}")
+                raise RigError(f"Timed out after {self._config.time_out:g} s, waiting until {what}{self._why}")
             if now > remind:
                 rospy.loginfo("Waiting until %s%s", what, self._why)
                 remind = now + REMIND_S

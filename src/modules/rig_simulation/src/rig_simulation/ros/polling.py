@@ -1,4 +1,4 @@
-"""Polls the control port of a simulated device: at a rate while it answers, patiently while it does not."""
+"""Polls the control port of a simulated device: at a rate while it answers, slowly while it does not."""
 
 from __future__ import annotations
 
@@ -6,21 +6,23 @@ import time
 from collections.abc import Callable
 
 import rospy
+from std_srvs.srv import TriggerRequest, TriggerResponse
 
 from common.errors import DeviceError
+from rig_simulation.control_port import ControlClient
 
 RETRY_PERIOD_S = 0.5
 REMIND_S = 10.0
 START_S = 5.0
-"""So long a device may take to start, or to start again: for so long nobody complains of its silence."""
+"""Time in which a device may start or restart without a warning."""
 
 
 def poll(publish: Callable[[], None], period: float) -> None:
-    """Calls `publish`, which asks the device and publishes what it says, until ROS shuts down.
+    """Calls `publish` until ROS shuts down.
 
     Args:
-        publish: raises DeviceError while the device does not answer.
-        period: from call to call while it does [s].
+        publish: asks the device and publishes its answer; raises DeviceError while the device does not answer.
+        period: of the calls while it answers [s].
     """
     due = answered = time.monotonic()
     while not rospy.is_shutdown():
@@ -34,3 +36,16 @@ def poll(publish: Callable[[], None], period: float) -> None:
             answered = time.monotonic()
             due = max(due + period, answered)
         time.sleep(max(0.0, due - time.monotonic()))
+
+
+def trigger(client: ControlClient, request: str, done: str) -> Callable[[TriggerRequest], TriggerResponse]:
+    """Returns the handler of a Trigger service that sends a request; its reply is `done`, or the refusal."""
+
+    def handle(_: TriggerRequest) -> TriggerResponse:
+        try:
+            client.ask(request)
+        except DeviceError as error:
+            return TriggerResponse(False, str(error))
+        return TriggerResponse(True, done)
+
+    return handle

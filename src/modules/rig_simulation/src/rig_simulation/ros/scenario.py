@@ -1,8 +1,7 @@
-"""A scenario on the running rig: what the simulated person sees and does, and how far it is.
+"""A scenario on the running rig: the observations, the actions and the progress of the simulated operator.
 
 Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
-are scenario, step, failure, and what the scenario has to tell besides; level OK while it goes well and when it is done,
-ERROR when it was given up.
+are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up.
 """
 
 from __future__ import annotations
@@ -25,31 +24,31 @@ from rig_simulation.world.scene import scene_from
 
 PERIOD_S = 0.1
 GRIP_OFFSET = (-0.0152, 0.0, 0.0)
-"""From the tool point to the middle between fingers and thumb, in the flange's axes [m]: the hand's x axis points back
-there, and its knuckles stand at x = 60.4 mm and x = -30 mm."""
+"""From the tool point to the middle between fingers and thumb, in the flange's axes [m]: the hand's x axis is reversed
+there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
 
 AT_HOME, FOLLOWING = "home", "servo"
 LOST_S, AWAY_S, MOST_VISITS = 2.0, 2.0, 3
-"""After the stream broke off: when the person notices, how long the hand stays out of view, how often it comes in."""
+"""After a lost stream: delay until the operator reacts, time of the hand out of view, and most entries into view."""
 TOPIC = "simulation/scenario"
 
 
-class Eyes:
-    """What a person sees who stands beside the rig.
+class RigObserver:
+    """The observations of an operator beside the rig.
 
     Args:
-        name: of the scenario, for complaints.
+        name: of the scenario, for error messages.
         world: control port of the simulated world.
 
     Attributes:
         center_line: direction of the workspace, shape (3,).
         shapes: the objects of the scene, by name.
-        R: attitude of the tool in the base, shape (3, 3); None before it was seen.
-        grip: point of the tool that grips, shape (3,) [m]; None before it was seen.
+        R: orientation of the tool in the base, shape (3, 3); None before the first message.
+        grip: gripping point of the tool, shape (3,) [m]; None before the first message.
         mode: of the arm's controller.
 
     Raises:
-        RigError: the rig is not what a scenario needs.
+        RigError: the arm is not upright.
     """
 
     def __init__(self, name: str, world: ControlClient) -> None:
@@ -67,7 +66,7 @@ class Eyes:
         rospy.Subscriber("kuka/mode", String, self._take_mode, queue_size=10)
 
     def objects(self) -> dict[str, dict]:
-        """Returns what the world tells of its objects, and `top`, the centre of the upper side, shape (3,) [m].
+        """Returns the states of the objects, with `top`, the centre of the upper side, shape (3,) [m].
 
         Raises:
             DeviceError: the world does not answer.
@@ -87,8 +86,8 @@ class Eyes:
         self.mode = message.data
 
 
-class Story:
-    """Tells how far a scenario is, whenever something changed.
+class ProgressReport:
+    """Publishes the progress of a scenario when it changes.
 
     Args:
         name: of the scenario.
@@ -96,19 +95,19 @@ class Story:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._told: dict[str, str] = {}
+        self._published: dict[str, str] = {}
         self._publisher = rospy.Publisher(TOPIC, DiagnosticStatus, queue_size=10, latch=True)
 
-    def tell(self, step: str, failure: str = "", **more: str) -> None:
-        """Publishes step and failure, and what else there is to tell."""
+    def publish(self, step: str, failure: str = "", **more: str) -> None:
+        """Publishes step, failure and further values."""
         values = {"scenario": self._name, "step": step, "failure": failure, **more}
-        if values == self._told:
+        if values == self._published:
             return
         if failure:
-            rospy.logerr("The scenario %s was given up: %s.", self._name, failure)
-        elif step != self._told.get("step"):
+            rospy.logerr("The scenario %s failed: %s.", self._name, failure)
+        elif step != self._published.get("step"):
             rospy.loginfo("Scenario %s: %s", self._name, step)
-        self._told = values
+        self._published = values
         level = DiagnosticStatus.ERROR if failure else DiagnosticStatus.OK
         status = DiagnosticStatus(level=level, name="scenario", message=failure or step)
         status.values = [KeyValue(key, value) for key, value in values.items()]
@@ -125,47 +124,47 @@ class PickScenario:
         world: control port of the simulated world.
 
     Raises:
-        RigError: the rig or its world is not what the scenario needs.
+        RigError: the arm is not upright, or the object is missing.
     """
 
     def __init__(self, name: str, thing: str, leapd: ControlClient, world: ControlClient) -> None:
         self._object, self._leapd = thing, leapd
-        self._eyes, self._story = Eyes(name, world), Story(name)
-        if thing not in self._eyes.shapes:
-            raise RigError(f"The scenario {name} needs an object {thing!r}; the scene has {sorted(self._eyes.shapes)}.")
+        self._rig, self._report = RigObserver(name, world), ProgressReport(name)
+        if thing not in self._rig.shapes:
+            raise RigError(f"The scenario {name} needs an object {thing!r}; the scene has {sorted(self._rig.shapes)}.")
 
     def run(self) -> None:
-        """Works until the scenario is over or ROS shuts down, then takes the hand away.
+        """Runs until the scenario is over or ROS shuts down, then takes the hand away.
 
         Raises:
             DeviceError: the world or the Leap service does not answer.
         """
-        person, visits, followed = self._come_in(), 1, None
+        operator, visits, followed = self._come_in(), 1, None
         while not rospy.is_shutdown():
             time.sleep(PERIOD_S)
-            if self._eyes.grip is None:
+            if self._rig.grip is None:
                 continue
             view, now = self._view(), time.monotonic()
             if view.following:
                 followed = now
             elif followed is not None and now - followed > LOST_S and visits < MOST_VISITS:
-                rospy.logwarn("The arm follows no more: the hand goes out, comes in again, and starts anew.")
+                rospy.logwarn("The arm stopped following: the hand leaves the view, comes in again, and starts over.")
                 self._leapd.ask("hide")
                 time.sleep(AWAY_S)
-                person, visits, followed = self._come_in(), visits + 1, None
+                operator, visits, followed = self._come_in(), visits + 1, None
                 continue
-            result: PickStep = person.step(view, now)
+            result: PickStep = operator.step(view, now)
             if result.move is not None:
                 self._leapd.ask("reach", **result.move.fields)
-            self._story.tell(result.step, result.failure)
+            self._report.publish(result.step, result.failure)
             if result.over:
                 break
         self._leapd.ask("hide")
 
     def _come_in(self) -> PickAndPlace:
         self._leapd.ask("show")
-        return PickAndPlace(Plan(), self._eyes.center_line)
+        return PickAndPlace(Plan(), self._rig.center_line)
 
     def _view(self) -> PickView:
-        seen = self._eyes.objects()[self._object]
-        return PickView(self._eyes.grip, seen["top"], seen["clearance"], self._eyes.mode == FOLLOWING)
+        seen = self._rig.objects()[self._object]
+        return PickView(self._rig.grip, seen["top"], seen["clearance"], self._rig.mode == FOLLOWING)

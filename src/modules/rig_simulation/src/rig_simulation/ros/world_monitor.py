@@ -1,8 +1,8 @@
-"""Publishes where the objects of the simulated world are, and changes what stands there.
+"""Publishes the poses of the objects in the simulated world, and changes the scene.
 
-Topics: `simulation/object_states` in kuka/base_frame; on /diagnostics how fast the world's time passes. Services:
-`simulation/reset` puts the objects back to where the scene wants them, `simulation/set_scene` puts another scene there;
-arm and hand stay as they are.
+Topics: `simulation/object_states` in kuka/base_frame; on /diagnostics the real-time factor of the world. Services:
+`simulation/reset` puts the objects back to their poses of the scene, `simulation/set_scene` loads another scene; arm
+and hand keep their state.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, Pose, Quaternion
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger
 
 from common.errors import DeviceError
 from common.frames import BASE
@@ -24,18 +24,18 @@ from rig_msgs.msg import ObjectState, ObjectStates
 from rig_msgs.srv import SetScene, SetSceneRequest, SetSceneResponse
 from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import WorldMonitorConfig
-from rig_simulation.ros.polling import poll
+from rig_simulation.ros.polling import poll, trigger
 from rig_simulation.world.pace import Pace
 
 NAME = "world_monitor"
 TIMEOUT_S = 2.0
 STATE_PERIOD_S = 0.5
 SLOW = 0.95
-"""Share of the wanted speed below which the world counts as slow."""
+"""Fraction of the desired speed below which the world counts as slow."""
 
 
 class WorldMonitor:
-    """Polls the control port of the simulated world and publishes what it says."""
+    """Polls the control port of the simulated world and publishes its state."""
 
     def __init__(self, config: WorldMonitorConfig) -> None:
         self._period = 1.0 / config.rate
@@ -44,7 +44,8 @@ class WorldMonitor:
         self._state: dict | None = None
         self._trouble = f"The simulated world at {config.host}:{config.port} has not answered yet."
         self._objects = rospy.Publisher("simulation/object_states", ObjectStates, queue_size=10)
-        rospy.Service("simulation/reset", Trigger, self._reset)
+        reset = trigger(self._client, "reset", "The objects are back in their poses of the scene.")
+        rospy.Service("simulation/reset", Trigger, reset)
         rospy.Service("simulation/set_scene", SetScene, self._set_scene)
         Diagnostics("simulated_world", self._diagnose)
 
@@ -79,7 +80,7 @@ class WorldMonitor:
         self._next_state = now + STATE_PERIOD_S
         state = self._client.ask("state")
         now = time.monotonic()
-        self._pace.see(state["time"], now)
+        self._pace.add(state["time"], now)
         self._state = {"world_s": state["time"], "wall_s": now, "speed": state["speed"], "contacts": state["contacts"]}
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
@@ -89,15 +90,12 @@ class WorldMonitor:
         values = {name: "" if value is None else value for name, value in state.items()}
         values["real_time_factor"] = "" if factor is None else f"{factor:.3f}"
         if factor is not None and state["speed"] is not None and factor < SLOW * state["speed"]:
-            return DiagnosticStatus.WARN, f"The machine is too slow: {factor:.2f} s of the world in a second.", values
-        return DiagnosticStatus.OK, "The world keeps its time.", values
-
-    def _reset(self, _) -> TriggerResponse:
-        try:
-            self._client.ask("reset")
-        except DeviceError as error:
-            return TriggerResponse(False, str(error))
-        return TriggerResponse(True, "The objects are back in their places.")
+            return (
+                DiagnosticStatus.WARN,
+                f"Too slow: {factor:.2f} s of the world in a second; close other programs.",
+                values,
+            )
+        return DiagnosticStatus.OK, "The world runs in real time.", values
 
     def _set_scene(self, request: SetSceneRequest) -> SetSceneResponse:
         try:

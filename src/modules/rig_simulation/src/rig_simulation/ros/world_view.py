@@ -1,7 +1,7 @@
-"""Shows the simulated world in RViz: table and objects, and the forces where bodies touch.
+"""Shows the simulated world in RViz: table, objects and contact forces.
 
 Topics, both visualization_msgs/MarkerArray in kuka/base_frame: `simulation/objects`, and `simulation/contacts` with an
-arrow for each two bodies that touch, 6 cm a newton, and beside each body what bears on it, in N.
+arrow for each pair of touching bodies, 6 cm a newton, and beside each body the forces on it, in N.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rig_simulation.ros.polling import poll
 NAME = "world_view"
 TIMEOUT_S = 1.0
 LIFETIME_S = 1.0
-"""Markers of a world that is gone vanish after this time."""
+"""Markers of a stopped world disappear after this time."""
 
 KINDS = {BOX: Marker.CUBE, BALL: Marker.SPHERE, CYLINDER: Marker.CYLINDER}
 SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.012, 0.024, 0.03, 0.03, 0.11
@@ -34,7 +34,7 @@ OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0,
 
 
 class WorldView:
-    """Follows the world and publishes what is in it."""
+    """Follows the world and publishes its objects and contacts."""
 
     def __init__(self, config: WorldViewConfig) -> None:
         self._period = 1.0 / config.rate
@@ -44,7 +44,7 @@ class WorldView:
         self._contacts = rospy.Publisher("simulation/contacts", MarkerArray, queue_size=1)
 
     def run(self) -> None:
-        """Publishes until ROS shuts down; waits where the world does not answer."""
+        """Publishes until ROS shuts down; waits while the world does not answer."""
         poll(self._follow, self._period)
 
     def _follow(self) -> None:
@@ -87,14 +87,14 @@ def arrow_marker(arrow: Arrow, T_base_world: np.ndarray) -> Marker:
 
 
 def label_marker(pairs: list[PairForce], parts: list[Shape], T_base_world: np.ndarray) -> Marker:
-    """Returns the label of all forces on one body, beside the body where its shapes are known."""
+    """Returns the label of all forces on one body, beside the body if its shapes are known."""
     by_robot = any(pair.by_robot for pair in pairs)
     marker = Marker(type=Marker.TEXT_VIEW_FACING, ns="label", color=OF_ROBOT if by_robot else OF_OTHERS)
     marker.pose.orientation.w = 1.0
     if parts:
         marker.pose.position = Point(*beyond(parts, T_base_world[:3, 1], LABEL_BESIDE_M).tolist())
     else:
-        marker.pose.position = _point(pairs[0].place, T_base_world)
+        marker.pose.position = _point(pairs[0].position, T_base_world)
     marker.scale.z = LETTER_M
     marker.text = "\n".join(f"{short(pair.bodies[1])} {pair.newtons:.1f} N" for pair in pairs)
     return marker
@@ -105,7 +105,7 @@ def _point(position: np.ndarray, T_base_world: np.ndarray) -> Point:
 
 
 def _array(markers: list[Marker]) -> MarkerArray:
-    """Returns the markers with frame, ids and lifetime, after one that removes those of before."""
+    """Returns the markers with frame, ids and lifetime, after one that removes the previous markers."""
     now = rospy.Time.now()
     for i, marker in enumerate(markers):
         marker.header.frame_id, marker.header.stamp = BASE, now

@@ -1,9 +1,9 @@
 """The arm of the simulated controller in the world: its drives hold the joints of the physics through stiff springs.
 
-The controller's own angles stand behind the gears, the physics' angles before them. Between the two is the elasticity
-of the gears: `tau = K (q - q_physics) + D (v - v_physics)` besides what gravity and the planned motion need. So the arm
-does not sink and follows exactly where nothing touches it, a table stops it, and what it presses with is what the
-springs bear, the torque that the sensors in the joints of the real arm measure. Angles in rad, shape (7,).
+The controller has the motor-side angles, the physics the link-side angles. Between them is the elasticity of the gears:
+`tau = K (q - q_physics) + D (v - v_physics)`, added to the torques of gravity and of the planned motion. So the arm
+does not sink, follows exactly in free space, and is stopped by a table; the torque of the springs is what the joint
+torque sensors of the real arm measure. Angles in rad, shape (7,).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from rig_simulation.world.physics import Part, World
 from rig_simulation.world.robot import ARM_DAMPING, ARM_STIFFNESS
 
 OBSERVER_TIME_S = 0.01
-"""Torques from outside are known only so fast: the controller takes them from measured torques by a filter."""
+"""Time constant of the filter with which the controller estimates external torques from measured ones."""
 
 
 class ArmJoints(Part):
-    """The physics' side of the arm; the controller's arm has it as its surroundings.
+    """The link side of the arm; the environment of the controller's arm.
 
-    It steps the world each time that the arm moves on, so both have one time.
+    It steps the world with each step of the arm, so both share one time.
     """
 
     def __init__(self, world: World) -> None:
@@ -31,34 +31,34 @@ class ArmJoints(Part):
         self._stiffness, self._damping = np.array(ARM_STIFFNESS), np.array(ARM_DAMPING)
         self._q = self._v = self._v_next = np.zeros(7)
         self._torque = np.zeros(7)
-        self._observer_share = self._timestep / (OBSERVER_TIME_S + self._timestep)
+        self._observer_gain = self._timestep / (OBSERVER_TIME_S + self._timestep)
         world.add(self)
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Lets one step of the world pass, at whose end the drives stand at q and turn at v.
+        """Steps the world once, to the end angles q and speeds v of the drives.
 
         Returns:
-            torques of touch and load on the joints, shape (7,) [Nm].
+            torques of contacts and load on the joints, shape (7,) [Nm].
 
         Raises:
-            ValueError: dt is not the world's time step [s].
+            ValueError: dt differs from the world's time step.
         """
         if abs(dt - self._timestep) > 1e-9:
-            raise ValueError(f"the arm moves in steps of {dt} s, the world in steps of {self._timestep} s")
+            raise ValueError(f"The arm steps by {dt} s, but the world by {self._timestep} s.")
         self._v_next = v
         self._world.step()
         self._q, self._v = q, v
         torque = -self._spring() - self._damping * (v - self._joint_v)
-        self._torque = self._torque + self._observer_share * (torque - self._torque)
+        self._torque = self._torque + self._observer_gain * (torque - self._torque)
         return self._torque
 
     def bind(self, world: World) -> None:
-        """Takes the world's model and state."""
+        """Takes model and state of the world."""
         model, data = world.model, world.data
         joints = [model.joint(name) for name in JOINTS]
         qpos, dofs = (_run([j.qposadr[0] for j in joints]), _run([j.dofadr[0] for j in joints]))
         self._strongest = model.jnt_actfrcrange[[joint.id for joint in joints], 1]
-        # Views of the state: they show and set what is there now.
+        # Views of the state, to read and write it.
         self._joint_q, self._joint_v = data.qpos[qpos], data.qvel[dofs]
         self._bias, self._applied = data.qfrc_bias[dofs], data.qfrc_applied[dofs]
         self._all_a, self._all_efforts = np.zeros(model.nv), np.zeros(model.nv)
@@ -76,5 +76,5 @@ class ArmJoints(Part):
 
 
 def _run(addresses: list[int]) -> slice:
-    """Returns addresses that follow each other as a slice."""
+    """Returns consecutive addresses as a slice."""
     return slice(int(addresses[0]), int(addresses[-1]) + 1)

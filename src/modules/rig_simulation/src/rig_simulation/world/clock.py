@@ -9,12 +9,9 @@ class Clock:
     """Time of the world [s].
 
     Args:
-        speed: seconds of the world in a second; None: it stands until it is moved.
+        speed: seconds of the world in a second; None: it moves only by `move`.
 
-    Attributes:
-        speed: as given.
-
-    With speed 1 it is the system's monotonic clock; with another it is not, so ages are differences of its own times.
+    With speed 1 it equals the system's monotonic clock, with another speed it does not.
     """
 
     def __init__(self, speed: float | None) -> None:
@@ -23,7 +20,7 @@ class Clock:
 
     @property
     def stepped(self) -> bool:
-        """Whether it only moves when it is told to."""
+        """Whether it moves only by `move`."""
         return self.speed is None
 
     def __call__(self) -> float:
@@ -33,13 +30,11 @@ class Clock:
         return self._start + (time.monotonic() - self._start) * self.speed
 
     def move(self, seconds: float) -> None:
-        """Moves it on.
+        """Advances the clock.
 
         Raises:
-            ValueError: it runs by itself.
+            ValueError: the clock runs by itself.
         """
         if not self.stepped:
-            raise ValueError(
-                "The world's clock runs by itself; only a world that was started with --stepped takes steps."
-            )
+            raise ValueError("The world's clock runs by itself; start the world with --stepped to step it.")
         self._start += seconds

@@ -1,4 +1,4 @@
-"""What the control port of the world answers; see `rig_simulation.control_port`."""
+"""The requests of the world's control port; see `rig_simulation.control_port`."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from rig_simulation.world.physics import World
 
 MOST_STEPS = 1000
 STEPS_AT_ONCE = 20
-"""Fewer than the arm makes up for at once."""
+"""Fewer than the arm catches up in one go."""
 
 
 class WorldRequests:
     """The requests.
 
     Args:
-        world: what they ask for.
-        server: of the arm, which moves the world and holds its lock.
+        world: of the requests.
+        server: of the arm, which steps the world and holds its lock.
         clock: of both.
 
     Attributes:
-        handlers: function by request, for a control port.
+        handlers: for the control port.
     """
 
     def __init__(self, world: World, server: SunriseServer, clock: Clock) -> None:
@@ -84,7 +84,7 @@ class WorldRequests:
 
     def _step(self, count: int = 1) -> dict[str, Any]:
         if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_STEPS:
-            raise ValueError(f"The count of steps is a whole number from 1 to {MOST_STEPS}, not {count!r}.")
+            raise ValueError(f"The count of steps is {count!r}, but must be a whole number from 1 to {MOST_STEPS}.")
         while count > 0:
             self._clock.move(min(count, STEPS_AT_ONCE) * self._world.timestep)
             self._server.advance()

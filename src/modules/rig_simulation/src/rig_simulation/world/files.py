@@ -1,4 +1,4 @@
-"""What the world reads from disk: scenes and panels of this package, meshes of the robot's description."""
+"""The files of the world: scenes and marker boards of this package, meshes of the robot's description."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ SOURCE_TREE = Path(__file__).resolve().parents[3]
 
 
 def read_scene(name: str) -> dict[str, Any]:
-    """Returns the mapping of a scene: one of this package's by its name, or any yaml file by its path.
+    """Returns the mapping of a scene: of this package by its name, or of a yaml file by its path.
 
     Raises:
-        ConfigError: there is none, or it is no yaml.
+        ConfigError: the file is missing or is not yaml.
     """
     return _read("scenes", name)
 
 
 def read_board(name: str) -> dict[str, Any]:
-    """Returns the mapping of a panel, like `read_scene`."""
+    """Returns the mapping of a marker board, like `read_scene`."""
     return _read("panels", name)
 
 
@@ -43,7 +43,7 @@ def read_mesh(uri: str) -> str:
     for folder in package_folders(DESCRIPTION, DESCRIPTION_TREE):
         if (folder / path).is_file():
             return (folder / path).read_text(encoding="utf-8")
-    raise FileNotFoundError(f"the mesh {uri} is not to be found")
+    raise FileNotFoundError(f"There is no mesh {uri}; undo changes of rig_description.")
 
 
 def _read(kind: str, name: str) -> dict[str, Any]:
@@ -54,10 +54,8 @@ def _read(kind: str, name: str) -> dict[str, Any]:
             try:
                 return yaml.safe_load(path.read_text(encoding="utf-8"))
             except (yaml.YAMLError, UnicodeDecodeError) as error:
-                raise ConfigError([f"The file {path} is no yaml: {str(error).splitlines()[0]}."]) from None
+                raise ConfigError([f"The file {path} is not valid yaml: {str(error).splitlines()[0]}."]) from None
     if name.endswith(".yaml"):
         raise ConfigError([f"There is no file {Path(name).absolute()}."])
     known = sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
-    raise ConfigError(
-        [f"There is no file {name!r} among the {kind}; known are {', '.join(known)}, or a path to a yaml."]
-    )
+    raise ConfigError([f"There is no {name!r} in {kind}; choose {', '.join(known)}, or the path of a yaml file."])

@@ -1,7 +1,7 @@
-"""The ReFlex hand in the world: its servos pull the tendons of the physics, its sensors read them.
+"""The ReFlex hand in the world: its servos pull the tendons of the physics, its sensors measure them.
 
-The wire and the control requests are those of the simulated hand alone; here its moving parts have masses and touch
-things. Lengths in m, angles in rad, forces in N.
+Wire and control requests are those of the simulated hand; here its moving parts have masses and contacts. Lengths in m,
+angles in rad, forces in N.
 """
 
 from __future__ import annotations
@@ -12,27 +12,27 @@ import mujoco
 import numpy as np
 
 from rig_simulation.devices.reflex.hand import SimulatedHand
-from rig_simulation.devices.reflex.mechanics import CELLS, FINGERS
+from rig_simulation.devices.reflex.mechanics import FINGERS, TAXELS
 from rig_simulation.devices.reflex.servo import MAX_EFFORT, MAX_TORQUE_NM
 from rig_simulation.world.hand_model import PARTS, pad_name, tendon_name
 from rig_simulation.world.physics import Part, World
 
 EFFORT_PER_NM = MAX_EFFORT / MAX_TORQUE_NM
 FINGER_RATIO, SWIVEL_RATIO = 1.42, 1.5
-"""Turns of a motor by turns of its spool."""
+"""Turns of a motor for one turn of its spool."""
 
 COUNTS_PER_N = 25.0
-"""Of a force straight over a cell. An assumption: the vendor calls 20 counts a touch and draws 80 as the most."""
-CELL_REACH_M = 0.005
-"""Standard deviation of the bell curve by which a force beside a cell counts; half of it counts at 5.9 mm."""
+"""For a force in the middle of a taxel. An assumption: the vendor counts 20 as a touch and shows at most 80."""
+TAXEL_REACH_M = 0.005
+"""Standard deviation of the sensitivity beside a taxel; it falls to one half at 5.9 mm."""
 
 _TIP_TILT_RAD = np.radians(30.0)
-_CELL_PLACES = {
+_TAXEL_POSITIONS = {
     "proximal": [(x, 0.0, 0.0154) for x in (0.0189, 0.0268, 0.0347, 0.0426, 0.0506)],
     "distal": [(0.0114, 0.0, 0.0129), (0.0193, 0.0, 0.0129), (0.0272, 0.0, 0.0129), (0.0375, 0.0, 0.0073)],
 }
 _UP = (0.0, 0.0, 1.0)
-_CELL_NORMALS = {
+_TAXEL_NORMALS = {
     "proximal": [_UP] * 5,
     "distal": [_UP] * 3 + [(np.sin(_TIP_TILT_RAD), 0.0, np.cos(_TIP_TILT_RAD))],
 }
@@ -45,7 +45,7 @@ class PhysicalMechanics:
         self._ends: list[float | None] = [None] * FINGERS
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Takes model and state; obstacles stay."""
+        """Takes model and state; obstacles remain."""
         self._model, self._data = model, data
         self._tendons = [model.actuator(tendon_name(finger + 1)).id for finger in range(FINGERS)]
         self._swivels = [model.actuator(f"reflex/preshape_{finger}").id for finger in (1, 2)]
@@ -58,12 +58,12 @@ class PhysicalMechanics:
             self.block(finger, end)
 
     def pull(self, spools: Sequence[float] | np.ndarray) -> None:
-        """Sets where the motors pull tendons and swivels to in the next step."""
+        """Sets the spool angles of tendons and swivels for the next step."""
         self._data.ctrl[self._tendons] = spools[:FINGERS]
         self._data.ctrl[self._swivels] = spools[FINGERS], -spools[FINGERS]
 
     def resistance(self, motor: int) -> float:
-        """Returns the effort [0.1 %] that a tendon's tension, or both swivels together, ask of a motor."""
+        """Returns the effort of a motor [0.1 %], from the tension of its tendon or the torques of both swivels."""
         torques = self._data.actuator_force
         if motor < FINGERS:
             return float(torques[self._tendons[motor]]) / FINGER_RATIO * EFFORT_PER_NM
@@ -79,20 +79,20 @@ class PhysicalMechanics:
         return self._angle("distal", finger)
 
     def touch(self, finger: int) -> Sequence[float]:
-        """Returns what presses on the nine cells of a finger, in counts."""
+        """Returns the pressure on the nine taxels of a finger [counts]."""
         pads = self._pads[finger]
-        counts = np.zeros(CELLS)
+        counts = np.zeros(TAXELS)
         for i, geoms in enumerate(self._data.contact.geom):
             for side, sign in ((0, 1.0), (1, -1.0)):
                 part = pads.get(int(geoms[side]))
                 if part is not None:
-                    first = 0 if part == "proximal" else len(_CELL_PLACES["proximal"])
-                    felt = self._felt(i, int(geoms[side]), part, sign)
-                    counts[first : first + len(felt)] += felt
+                    first = 0 if part == "proximal" else len(_TAXEL_POSITIONS["proximal"])
+                    pressure = self._pressure(i, int(geoms[side]), part, sign)
+                    counts[first : first + len(pressure)] += pressure
         return counts.tolist()
 
     def block(self, finger: int, proximal: float | None) -> None:
-        """Puts an end to a knuckle's turn."""
+        """Limits the turn of a knuckle."""
         self._ends[finger] = proximal
         end = self._farthest[finger] if proximal is None else proximal
         self._model.jnt_range[self._joints["proximal"][finger], 1] = end
@@ -100,8 +100,8 @@ class PhysicalMechanics:
     def _angle(self, part: str, finger: int) -> float:
         return float(self._data.qpos[self._model.jnt_qposadr[self._joints[part][finger]]])
 
-    def _felt(self, contact: int, geom: int, part: str, sign: float) -> np.ndarray:
-        """Returns the counts that a contact adds to the cells of a part; sign: +1 if the pad is its first geom."""
+    def _pressure(self, contact: int, geom: int, part: str, sign: float) -> np.ndarray:
+        """Returns the counts that a contact adds to the taxels of a part; sign: +1 if the pad is its first geom."""
         found = self._data.contact[contact]
         wrench = np.zeros(6)
         mujoco.mj_contactForce(self._model, self._data, contact, wrench)
@@ -109,11 +109,11 @@ class PhysicalMechanics:
         R, p = self._data.xmat[body].reshape(3, 3), self._data.xpos[body]
         # The contact's normal points from the first geom to the second, away from the pad if that is the first.
         outward = R.T @ found.frame[:3] * sign
-        offset = R.T @ (found.pos - p) - np.array(_CELL_PLACES[part])
-        normals = np.array(_CELL_NORMALS[part])
+        offset = R.T @ (found.pos - p) - np.array(_TAXEL_POSITIONS[part])
+        normals = np.array(_TAXEL_NORMALS[part])
         beside = np.linalg.norm(offset - np.sum(offset * normals, axis=1, keepdims=True) * normals, axis=1)
         pressing = wrench[0] * np.maximum(0.0, normals @ outward)
-        return COUNTS_PER_N * pressing * np.exp(-0.5 * (beside / CELL_REACH_M) ** 2)
+        return COUNTS_PER_N * pressing * np.exp(-0.5 * (beside / TAXEL_REACH_M) ** 2)
 
 
 class HandPart(Part):
@@ -131,10 +131,10 @@ class HandPart(Part):
         self.simulated = SimulatedHand(seed, self._mechanics)
 
     def bind(self, world: World) -> None:
-        """Takes the world's model and state."""
+        """Takes model and state of the world."""
         self._timestep = world.timestep
         self._mechanics.bind(world.model, world.data)
 
     def before_step(self) -> None:
-        """Lets the servos move by one step and pull."""
+        """Steps the servos, which pull the tendons."""
         self.simulated.step(self._timestep)

@@ -1,12 +1,12 @@
-"""The ReFlex hand as the physics sees it: springs, tendons, shapes that touch, added to the bodies of the URDF.
+"""The ReFlex hand in the physics: springs, tendons and contact shapes, added to the bodies of the URDF.
 
-Each finger is underactuated: one tendon pulls at the knuckle and at the flexure with the same lever, and a spring in
-each holds against it. Tendon travel is counted as the turn of both joints together [rad], as the driver counts it. Free
-of contact the springs share the tendon 1 : 0.4; once the proximal link is held, the flexure takes what is left.
+Each finger is underactuated: one tendon pulls knuckle and flexure with the same lever arm, against a spring in each.
+Tendon travel is the turn of both joints together [rad], as in the driver. Without contact the springs divide it
+1 : 0.4; once the proximal link is blocked, the flexure takes the rest.
 
-The springs' stiffness is an assumption, nothing is published: their ratio follows from the shares of a free finger, the
-preload holds a level finger up against its weight (0.055 Nm), and a full closing takes a fifth of the motor's torque,
-far from its overload. Lengths in m, angles in rad, in the frames of the URDF.
+The stiffness of the springs is an assumption, since none is published: their ratio follows from a free finger, the
+preload holds a level finger against its weight (0.055 Nm), and full closing needs a fifth of the motor's torque.
+Lengths in m, angles in rad, in the frames of the URDF.
 """
 
 from __future__ import annotations
@@ -15,16 +15,15 @@ from collections.abc import Mapping
 from typing import Tuple
 from xml.etree import ElementTree as ET
 
-from rig_simulation.world.elements import child
-from rig_simulation.world.mjcf import NOTHING, Touch, geom, numbers
+from rig_simulation.world.mjcf import NOTHING, Touch, child, geom, numbers
 
 FINGERS = (1, 2, 3)
 PARTS = ("proximal", "distal")
-FLEXURE_SHARE = 0.4
-"""Turn of the flexure of a free finger by that of its knuckle."""
+FLEXURE_RATIO = 0.4
+"""Ratio of the turns of flexure and knuckle of a free finger."""
 
 FLEXURE_STIFFNESS_NM_RAD = 0.6
-KNUCKLE_STIFFNESS_NM_RAD = FLEXURE_SHARE * FLEXURE_STIFFNESS_NM_RAD
+KNUCKLE_STIFFNESS_NM_RAD = FLEXURE_RATIO * FLEXURE_STIFFNESS_NM_RAD
 PRELOAD_NM = 0.08
 TENDON_STIFFNESS_NM_RAD = 15.0
 TENDON_DAMPING_NM_S_RAD = 0.05
@@ -41,13 +40,13 @@ _JOINTS = {
 """Stiffness [Nm/rad], damping [Nm s/rad], armature [kg m^2]."""
 
 HAND = Touch(kind=5, partners=6, group=3)
-"""Meets what the rest of the robot meets, and itself: fingers lie against each other and on the palm."""
+"""Touches what the rest of the robot touches, and itself: fingers lie against each other and on the palm."""
 SHELL_FRICTION = 0.5
-# Rubber grips well, gives a little, and its patch of contact resists twisting. What it touches has no say in that.
+# Rubber grips well, is slightly soft, and its contact resists twisting, whatever it touches.
 RUBBER_FRICTION = 1.1
 _RUBBER = {"condim": "4", "priority": "1", "solref": "0.005 1", "solimp": "0.95 0.99 0.001"}
 HOLDING = {"cone": "elliptic", "impratio": "100", "noslip_iterations": "4"}
-"""With the physics' defaults a held thing creeps out of the hand, about a millimetre in a second."""
+"""With MuJoCo's defaults a held object creeps out of the hand by about 1 mm/s."""
 
 _PAD_RADIUS = 0.008
 _PADS = {"proximal": (0.019, 0.054, 0.006), "distal": (0.013, 0.040, 0.002)}
@@ -61,20 +60,20 @@ _SWIVEL_RADIUS, _SWIVEL_HEIGHT = 0.018, 0.0296
 
 
 def pad_name(part: str, finger: int) -> str:
-    """Returns the name of the rubber on a finger's part, "proximal" or "distal"."""
+    """Returns the name of the rubber pad on a part of a finger, "proximal" or "distal"."""
     return f"reflex/{part}_{finger}/pad"
 
 
 def tendon_name(finger: int) -> str:
-    """Returns the name of a finger's tendon and of the motor that pulls it."""
+    """Returns the name of a finger's tendon and of its motor."""
     return f"reflex/tendon_{finger}"
 
 
 def prepare_hand(root: ET.Element) -> None:
-    """Makes the hand in a model work.
+    """Adds the mechanics of the hand to a model.
 
-    Gives its joints springs and damping, replaces whatever could touch by the shapes of this file, and adds tendons,
-    motors, and the pairs of links that never touch. What is only seen stays.
+    Adds springs and damping to its joints, replaces its collision shapes by those of this file, and adds tendons,
+    motors, and the pairs of links that never touch. Visual shapes stay.
 
     Args:
         root: the model with its options and the bodies and joints of the robot's URDF.
@@ -136,7 +135,7 @@ def _pad(body: ET.Element, part: str, finger: int) -> None:
 
 
 def _add_motors(root: ET.Element) -> None:
-    """Adds a motor for each tendon, which only pulls, and one for each swivel; their control is the spool's angle."""
+    """Adds a motor for each tendon, which only pulls, and for each swivel; their control is the spool angle."""
     tendons, actuators = _section(root, "tendon"), _section(root, "actuator")
     for finger in FINGERS:
         name = tendon_name(finger)

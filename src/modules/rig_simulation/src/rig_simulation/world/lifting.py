@@ -1,8 +1,8 @@
-"""The rig's ReFlex hand on a vertical slide, above somebody else's scene: down to a grasp, close, lift.
+"""The rig's ReFlex hand on a vertical slide above a given scene: down to a grasp, close, lift.
 
-The hand points straight down, its fingers half closed, and comes down until its palm is as far from the grasp as the
-rig's tool has it, or the straight fingers' tips would touch the table. Then each finger closes until its motor meets a
-given load, and the hand goes up. The hand is that of the shared world, with its springs, tendons and rubber.
+The hand points down with half-closed fingers and descends to the palm distance of the rig's tool, or until the straight
+fingers' tips are just above the table. Then each finger closes up to a given motor load, and the hand rises. The hand
+is that of the shared world, with its springs, tendons and rubber.
 """
 
 from __future__ import annotations
@@ -16,30 +16,29 @@ import numpy as np
 from common.frames import BASE
 from common.poses import pose
 from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
-from rig_simulation.world.elements import child
 from rig_simulation.world.hand import PhysicalMechanics
 from rig_simulation.world.hand_model import prepare_hand
-from rig_simulation.world.mjcf import body, numbers
+from rig_simulation.world.mjcf import body, child, numbers
 from rig_simulation.world.robot import add_robot
 
 TIMESTEP_S = 0.001
 P_HAND_GRIP = np.array([0.0152, 0.0, 0.150])
-"""Where the surface between the fingers is in the hand's frame, as on the rig [m]."""
+"""Position of the surface between the fingers in the hand's frame, as on the rig [m]."""
 TIPS_M = 0.196
 """From the hand's base to the tips of its straight fingers."""
 GROUND_M = 0.004
 """Lowest height of the tips above the table."""
 START_M = 0.10
-"""The hand starts so far above the grasp."""
+"""Start height above the grasp."""
 LIFT_M = 0.10
 RISE_M = 0.06
-"""An object that rose so much, and is still up at the end, was lifted."""
+"""An object that rises by this much, and stays up, counts as lifted."""
 HALF_CLOSED_RAD = 1.6
-"""Turn of a finger on the way down: the tips stand about 0.11 m apart."""
+"""Turn of a finger during the descent: the tips are about 0.11 m apart."""
 CLOSING_RAD_S = 1.5
 FARTHEST_RAD = 3.6
 LOAD = 300.0
-"""Effort at which a motor stops to close [0.1 %]: about 10 N at a finger's tip."""
+"""Effort at which a motor stops closing [0.1 %]: about 10 N at a finger's tip."""
 DOWN_S, CLOSE_S, LIFT_S, HOLD_S = 0.8, 1.6, 1.0, 0.5
 SLIDE_N = 120.0
 FINGERS = 3
@@ -47,12 +46,12 @@ SLIDE = "slide"
 
 
 class LiftTrial(NamedTuple):
-    """What came of a trial.
+    """Result of a trial.
 
     Attributes:
-        lifted: an object rose by more than `RISE_M` and was still up at the end.
-        rise: of the object that rose most [m].
-        reached: the hand came within 5 mm of its place before it closed.
+        lifted: whether an object rose by more than `RISE_M` and stayed up.
+        rise: largest rise of an object [m].
+        reached: whether the hand came within 5 mm of its target before it closed.
     """
 
     lifted: bool
@@ -61,20 +60,20 @@ class LiftTrial(NamedTuple):
 
 
 def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:
-    """Returns what happens when the hand grasps there.
+    """Simulates a grasp.
 
     Args:
-        scene: MJCF of objects with free joints, and nothing else that moves, on a table whose top is z = 0.
-        qpos: where they lie.
-        T_world_grasp: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above,
-            whatever the grasp's approach.
+        scene: MJCF of objects with free joints, without other joints, on a table whose top is z = 0.
+        qpos: their poses.
+        T_world_grasp: surface point between the fingers, x through both, shape (4, 4) [m]; the hand always comes from
+            above.
 
     Raises:
-        ValueError: the line through the fingers is vertical, or the scene does not have these positions.
+        ValueError: the line through the fingers is vertical, or `qpos` does not match the scene.
     """
     model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp)))
     if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
-        raise ValueError(f"the scene has {model.nq} positions with the hand, which do not go with {len(qpos)}")
+        raise ValueError(f"The scene with the hand has {model.nq} positions, but {len(qpos)} were given.")
     data = mujoco.MjData(model)
     mechanics = PhysicalMechanics()
     mechanics.bind(model, data)
@@ -106,7 +105,7 @@ def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:
 
 
 def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:
-    """Returns where the hand's base stands for a grasp, T_world_hand, shape (4, 4) [m].
+    """Returns the pose of the hand's base for a grasp, T_world_hand, shape (4, 4) [m].
 
     Raises:
         ValueError: the line through the fingers is vertical.
@@ -114,7 +113,7 @@ def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:
     x = T_world_grasp[:3, 0] * (1.0, 1.0, 0.0)
     length = np.linalg.norm(x)
     if not length > 0.2:
-        raise ValueError(f"the line through the fingers, {T_world_grasp[:3, 0].tolist()}, is nearly vertical")
+        raise ValueError(f"The line through the fingers, {T_world_grasp[:3, 0].tolist()}, is nearly vertical.")
     x, z = x / length, np.array([0.0, 0.0, -1.0])
     R = np.column_stack([x, np.cross(z, x), z])
     p = T_world_grasp[:3, 3] - R @ P_HAND_GRIP
@@ -123,7 +122,7 @@ def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:
 
 
 def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
-    """Returns the scene's MJCF with the hand `START_M` above its place, on a slide that goes up."""
+    """Returns the scene's MJCF with the hand on a vertical slide, `START_M` above its target."""
     root = ET.fromstring(scene)
     child(root, "option").set("timestep", str(TIMESTEP_S))
     world = child(root, "worldbody")

@@ -1,6 +1,6 @@
 """Tries grasps with the rig's ReFlex hand in MuJoCo: the file is one of `rosrun grasping evaluate_grasps.py --export`.
 
-Prints a table of the shares of lifted objects, and with --results keeps each trial in a file, from which it goes on.
+Prints a table of success rates; with --results it keeps each trial in a file and resumes from it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def read(path: Path) -> list[dict[str, Any]]:
     """Returns the scenes of a file of grasps, checked.
 
     Raises:
-        RigError: it is none.
+        RigError: the file is invalid.
     """
     try:
         content = json.loads(path.read_text())
@@ -44,19 +44,21 @@ def read(path: Path) -> list[dict[str, Any]]:
     except OSError as error:
         raise RigError(f"{path} cannot be read: {error.strerror}.") from None
     except (ValueError, KeyError, TypeError) as error:
-        raise RigError(f"{path} is no file of grasps: {' '.join(str(error).split())}.") from None
+        raise RigError(
+            f"{path} is not a file of grasps ({' '.join(str(error).split())}); make it again by evaluate_grasps.py."
+        ) from None
     if not content["scenes"]:
-        raise RigError(f"{path} holds no scene.")
+        raise RigError(f"{path} contains no scene.")
     return content["scenes"]
 
 
 def _check(scene: dict[str, Any]) -> None:
-    """Raises ValueError, KeyError or TypeError where a scene is none."""
+    """Raises ValueError, KeyError or TypeError for an invalid scene."""
     int(scene["scene"]), int(scene["objects"])
     try:
         ET.fromstring(scene["mjcf"])
     except ET.ParseError as error:
-        raise ValueError(f"the model of scene {scene['scene']} is no XML: {error}") from None
+        raise ValueError(f"the model of scene {scene['scene']} is not XML: {error}") from None
     if not all(math.isfinite(value) for value in scene["qpos"]):
         raise ValueError(f"the positions of scene {scene['scene']} are not finite")
     for grasp in scene["grasps"]:
@@ -67,7 +69,7 @@ def _check(scene: dict[str, Any]) -> None:
 
 
 def try_scene(task: tuple[dict[str, Any], list[str]]) -> list[dict[str, Any]]:
-    """Returns what came of the grasps of some methods in one scene; a missing grasp lifts nothing."""
+    """Returns the results of the grasps of some methods in one scene; a missing grasp lifts nothing."""
     scene, names = task
     mujoco.set_mju_user_warning(_ignore)
     rows = []
@@ -86,7 +88,7 @@ def _ignore(_text: str) -> None:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Returns the shares of lifted objects in percent as a Markdown table, in brackets the 95 % Wilson intervals."""
+    """Returns the percentage of lifted objects as a Markdown table, with 95 % Wilson intervals in brackets."""
     groups: dict[str, Callable[[dict[str, Any]], bool]] = {
         "one object: lifted %": lambda row: row["objects"] == 1,
         "clutter: lifted %": lambda row: row["objects"] > 1,
@@ -105,8 +107,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the program; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path, help="scenes and grasps")
-    parser.add_argument("--results", type=Path, metavar="FILE", help="keep the trials there, go on from there")
-    parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="keep the trials there, and resume from it")
+    parser.add_argument("--processes", type=int, default=1, help="number of scenes at a time")
     options = parser.parse_args(arguments)
     if options.processes < 1:
         parser.error(f"--processes is {options.processes}, but must be at least 1.")

@@ -1,4 +1,7 @@
-"""The meshes of the robot's description, COLLADA with one surface of one colour, as arrays."""
+"""The meshes of the robot's description, COLLADA with one surface of one colour, as arrays.
+
+Twenty lines read what rig_description writes; trimesh with pycollada would add two packages and their start time.
+"""
 
 from __future__ import annotations
 
@@ -26,17 +29,17 @@ class TriangleSurface:
 
 
 def surface_from_collada(text: str) -> TriangleSurface:
-    """Returns the surface in a file as rig_description writes it: each vertex has its own normal with the same index.
+    """Returns the surface in a file of rig_description, in which each vertex has one normal with the same index.
 
     Raises:
-        ValueError: the text is no such file.
+        ValueError: the text lacks positions, triangles or the colour.
     """
     root = ET.fromstring(text)
     positions = root.findtext(".//c:source[@id='positions']/c:float_array", namespaces=_NAMESPACE)
     indices = root.findtext(".//c:triangles/c:p", namespaces=_NAMESPACE)
     colour = root.findtext(".//c:diffuse/c:color", namespaces=_NAMESPACE)
     if not positions or not indices or not colour:
-        raise ValueError("the COLLADA text has no positions, no triangles or no colour")
+        raise ValueError("The COLLADA text lacks positions, triangles or the colour; generate the meshes again.")
     return TriangleSurface(
         np.array(positions.split(), dtype=float).reshape(-1, 3),
         np.array(indices.split(), dtype=int).reshape(-1, 3),

@@ -1,4 +1,4 @@
-"""Elements of MuJoCo's model format. Lengths in m, angles in rad, poses as 4x4 matrices."""
+"""Elements of MuJoCo's model format and of URDF. Lengths in m, angles in rad, poses as 4x4 matrices."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from common.rotations import quaternion_from_rotation
 
 @dataclasses.dataclass(frozen=True)
 class Touch:
-    """What a kind of geom touches: two geoms meet if the kind of one is among the partners of the other.
+    """The contacts of a kind of geom: two geoms touch if the kind of one is among the partners of the other.
 
     Attributes:
-        kind: bit of its own.
-        partners: bits of the kinds that it meets.
-        group: MuJoCo's number for showing or hiding; 3 and above are hidden.
+        kind: its own bit.
+        partners: bits of the kinds that it touches.
+        group: visibility group of MuJoCo; 3 and above are hidden.
     """
 
     kind: int
@@ -30,7 +30,7 @@ class Touch:
 ROBOT = Touch(kind=1, partners=2, group=3)
 BOARD = Touch(kind=2, partners=1, group=0)
 OBJECT = Touch(kind=2, partners=3, group=0)
-SEEN = Touch(kind=0, partners=0, group=1)
+VISUAL = Touch(kind=0, partners=0, group=1)
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
@@ -56,10 +56,10 @@ def geom(
     """Adds a geom.
 
     Args:
-        size: as MuJoCo wants it for this kind: half lengths of a box, radius and half length of a cylinder.
+        size: as MuJoCo defines it: half lengths of a box, radius and half length of a cylinder.
         p, R: its pose in the body.
         friction: sliding friction.
-        mass: [kg]; None for the geoms of a body whose mass is given.
+        mass: [kg]; None if the body has a mass of its own.
         colour: red, green, blue.
         more: further attributes of MuJoCo.
     """
@@ -85,11 +85,35 @@ def geom(
 
 
 def quaternion(R: np.ndarray) -> str:
-    """Returns a rotation, shape (3, 3), as MuJoCo writes it: w first."""
+    """Returns a rotation, shape (3, 3), as a quaternion in MuJoCo's order: w first."""
     x, y, z, w = quaternion_from_rotation(R)
     return numbers((w, x, y, z))
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Returns numbers as text that gives back the same doubles."""
+    """Returns numbers as text that reads back as the same doubles."""
     return " ".join(repr(float(value)) for value in values)
+
+
+def child(element: ET.Element, path: str) -> ET.Element:
+    """Returns the first element at a path below this one.
+
+    Raises:
+        ValueError: it does not exist.
+    """
+    found = element.find(path)
+    if found is None:
+        raise ValueError(f"The element <{element.tag}> has no {path}.")
+    return found
+
+
+def attribute(element: ET.Element, name: str) -> str:
+    """Returns the value of an attribute.
+
+    Raises:
+        ValueError: it does not exist.
+    """
+    value = element.get(name)
+    if value is None:
+        raise ValueError(f"The element <{element.tag}> has no attribute {name}.")
+    return value

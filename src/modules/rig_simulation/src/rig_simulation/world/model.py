@@ -1,11 +1,11 @@
-"""The model of the physics: robot, table, objects, marker panel, camera, light, made from a description of the world.
+"""The MuJoCo model of robot, table, objects, marker board, camera and light, from a description of the world.
 
-Two processes that build it from the same description have the same model. The world frame is upright with its origin in
-the arm's base; with an upright arm it is `kuka/base_frame`.
+Processes that build it from the same description have the same model. The world frame is upright with its origin in the
+arm's base; with an upright arm it is `kuka/base_frame`.
 
 Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint of that
 name; `panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`,
-which look along their own -z with y up, as MuJoCo wants it: the optical frames turned by half a turn about x.
+which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a turn about x.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ from common.frames import CAMERA_LINK, DEPTH_OPTICAL, FLANGE, RGB_OPTICAL
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_zyx, unit
 from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
-from rig_simulation.world.elements import child
 from rig_simulation.world.files import read_mesh
 from rig_simulation.world.hand_model import prepare_hand
 from rig_simulation.world.meshes import TriangleSurface, surface_from_collada
-from rig_simulation.world.mjcf import BOARD, ROBOT, SEEN, body, geom, numbers
+from rig_simulation.world.mjcf import BOARD, ROBOT, VISUAL, body, child, geom, numbers
 from rig_simulation.world.objects import add_object, add_table
 from rig_simulation.world.robot import add_mesh, add_robot
 from rig_simulation.world.scene import CameraPose, MarkerBoard, board_from, scene_from
@@ -38,25 +37,25 @@ FLOOR_BELOW_TABLE = 0.75
 SKY, HAZE = (0.85, 0.89, 0.93), (0.62, 0.67, 0.72)
 WHITE, BLACK, FLOOR_COLOUR, BOARD_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4), (0.72, 0.6, 0.45)
 
-R_FLANGE_PANEL = ((-1, 0, 0), (0, 0, 1), (0, 1, 0))
-"""Attitude of the panel in the flange: its face parallel to the flange's axis, its y axis along the flange's z."""
+R_FLANGE_BOARD = ((-1, 0, 0), (0, 0, 1), (0, 1, 0))
+"""Orientation of the board in the flange: its face parallel to the flange's axis, its y axis along the flange's z."""
 PLATE_THICKNESS = 0.004
 
 RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.018, 0.0)
 CAMERA_SIZE = (0.018, 0.090, 0.018)
 FOVY_DEG = 45.0
-"""Whoever renders sets the intrinsics of his camera; this is what the data sheet says."""
+"""From the data sheet; the renderers set the intrinsics of their cameras."""
 
 
 @dataclasses.dataclass(frozen=True)
 class WorldDescription:
-    """All that a process needs to build the world.
+    """All that a process needs to build the model.
 
     Attributes:
         robot, flange: as in the parameters kuka/robot and kuka/flange.
         mounting: roll, pitch, yaw of the base in the upright world [deg].
         scene: mapping as in the scene's yaml.
-        panel: mapping as in the panel's yaml, which comes with its ring between flange and hand; None: no panel.
+        panel: mapping as in the yaml of the marker board, which has a ring between flange and hand; None: no board.
     """
 
     robot: str
@@ -71,7 +70,7 @@ class WorldDescription:
 
     @staticmethod
     def from_fields(fields: Mapping[str, Any]) -> WorldDescription:
-        """Returns the description that `as_fields` gave.
+        """Returns the description from the result of `as_fields`.
 
         Raises:
             KeyError: a field is missing.
@@ -84,11 +83,11 @@ def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.M
     """Returns the model.
 
     Args:
-        description: what the world is.
-        visuals: with what is only seen, which the physics does not need; joints and bodies are the same without it.
+        description: of the world.
+        visuals: with visual shapes, which the physics does not need; joints and bodies are the same without them.
 
     Raises:
-        ConfigError: the scene or the panel has faults.
+        ConfigError: the scene or the marker board is invalid.
         FileNotFoundError: there is no description of this robot.
     """
     return mujoco.MjModel.from_xml_string(mjcf(description, visuals))
@@ -97,7 +96,7 @@ def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.M
 def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     """Returns the model as MuJoCo's XML; arguments and errors as for `build_model`."""
     if description.robot not in ROBOTS or description.flange not in FLANGES:
-        raise FileNotFoundError(f"there is no robot {description.robot} with {description.flange}")
+        raise FileNotFoundError(f"There is no robot {description.robot} with {description.flange}; check both names.")
     scene = scene_from(description.scene)
     root = ET.Element("mujoco", model="rig")
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -120,7 +119,7 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     add_robot(root, world, urdf, R_world_base, _reader() if visuals else None)
     prepare_hand(root)
     if description.panel is not None:
-        _add_panel(root, world, board_from(description.panel), visuals)
+        _add_board(root, world, board_from(description.panel), visuals)
     for name, shape in scene.objects.items():
         add_object(world, name, shape)
     return ET.tostring(root, encoding="unicode")
@@ -147,7 +146,7 @@ def _add_visual_settings(root: ET.Element) -> None:
 
 
 def camera_link_pose(camera: CameraPose) -> np.ndarray:
-    """Returns the pose of `camera_link` in the world, shape (4, 4): x looks at the target, y is level."""
+    """Returns the pose of `camera_link` in the world, shape (4, 4): x points at the target, y is level."""
     ahead = unit(camera.target - camera.position)
     left = unit(np.cross((0.0, 0.0, 1.0), ahead))
     return pose(np.column_stack([ahead, left, np.cross(ahead, left)]), camera.position)
@@ -155,7 +154,7 @@ def camera_link_pose(camera: CameraPose) -> np.ndarray:
 
 def _add_camera(world: ET.Element, camera: CameraPose) -> None:
     link = body(world, CAMERA_LINK, camera_link_pose(camera))
-    geom(link, "camera", SEEN, "box", np.array(CAMERA_SIZE) / 2.0, p=(-CAMERA_SIZE[0], -0.03, 0), colour=BLACK)
+    geom(link, "camera", VISUAL, "box", np.array(CAMERA_SIZE) / 2.0, p=(-CAMERA_SIZE[0], -0.03, 0), colour=BLACK)
     # Looks along x of camera_link, its own y up.
     R_link_camera = rotation_about(2, -np.pi / 2.0) @ rotation_about(0, np.pi / 2.0)
     for name, optical, p in (("rgb", RGB_OPTICAL, RGB_IN_LINK), ("depth", DEPTH_OPTICAL, DEPTH_IN_LINK)):
@@ -163,14 +162,14 @@ def _add_camera(world: ET.Element, camera: CameraPose) -> None:
         ET.SubElement(mount, "camera", name=optical, fovy=str(FOVY_DEG))
 
 
-def _add_panel(root: ET.Element, world: ET.Element, panel: MarkerBoard, visuals: bool) -> None:
+def _add_board(root: ET.Element, world: ET.Element, board: MarkerBoard, visuals: bool) -> None:
     flange = child(world, f".//body[@name='{FLANGE}']")
-    plate = body(flange, "panel", pose(R_FLANGE_PANEL, panel.centre))
-    half = (*(panel.size / 2.0), PLATE_THICKNESS / 2.0)
+    plate = body(flange, "panel", pose(R_FLANGE_BOARD, board.centre))
+    half = (*(board.size / 2.0), PLATE_THICKNESS / 2.0)
     geom(plate, "panel/plate", ROBOT, "box", half, p=(0, 0, -PLATE_THICKNESS / 2.0), colour=WHITE, mass=0.1).set(
         "group", "1"
     )
-    for tag in panel.tags if visuals else ():
+    for tag in board.tags if visuals else ():
         add_mesh(child(root, "asset"), f"panel/tag_{tag.id}", *tag_mesh(tag.id, tag.size))
         name = f"panel/tag_{tag.id}"
-        geom(plate, name, SEEN, "mesh", None, p=(*tag.position, 0.0), colour=BLACK, more={"mesh": name})
+        geom(plate, name, VISUAL, "mesh", None, p=(*tag.position, 0.0), colour=BLACK, more={"mesh": name})

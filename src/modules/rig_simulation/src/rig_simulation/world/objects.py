@@ -1,4 +1,4 @@
-"""The table and the objects on it as bodies of the physics: shapes that touch, masses, friction."""
+"""The table and the objects on it as bodies of the physics: contact shapes, masses, friction."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ WALL_PLATES = 16
 FEET = 8
 FOOT_RADIUS = 0.0025
 FOOT_OUT = 0.0005
-"""A round bottom stands on small balls: a cylinder that lies on a box is held by few, jumping points of contact."""
-BOTTOM_SHARE = 0.25
-"""Share of a cup's mass that is in its bottom."""
+"""A round bottom stands on small balls: a cylinder on a box has few, unsteady contact points."""
+BOTTOM_FRACTION = 0.25
+"""Fraction of a cup's mass in its bottom."""
 
 
 def table_pose(table: Table) -> np.ndarray:
@@ -35,7 +35,7 @@ def add_table(world: ET.Element, table: Table) -> None:
 
 
 def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:
-    """Adds an object that can move freely; its pose is set at a reset."""
+    """Adds a free object; a reset sets its pose."""
     element = body(world, f"object/{name}", np.eye(4))
     ET.SubElement(element, "freejoint", name=f"object/{name}")
     look: dict[str, Any] = {"friction": shape.friction, "colour": shape.colour}
@@ -53,14 +53,14 @@ def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:
     elif isinstance(shape, Bottle):
         _bottle(element, prefix, shape, look)
     else:
-        raise TypeError(f"no shape for {type(shape).__name__}")
+        raise TypeError(f"There is no shape for {type(shape).__name__}.")
 
 
 def _cup(element: ET.Element, prefix: str, cup: Cup, look: dict[str, Any]) -> None:
     bottom = (cup.radius, cup.wall / 2.0)
     below = (0, 0, cup.wall / 2.0 - cup.height / 2.0)
-    geom(element, f"{prefix}/bottom", OBJECT, "cylinder", bottom, p=below, mass=BOTTOM_SHARE * cup.mass, **look)
-    mass = (1.0 - BOTTOM_SHARE) * cup.mass / WALL_PLATES
+    geom(element, f"{prefix}/bottom", OBJECT, "cylinder", bottom, p=below, mass=BOTTOM_FRACTION * cup.mass, **look)
+    mass = (1.0 - BOTTOM_FRACTION) * cup.mass / WALL_PLATES
     half_width = cup.radius * np.tan(np.pi / WALL_PLATES)
     half_height = (cup.height - cup.wall) / 2.0
     for i in range(WALL_PLATES):

@@ -1,7 +1,7 @@
 """The physics of the world: one model, one state, one clock. Not thread-safe: its owner holds a lock.
 
-Parts are what moves the robot's joints: the arm, the hand. In each step the world computes positions and speeds, lets
-each part write its efforts (`data.ctrl`, `data.qfrc_applied` of its own joints), and moves on.
+Parts drive the robot's joints: the arm, the hand. In each step the world computes positions and speeds, lets each part
+write its efforts (`data.ctrl`, `data.qfrc_applied` of its own joints), and integrates.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from rig_simulation.world.objects import table_pose
 from rig_simulation.world.scene import SceneObject, WorldScene, scene_from
 
 DROP_M = 0.0008
-"""So high above the table objects are placed; they come to rest on it."""
+"""Height above the table at which objects start; they settle on it."""
 DEEPEST_TOUCH_M = 0.001
 PLACEMENTS = 200
 ROBOT = ("kuka/", "reflex/", "panel")
 FREE_QPOS, FREE_QVEL = 7, 6
-ASTRAY = [int(mujoco.mjtWarning.__members__[f"mjWARN_BAD{what}"]) for what in ("QPOS", "QVEL", "QACC")]
+DIVERGED = [int(mujoco.mjtWarning.__members__[f"mjWARN_BAD{what}"]) for what in ("QPOS", "QVEL", "QACC")]
 
 
 class Part:
-    """Base of what moves joints of the world."""
+    """Base of the parts that drive joints of the world."""
 
     def bind(self, world: World) -> None:
-        """Takes the world's model and state, which are new after a change of scene; robot joints keep their values."""
+        """Takes model and state of the world, new after a change of the scene; robot joints keep their values."""
         raise NotImplementedError
 
     def before_step(self) -> None:
-        """Writes the efforts of its joints for the step that follows."""
+        """Writes the efforts of its joints for the next step."""
 
     def after_step(self) -> None:
-        """Reads what the step brought."""
+        """Reads the result of the step."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ObjectState:
-    """Where an object is.
+    """State of an object.
 
     Attributes:
         position: of its middle in the world, shape (3,) [m].
         quaternion: x, y, z, w.
         speed: of its middle [m/s].
         clearance: height of its lowest point above the table top [m].
-        touches: names of the bodies that it touches, sorted.
+        touches: sorted names of the bodies in contact.
     """
 
     position: tuple[float, ...]
@@ -64,14 +64,14 @@ class ObjectState:
 
 @dataclasses.dataclass(frozen=True)
 class Contact:
-    """Where two bodies touch.
+    """A contact of two bodies.
 
     Attributes:
         bodies: names of both.
         position: shape (3,) [m].
         normal: from the first to the second, shape (3,).
         force: along the normal [N].
-        depth: how far they are pressed into each other [m].
+        depth: penetration [m].
     """
 
     bodies: tuple[str, str]
@@ -85,17 +85,17 @@ class World:
     """The world.
 
     Args:
-        description: what it is made of.
-        seed: of where scattered objects are placed.
+        description: of its content.
+        seed: of the poses of scattered objects.
 
     Attributes:
         description: the present one.
-        model, data: MuJoCo's; new ones after a change of scene.
-        steps: how many there were; neither a reset nor a change of scene counts anew.
-        loads: how many models there were; who keeps a copy of the model builds it anew when this changes.
+        model, data: of MuJoCo; new ones after a change of the scene.
+        steps: number of steps since the start.
+        loads: number of models since the start; a copy of the model must be rebuilt when it changes.
 
     Raises:
-        ConfigError: the scene or the panel has faults.
+        ConfigError: the scene or the marker board is invalid.
         FileNotFoundError: there is no description of this robot.
     """
 
@@ -113,36 +113,36 @@ class World:
 
     @property
     def time(self) -> float:
-        """How long the world has lived [s]."""
+        """Time since the start [s]."""
         return self.steps * self.timestep
 
     def add(self, part: Part) -> None:
-        """Adds a part; parts act in the order in which they were added."""
+        """Adds a part; parts act in the order of their addition."""
         self._parts.append(part)
         part.bind(self)
         mujoco.mj_forward(self.model, self.data)
 
     def step(self) -> None:
-        """Lets one time step pass.
+        """Advances by one time step.
 
         Raises:
-            DeviceError: the physics has gone astray; nothing can be known of the world any more.
+            DeviceError: the physics diverged; the state is unusable.
         """
         mujoco.mj_step1(self.model, self.data)
         for part in self._parts:
             part.before_step()
         mujoco.mj_step2(self.model, self.data)
-        if self.data.warning.number[ASTRAY].any():
-            raise DeviceError(f"The physics went astray after {self.time:.3f} s: its numbers are not finite.")
+        if self.data.warning.number[DIVERGED].any():
+            raise DeviceError(f"The physics diverged after {self.time:.3f} s. Reset it; check the masses in the scene.")
         self.steps += 1
         for part in self._parts:
             part.after_step()
 
     def reset(self) -> None:
-        """Puts all objects where the scene wants them, at rest; arm and hand stay as they are.
+        """Puts all objects back to their poses of the scene, at rest; arm and hand keep their state.
 
         Raises:
-            ValueError: the robot is where an object has to go; nothing has changed.
+            ValueError: the robot is in the way of an object; nothing has changed.
         """
         placed = self._placed(self.model, self._scene, self.data)
         self.data.qpos[:] = placed.qpos
@@ -151,14 +151,14 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def set_scene(self, values: Mapping[str, Any]) -> None:
-        """Changes the scene; arm and hand stay as they are.
+        """Changes the scene; arm and hand keep their state.
 
         Args:
             values: mapping as in a scene's yaml.
 
         Raises:
-            ConfigError: the scene has faults; nothing has changed.
-            ValueError: the robot is where the table or an object has to go; nothing has changed.
+            ConfigError: the scene is invalid; nothing has changed.
+            ValueError: the robot is in the way of the table or of an object; nothing has changed.
         """
         self._load(dataclasses.replace(self.description, scene=values))
         for part in self._parts:
@@ -175,7 +175,7 @@ class World:
         return {name: self._object(name, touches[name]) for name in self._scene.objects}
 
     def contacts(self) -> list[Contact]:
-        """Returns all contacts that bear a force."""
+        """Returns all contacts with a force."""
         found = []
         force = np.zeros(6)
         for i, bodies in enumerate(_pairs(self.data, self._geom_bodies)):
@@ -195,7 +195,7 @@ class World:
         self.loads += 1
 
     def _placed(self, model: mujoco.MjModel, scene: WorldScene, before: mujoco.MjData | None) -> mujoco.MjData:
-        """Returns a state with the robot as `before` and the objects where the scene wants them."""
+        """Returns a state with the robot as in `before` and the objects as in the scene."""
         data = mujoco.MjData(model)
         robot_qpos = model.nq - FREE_QPOS * len(scene.objects)
         robot_qvel = model.nv - FREE_QVEL * len(scene.objects)
@@ -211,7 +211,7 @@ class World:
             if overlap is None:
                 return data
             one, other = overlap
-        raise ValueError(f"There is no room: {one} would stand in {other}.")
+        raise ValueError(f"There is no room: {one} would be in {other}. Change its pose, or move the arm home first.")
 
     def _place(self, scene: WorldScene, shape: SceneObject) -> np.ndarray:
         shift, turn = np.zeros(2), 0.0
@@ -233,7 +233,7 @@ class World:
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float:
-    """Returns the height of the lowest point of an object's shapes, boxes, cylinders and balls, in the world [m]."""
+    """Returns the height of the lowest point of an object made of boxes, cylinders and balls, in the world [m]."""
     geoms = slice(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])
     down, size, kind = np.abs(data.geom_xmat[geoms, 6:]), model.geom_size[geoms], model.geom_type[geoms]
     of_box = np.sum(down * size, axis=1)
@@ -254,7 +254,7 @@ def _pairs(data: mujoco.MjData, geom_bodies: list[str]) -> list[tuple[str, str]]
 
 
 def _overlap(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[str, str] | None:
-    """Returns the names of two bodies that are in each other, or None; the robot's own parts may be."""
+    """Returns the names of two bodies that penetrate each other, or None; the robot's own parts may."""
     for (one, other), distance in zip(_pairs(data, _geom_bodies(model)), data.contact.dist):
         if distance < -DEEPEST_TOUCH_M and not (one.startswith(ROBOT) and other.startswith(ROBOT)):
             return (one, other) if not one.startswith(ROBOT) else (other, one)

@@ -1,6 +1,6 @@
-"""The arm and the hand as bodies of the physics: their URDF's frames, masses and shapes under their URDF's names.
+"""The arm and the hand as bodies of the physics, with frames, masses, shapes and names of their URDF.
 
-What touches are the URDF's plain collision shapes; arm and hand do not touch each other. Meshes are only seen.
+Contacts use the collision shapes of the URDF; arm and hand do not touch each other. Meshes are visual only.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ from common.frames import BASE
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 from rig_simulation.devices.sunrise.robot import JOINTS
-from rig_simulation.world.elements import attribute, child
 from rig_simulation.world.meshes import TriangleSurface
-from rig_simulation.world.mjcf import ROBOT, SEEN, Touch, body, geom, numbers
+from rig_simulation.world.mjcf import ROBOT, VISUAL, Touch, attribute, body, child, geom, numbers
 
 ROBOT_FRICTION = 0.7
 ARM_STIFFNESS = (10000.0, 10000.0, 10000.0, 10000.0, 6000.0, 6000.0, 6000.0)
-"""Of the arm's gears [Nm/rad]: of the order that is published for arms of this build, 6000 to 15000."""
+"""Of the arm's gears [Nm/rad], of the published order for such arms, 6000 to 15000."""
 ARM_DAMPING = (100.0, 100.0, 60.0, 60.0, 15.0, 15.0, 15.0)
-"""Of the arm's gears [Nm s/rad]: a blow dies out within a swing or two."""
+"""Of the arm's gears [Nm s/rad]: a blow decays within one or two oscillations."""
 ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001
-"""Inertia added to each joint [kg m^2], for the physics' stability."""
+"""Inertia added to each joint [kg m^2] for numerical stability."""
 
 
 def add_robot(
@@ -40,11 +39,11 @@ def add_robot(
         root: the model, whose assets take the meshes.
         world: its world body.
         urdf: text of the description.
-        R_world_base: attitude of the base, shape (3, 3).
-        read: gives the surface of a mesh by its URI; None leaves out all that is only seen.
+        R_world_base: orientation of the base, shape (3, 3).
+        read: returns the surface of a mesh by its URI; None leaves out visual shapes.
 
     Raises:
-        ValueError: the URDF has a shape that is not known here.
+        ValueError: the URDF is not a tree, or has an unsupported shape.
     """
     description = ET.fromstring(urdf)
     links = {attribute(link, "name"): link for link in description.findall("link")}
@@ -54,7 +53,7 @@ def add_robot(
     while waiting:
         ready = [joint for joint in waiting if _parent(joint) in bodies]
         if not ready:
-            raise ValueError(f"the links of the robot description do not hang together from {BASE}")
+            raise ValueError(f"Not all links of the robot description are connected to {BASE}.")
         for joint in ready:
             name = attribute(child(joint, "child"), "link")
             bodies[name] = body(bodies[_parent(joint)], name, _origin(joint))
@@ -65,7 +64,7 @@ def add_robot(
 
 
 def _parent(joint: ET.Element) -> str:
-    """Returns the name of the link that a joint hangs from."""
+    """Returns the name of a joint's parent link."""
     return attribute(child(joint, "parent"), "link")
 
 
@@ -100,7 +99,7 @@ def _add_link(
         mesh = visual.find("geometry/mesh")
         if mesh is None:
             colour = [float(value) for value in attribute(child(visual, "material/color"), "rgba").split()[:3]]
-            _plain(element, f"{name}/visual_{i}", SEEN, visual, colour=colour)
+            _plain(element, f"{name}/visual_{i}", VISUAL, visual, colour=colour)
         else:
             _mesh(root, element, f"{name}/visual_{i}", visual, mesh, read)
 
@@ -121,7 +120,7 @@ def _plain(
         radius, length = float(attribute(cylinder, "radius")), float(attribute(cylinder, "length"))
         kind, size = "cylinder", np.array([radius, length / 2.0])
     else:
-        raise ValueError(f"the shape {name} is neither box nor cylinder")
+        raise ValueError(f"The shape {name} is neither a box nor a cylinder.")
     geom(element, name, touch, kind, size, p=T[:3, 3], R=T[:3, :3], friction=friction, colour=colour)
 
 
@@ -140,7 +139,7 @@ def _mesh(
     if asset.find(f"mesh[@name='{label}']") is None:
         scale = np.array(mesh.get("scale", "1 1 1").split(), dtype=float)
         add_mesh(asset, label, surface.vertices * scale, surface.triangles)
-    geom(element, name, SEEN, "mesh", None, p=T[:3, 3], R=T[:3, :3], colour=surface.colour, more={"mesh": label})
+    geom(element, name, VISUAL, "mesh", None, p=T[:3, 3], R=T[:3, :3], colour=surface.colour, more={"mesh": label})
 
 
 def add_mesh(asset: ET.Element, name: str, vertices: np.ndarray, triangles: np.ndarray) -> None:

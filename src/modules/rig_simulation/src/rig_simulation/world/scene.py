@@ -1,7 +1,7 @@
-"""What stands in the simulated world besides the rig: the schema of a scene's yaml, and the records made from it.
+"""The content of the simulated world besides the rig: the schema of a scene's yaml, and its records.
 
-Lengths in m, angles in deg. The world is upright with its origin in the arm's base; an object's position counts from
-the table's centre along the table's sides, and its own origin is the middle of its height.
+Lengths in m, angles in deg. The world is upright with its origin in the arm's base. Positions of objects are from the
+table's centre along its sides; the origin of an object is the middle of its height.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class Table:
 
 @dataclasses.dataclass(frozen=True)
 class CameraPose:
-    """Where the camera stands and what it looks at."""
+    """Position and target of the camera."""
 
     position: np.ndarray = vector(3, "m", doc="of camera_link in the upright world")
-    target: np.ndarray = vector(3, "m", doc="the point that it looks at")
+    target: np.ndarray = vector(3, "m", doc="the point that the camera points at")
 
     def faults(self) -> list[str]:
-        """Names what no single field can check."""
+        """Returns faults of several fields together."""
         if np.linalg.norm((self.target - self.position)[:2]) < 1e-3:
             return ["target must not lie straight above or below the camera."]
         return []
@@ -46,7 +46,7 @@ class CameraPose:
 
 @dataclasses.dataclass(frozen=True)
 class SceneObject:
-    """What every object has."""
+    """Common fields of all objects."""
 
     position: np.ndarray = vector(2, "m", doc="from the table's centre along its sides")
     yaw: float = number("deg", low=-180.0, high=180.0, doc="turn about the vertical")
@@ -54,7 +54,7 @@ class SceneObject:
     friction: float = number(above=0.0, high=2.0, doc="sliding friction")
     colour: np.ndarray = vector(3, low=0.0, high=1.0, doc="red, green, blue")
 
-    if TYPE_CHECKING:  # a field of some, which a property here would be in the way of, and a property of others
+    if TYPE_CHECKING:  # a field of some kinds and a property of others
 
         @property
         def height(self) -> float:
@@ -63,7 +63,7 @@ class SceneObject:
 
 @dataclasses.dataclass(frozen=True)
 class Cup(SceneObject):
-    """A cup: a wall round a bottom, open above."""
+    """A cup: a wall around a bottom, open above."""
 
     radius: float = number("m", above=0.01, high=0.2, doc="outer radius")
     height: float = number("m", above=0.01, high=0.5)
@@ -78,7 +78,7 @@ class Cuboid(SceneObject):
 
     @property
     def height(self) -> float:
-        """Edge that stands up [m]."""
+        """Vertical edge [m]."""
         return float(self.size[2])
 
 
@@ -96,7 +96,7 @@ class Ball(SceneObject):
 
 @dataclasses.dataclass(frozen=True)
 class Cylinder(SceneObject):
-    """A solid cylinder that stands."""
+    """A solid upright cylinder."""
 
     radius: float = number("m", above=0.005, high=0.2)
     height: float = number("m", above=0.005, high=0.5)
@@ -112,7 +112,7 @@ class Bottle(SceneObject):
     neck_height: float = number("m", above=0.01, high=0.2)
 
     def faults(self) -> list[str]:
-        """Names what no single field can check."""
+        """Returns faults of several fields together."""
         if self.neck_height >= self.height or self.neck_radius >= self.radius:
             return ["the neck must be lower and narrower than the bottle."]
         return []
@@ -129,7 +129,7 @@ KINDS: Mapping[str, type[SceneObject]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Tag:
-    """One tag36h11 on the panel."""
+    """One tag36h11 on the marker board."""
 
     id: int = integer(low=0, high=4)
     size: float = number("m", above=0.01, high=0.5, doc="edge of the black square")
@@ -138,12 +138,12 @@ class Tag:
 
 @dataclasses.dataclass(frozen=True)
 class MarkerBoard:
-    """The marker panel beside the flange.
+    """The marker board beside the flange.
 
     Attributes:
         size: edges of the plate along the tags' x and y axes, shape (2,) [m].
         centre: of the plate in the flange, shape (3,) [m].
-        tags: what is printed on it.
+        tags: printed on it.
     """
 
     size: np.ndarray
@@ -156,9 +156,9 @@ class WorldScene:
     """A scene.
 
     Attributes:
-        table: what the objects stand on.
-        camera: where the camera is.
-        scatter: objects are placed anew by up to so much in x and y [m]; 0 places them exactly.
+        table: under the objects.
+        camera: its pose.
+        scatter: largest random offset of objects in x and y [m]; 0 places them exactly.
         objects: by name.
     """
 
@@ -194,7 +194,7 @@ def scene_from(values: Any) -> WorldScene:
 
 
 def board_from(values: Any) -> MarkerBoard:
-    """Returns the panel that a yaml mapping describes.
+    """Returns the marker board that a yaml mapping describes.
 
     Raises:
         ConfigError: with all faults.
@@ -229,7 +229,7 @@ def _section(values: Mapping[str, Any], key: str, faults: list[str]) -> Mapping[
 
 def _object(name: Any, entry: Any, faults: list[str]) -> SceneObject | None:
     if not isinstance(name, str) or not NAME.fullmatch(name):
-        faults.append(f"objects/{name} is no name of small letters, digits and underscores.")
+        faults.append(f"objects/{name} is not a name of small letters, digits and underscores.")
     kind = entry.get("kind") if isinstance(entry, Mapping) else None
     if not isinstance(kind, str) or kind not in KINDS:
         faults.append(f"objects/{name}/kind is {kind!r}, but must be one of {', '.join(KINDS)}.")

@@ -1,6 +1,6 @@
-"""The tags of the marker panel as triangles: exact edges, no texture that a renderer could blur or mirror.
+"""The tags of the marker board as triangles: exact edges, without a texture that a renderer could blur or mirror.
 
-The tag's frame has its origin in the middle, x to the right and y up for who looks at it, z towards him. Lengths in m.
+The tag's frame has its origin in the middle, x to the right, y up and z out of the face. Lengths in m.
 """
 
 from __future__ import annotations
@@ -12,22 +12,7 @@ from common.tag36h11 import CELLS, black_cells
 THICKNESS = 0.0002
 
 _CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
-_FACES = np.array(
-    [
-        (0, 3, 1),
-        (0, 2, 3),
-        (4, 5, 7),
-        (4, 7, 6),
-        (0, 1, 5),
-        (0, 5, 4),
-        (2, 7, 3),
-        (2, 6, 7),
-        (0, 4, 6),
-        (0, 6, 2),
-        (1, 3, 7),
-        (1, 7, 5),
-    ]
-)
+_FACES = np.array(list("031023457476015054273267046062137175"), dtype=int).reshape(-1, 3)
 
 
 def tag_mesh(tag: int, size: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,15 +1,13 @@
-"""The program `panel_pictures.py`: colour and depth pictures of the marker panel with the truth beside them.
+"""The program `panel_pictures.py`: colour and depth images of the marker board with their true poses.
 
-The arm holds the panel face up, and the camera is put round it: at each distance and tilt, in front of several units of
-the sensor, each with errors of its own. Pictures are PNG files; `pictures.json` says what they show. Whoever measures
-with the pictures needs nothing else of the simulation.
+The arm holds the board face up, and the camera moves around it: at each distance and tilt, for several units of the
+sensor, each with its own errors. Images are PNG files; `pictures.json` describes them completely.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +22,7 @@ from common.errors import ConfigError, DeviceError, RigError
 from common.frames import CAMERA_LINK, DEPTH_OPTICAL, RGB_OPTICAL
 from common.poses import inverse, pose
 from common.rotations import quaternion_from_rotation, rotation_about, unit
-from rig_simulation.command_line import finite, not_negative, positive
+from rig_simulation.command_line import failed, finite, not_negative, positive
 from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
 from rig_simulation.world.files import SOURCE_TREE, read_board, read_scene
@@ -33,18 +31,18 @@ from rig_simulation.world.model import WorldDescription, build_model
 NAME = "panel_pictures"
 INDEX = "pictures.json"
 HOLDING_DEG = (0.0, 30.0, 0.0, -60.0, 0.0, 0.0, 90.0)
-"""Joints of the arm: the forearm level, the panel on top of the hand's flange, face up, well above the table."""
+"""Joints of the arm: the forearm level, the board on top of the flange, face up, well above the table."""
 TURN_OVER = rotation_about(0, np.pi)
-"""From MuJoCo's cameras, which look along -z with y up, to optical frames; and from a panel to who faces it."""
+"""From MuJoCo's cameras, which look along -z with y up, to optical frames; and from a board to its viewer."""
 HALF_VIEW = np.array([0.50, 0.38])
-"""Tangents of half the angles that both cameras see."""
+"""Tangents of half the common field of view of both cameras."""
 
 
-class PanelScene:
-    """The world with the panel, and a camera that can be put anywhere round it.
+class BoardScene:
+    """The world with the marker board and a movable camera.
 
     Args:
-        panel: mapping as in the panel's yaml.
+        panel: mapping as in the board's yaml.
     """
 
     def __init__(self, panel: dict) -> None:
@@ -59,8 +57,8 @@ class PanelScene:
         self._T_rgb_link = inverse(self.optical(RGB_OPTICAL)) @ pose(link.xmat.reshape(3, 3), link.xpos)
         self.T_rgb_depth = inverse(self.optical(RGB_OPTICAL)) @ self.optical(DEPTH_OPTICAL)
 
-    def look(self, T_rgb_panel: np.ndarray) -> None:
-        """Puts the camera where it sees the panel at the pose, shape (4, 4) [m]."""
+    def place_camera(self, T_rgb_panel: np.ndarray) -> None:
+        """Moves the camera so that it sees the board at the pose, shape (4, 4) [m]."""
         T = self._T_world_panel @ inverse(T_rgb_panel) @ self._T_rgb_link
         link = self.model.body(CAMERA_LINK)
         link.pos, link.quat = T[:3, 3], quaternion_from_rotation(T[:3, :3])[[3, 0, 1, 2]]
@@ -77,13 +75,13 @@ class PanelScene:
 
 
 def random_pose(distance: float, tilt: float, size: float, rng: np.random.Generator) -> np.ndarray:
-    """Returns a pose of the panel in the colour camera, shape (4, 4) [m]: anywhere in the picture, turned anyhow.
+    """Returns a random pose of the board in the image of the colour camera, shape (4, 4) [m].
 
     Args:
         distance: of its centre from the camera [m].
         tilt: between its normal and the line of sight [rad].
-        size: edge of the panel [m], which is to be in the picture wholly.
-        rng: source of what is left open.
+        size: edge of the board [m], which lies wholly in the image.
+        rng: source of position and rotation.
     """
     room = np.clip(HALF_VIEW - size / np.sqrt(2.0) / distance, 0.0, None)
     sight = unit([*(room * rng.uniform(-1.0, 1.0, 2)), 1.0])
@@ -95,20 +93,19 @@ def random_pose(distance: float, tilt: float, size: float, rng: np.random.Genera
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Takes the pictures; returns the exit code."""
+    """Takes the images; returns the exit code."""
     options = _options(arguments)
     try:
         count = _take(options)
     except (RigError, OSError) as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
-    print(f"{NAME}: {count} pairs of pictures in {options.folder}", flush=True)
+        return failed(NAME, error)
+    print(f"{NAME}: {count} pairs of images in {options.folder}", flush=True)
     return 0
 
 
 def _take(options: argparse.Namespace) -> int:
     panel = read_board(options.panel)
-    scene = PanelScene(panel)
+    scene = BoardScene(panel)
     calibrations = {name: _yaml(getattr(options, name)) for name in ("rgb", "depth")}
     rgb, depth = (from_calibration(values) for values in calibrations.values())
     rng = np.random.default_rng(options.seed)
@@ -122,23 +119,15 @@ def _take(options: argparse.Namespace) -> int:
                 for tilt in options.tilts:
                     for _ in range(options.pictures):
                         T = random_pose(distance, np.radians(tilt), float(max(panel["size"])), rng)
-                        scene.look(T)
+                        scene.place_camera(T)
                         taken = camera.take(scene.data, colour=True, depth=True, registered=False)
                         files = [f"{len(entries):04d}_{name}.png" for name in ("colour", "depth")]
-                        assert taken.colour is not None and taken.depth is not None  # both were asked for
+                        assert taken.colour is not None and taken.depth is not None  # both were requested
                         for file, picture in zip(files, (taken.colour[..., ::-1], taken.depth)):
                             if not cv2.imwrite(str(options.folder / file), picture):
-                                raise DeviceError(f"The picture {options.folder / file} cannot be written.")
-                        entries.append(
-                            {
-                                "colour": files[0],
-                                "depth": files[1],
-                                "unit": number,
-                                "distance": distance,
-                                "tilt": tilt,
-                                "T_rgb_panel": T.tolist(),
-                            }
-                        )
+                                raise DeviceError(f"Cannot write the image {options.folder / file}; is the disk full?")
+                        entry = {"colour": files[0], "depth": files[1], "unit": number, "distance": distance}
+                        entries.append({**entry, "tilt": tilt, "T_rgb_panel": T.tolist()})
         finally:
             camera.close()
     index = {"panel": panel, **calibrations, "T_rgb_depth": scene.T_rgb_depth.tolist(), "pictures": entries}
@@ -159,7 +148,7 @@ def _yaml(path: Path) -> dict:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError([f"The file {path} cannot be read: {str(error).splitlines()[0]}."]) from None
     if not isinstance(values, dict):
-        raise ConfigError([f"The file {path} holds no mapping."])
+        raise ConfigError([f"The file {path} is not a mapping."])
     return values
 
 
@@ -171,16 +160,15 @@ def _count(text: str) -> int:
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=NAME, description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="where the pictures go")
+    parser.add_argument("folder", type=Path, help="folder for the images")
     parser.add_argument("--rgb", type=Path, required=True, help="calibration file of the colour camera")
     parser.add_argument("--depth", type=Path, required=True, help="calibration file of the depth camera")
-    parser.add_argument("--panel", default="bundle", help="a panel of this package by its name, or a yaml file")
-    parser.add_argument(
-        "--config", type=Path, default=SOURCE_TREE / "config" / "camera.yaml", help="the sensors' errors"
-    )
+    parser.add_argument("--panel", default="bundle", help="a marker board of this package, or a yaml file")
+    camera = SOURCE_TREE / "config" / "camera.yaml"
+    parser.add_argument("--config", type=Path, default=camera, help="the sensors' errors")
     parser.add_argument("--distances", type=positive, nargs="+", default=[0.5, 1.0, 1.5, 2.0], help="[m]")
     parser.add_argument("--tilts", type=not_negative, nargs="+", default=[0.0, 20.0, 40.0, 60.0], help="[deg]")
-    parser.add_argument("--units", type=_count, default=5, help="sensors with errors of their own")
+    parser.add_argument("--units", type=_count, default=5, help="number of sensor units")
     parser.add_argument("--pictures", type=_count, default=2, help="of each unit at each distance and tilt")
     parser.add_argument("--seed", type=lambda text: int(finite(text)), default=0, help="of poses, units and noise")
     options = parser.parse_args(arguments)

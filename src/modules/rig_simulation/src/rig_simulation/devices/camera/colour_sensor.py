@@ -1,4 +1,4 @@
-"""The colour picture: lens, exposure, point spread and noise."""
+"""The colour image: lens, exposure, point spread and noise."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rig_simulation.devices.camera.noise import NoiseField
 
 
 class ColourSensor:
-    """Takes colour pictures.
+    """Takes colour images.
 
     Args:
         lens: of the colour camera.
-        config: what the sensor adds.
+        config: effects of the sensor.
         rng: source of the noise.
     """
 
@@ -28,16 +28,16 @@ class ColourSensor:
             self._noise = field.scaled(config.noise, np.int8)
 
     def take(self, rendered: np.ndarray) -> np.ndarray:
-        """Returns the camera's picture, shape (height, width, 3), uint8, red first.
+        """Returns the camera's image, shape (height, width, 3), uint8, red first.
 
         Args:
             rendered: the lens's window, shape (window.height, window.width, 3), uint8, rows from the bottom.
         """
-        picture = self._lens.look(rendered)
+        image = self._lens.distort(rendered)
         if self._config.exposure != 1.0:
-            picture = cv2.convertScaleAbs(picture, alpha=self._config.exposure)
+            image = cv2.convertScaleAbs(image, alpha=self._config.exposure)
         if self._config.blur > 0.0:
-            picture = cv2.GaussianBlur(picture, (0, 0), self._config.blur)
+            image = cv2.GaussianBlur(image, (0, 0), self._config.blur)
         if self._noise is not None:
-            picture = cv2.add(picture, self._noise.cut(), dtype=cv2.CV_8U)
-        return picture
+            image = cv2.add(image, self._noise.cut(), dtype=cv2.CV_8U)
+        return image

@@ -1,7 +1,7 @@
-"""What the camera does to its pictures: the schemas of `colour` and `depth` in camera.yaml.
+"""The effects of the camera on its images: the schemas of `colour` and `depth` in camera.yaml.
 
 Sources: reference values of structured-light sensors (Nguyen, Izadi, Lovell 2012; Khoshelham 2011; Boehm 2014) and the
-data sheet of the Xtion Pro Live. Each effect can be switched off by the value that its line names.
+data sheet of the Xtion Pro Live. Each line names the value that disables its effect.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class ColourConfig:
 
 @dataclasses.dataclass(frozen=True)
 class DepthConfig:
-    """The depth camera: a projector of infrared points and a camera that sees them."""
+    """The depth camera: a projector of infrared points and an infrared camera."""
 
     noise: bool = flag(doc="random error along the axis")
     correlation: float = number("px", low=0.0, high=10.0, doc="reach of the noise over neighbouring pixels; 0 = white")
@@ -39,7 +39,7 @@ class DepthConfig:
     warp_sd: float = number("m", low=0.0, high=0.02, doc="spread of a unit's smooth warp at 1 m; 0 = none")
 
     def faults(self) -> list[str]:
-        """What no single key can check."""
+        """Returns faults of several keys together."""
         if self.min_range >= self.max_range:
             return [f"min_range is {self.min_range:g} m, but must be less than max_range, {self.max_range:g} m."]
         return []

@@ -1,7 +1,7 @@
-"""The depth picture of a structured-light sensor: what its triangulation makes of the true depth.
+"""The depth image of a structured-light sensor, from the true depth.
 
-Everything happens in inverse depth w = 1/z, in which planes are linear in the pixel, and in disparity d = f b w, in
-which the sensor measures: noise, unit errors and the step of quantisation are added there.
+It is computed in inverse depth w = 1/z, in which planes are linear in the pixel, and in disparity d = f b w, in which
+the sensor measures: noise, unit errors and quantisation are added there.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from rig_simulation.devices.camera.noise import NoiseField
 
 MILLIMETRES = 1000.0
 EDGE = 0.01
-"""Relative change of inverse depth over a pixel's jitter from which on a surface counts as an edge."""
+"""Relative change of inverse depth over a pixel's jitter above which a surface counts as an edge."""
 SHADOW_TOLERANCE_PX = 0.25
 SIGNAL_SPREAD = 0.2
-"""Relative standard deviation of the returned light: the border of a region without depth is ragged."""
+"""Relative standard deviation of the returned light, which makes borders of regions without depth ragged."""
 STEEP = np.radians(60.0)
 ANGLE_STEPS = 255
 WARP_NODES = (4, 5)
-"""Of the grid, over the height and the width of the picture, that a unit's warp is smooth between."""
+"""Nodes of a unit's smooth warp, over height and width of the image."""
 
 
 def axial_sigma(z: float | np.ndarray) -> float | np.ndarray:
@@ -31,7 +31,7 @@ def axial_sigma(z: float | np.ndarray) -> float | np.ndarray:
 
 
 def steep_sigma(angle: float | np.ndarray) -> np.ndarray:
-    """Returns what a steep surface adds to the standard deviation, times sqrt(z) [m sqrt(m)] (the same paper).
+    """Returns the standard deviation added by a steep surface, times sqrt(z) [m sqrt(m)] (the same paper).
 
     Args:
         angle: between the surface's normal and the line of sight [rad].
@@ -41,33 +41,33 @@ def steep_sigma(angle: float | np.ndarray) -> np.ndarray:
 
 
 def hidden(w: np.ndarray, fb: float) -> np.ndarray:
-    """Returns which pixels something stands in front of, seen from a point beside the camera.
+    """Returns which pixels are occluded as seen from a point beside the camera.
 
-    A row of the picture is a row of rays in one plane with that point. Seen from there, pixel u lies at u - fb w; what
-    overtakes its neighbour in that order is hidden.
+    The rays of an image row lie in one plane with that point. From there, pixel u appears at u - fb w; pixels that
+    overtake their neighbour in that order are hidden.
 
     Args:
         w: inverse depth, shape (height, width) [1/m].
         fb: focal length times the point's distance to the right of the camera, negative to the left [px m].
     """
     u = np.arange(w.shape[1], dtype=np.float32)
-    seen = u - np.float32(fb) * w
+    shifted = u - np.float32(fb) * w
     if fb > 0.0:
-        nearest = np.minimum.accumulate(seen[:, ::-1], axis=1)[:, ::-1]
-        return seen > nearest + SHADOW_TOLERANCE_PX
-    nearest = np.maximum.accumulate(seen, axis=1)
-    return seen < nearest - SHADOW_TOLERANCE_PX
+        nearest = np.minimum.accumulate(shifted[:, ::-1], axis=1)[:, ::-1]
+        return shifted > nearest + SHADOW_TOLERANCE_PX
+    nearest = np.maximum.accumulate(shifted, axis=1)
+    return shifted < nearest - SHADOW_TOLERANCE_PX
 
 
 class DepthSensor:
-    """Takes depth pictures.
+    """Takes depth images.
 
     Args:
-        lens: of the camera that the picture belongs to.
-        config: what the sensor does.
-        rng: source of the unit's errors, which it draws first, and of the noise.
-        infrared_offset: where the infrared camera stands, to the right of the lens [m]: 0 for its own picture, the
-            negative distance between the cameras for depth registered to the colour picture.
+        lens: of the camera of the image.
+        config: effects of the sensor.
+        rng: source of the unit's errors, drawn first, and of the noise.
+        infrared_offset: of the infrared camera to the right of the lens [m]: 0 for its own image, the negative
+            distance between the cameras for depth registered to the colour image.
     """
 
     def __init__(
@@ -97,11 +97,11 @@ class DepthSensor:
         self._millimetres = self._table()
 
     def take(self, inverse_depth: np.ndarray, brightness: np.ndarray) -> np.ndarray:
-        """Returns the sensor's picture, shape (height, width), uint16 [mm], 0 = none.
+        """Returns the sensor's image, shape (height, width), uint16 [mm], 0 = no depth.
 
         Args:
             inverse_depth: the lens's window, rows from the bottom, float32 [1/m].
-            brightness: the window's colour picture; stands for what the surfaces return in infrared.
+            brightness: the window's colour image, in place of the infrared reflection.
         """
         config = self._config
         w = self._with_edges(inverse_depth)
@@ -117,10 +117,10 @@ class DepthSensor:
         return depth
 
     def _with_edges(self, inverse_depth: np.ndarray) -> np.ndarray:
-        """Returns the camera's inverse depth; at edges, one surface or the other, never something between them."""
-        smooth = self._lens.look(inverse_depth)
+        """Returns the camera's inverse depth; at edges, that of one surface or the other, never between."""
+        smooth = self._lens.distort(inverse_depth)
         shift = np.int16(0) if self._jitter is None else self._jitter.cut()
-        beside = self._lens.look_beside(inverse_depth, shift)
+        beside = self._lens.distort_nearest(inverse_depth, shift)
         return np.where(np.abs(beside - smooth) > EDGE * smooth, beside, smooth)
 
     def _cosine(self, w: np.ndarray) -> np.ndarray:
@@ -133,11 +133,11 @@ class DepthSensor:
         return w / np.sqrt(n_squared * self._sight)
 
     def _signal(self, w: np.ndarray, cosine: np.ndarray, brightness: np.ndarray) -> np.ndarray:
-        """Returns how much of the projector's light comes back; 1 for a white surface, head-on, 1 m away."""
-        grey = self._lens.look(cv2.cvtColor(brightness, cv2.COLOR_RGB2GRAY))
+        """Returns the reflected light of the projector; 1 for a white surface, head-on, 1 m away."""
+        grey = self._lens.distort(cv2.cvtColor(brightness, cv2.COLOR_RGB2GRAY))
         dark = self._config.dark_return
         returned = (dark + (1.0 - dark) * np.linspace(0.0, 1.0, 256) ** 2.2).astype(np.float32)
-        assert self._noise is not None  # made for it
+        assert self._noise is not None  # the configuration created it
         ragged = 1.0 + SIGNAL_SPREAD * self._noise.cut()
         return cv2.LUT(grey, returned) * cosine * w * w * ragged
 
@@ -150,7 +150,7 @@ class DepthSensor:
             level = cv2.convertScaleAbs(cosine, alpha=ANGLE_STEPS)
             sigma = self._fb * per_metre + cv2.LUT(level, self._steep) * w * w * np.sqrt(w)
             rounding = self._config.quantisation**2 / 12.0
-            assert self._noise is not None  # made for it
+            assert self._noise is not None  # the configuration created it
             disparity += np.sqrt(np.maximum(sigma * sigma - rounding, 0.0)) * self._noise.cut()
         return disparity
 
@@ -161,7 +161,7 @@ class DepthSensor:
         return self._in_range(self._fb / np.maximum(disparity, 1e-6)).astype(np.uint16)
 
     def _table(self) -> np.ndarray | None:
-        """Returns the depth of each disparity step [mm]; 0 for the first and last, which stand for all beyond."""
+        """Returns the depth of each disparity step [mm]; 0 for the first and last, which include all beyond."""
         if self._config.quantisation == 0.0:
             return None
         last = int(self._fb / (self._config.min_range * self._config.quantisation)) + 2

@@ -1,6 +1,6 @@
-"""Fields of noise, fresh for every picture at the price of a copy: cut at random from one large field.
+"""Noise for every image at the cost of a copy: random cuts from one large field.
 
-Two cuts share values, but hardly ever at the same pixel, so a pixel's values in successive pictures are independent.
+Two cuts share values, but rarely at the same pixel, so a pixel's values in successive images are independent.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 SPARE_PX = 1024
-"""By how much the large field is longer than a cut, in both directions."""
+"""Excess of the large field over a cut, in both directions."""
 
 
 class NoiseField:
@@ -32,7 +32,7 @@ class NoiseField:
         self._rng = rng
 
     def scaled(self, sigma: float, kind: type) -> NoiseField:
-        """Returns the field with standard deviation `sigma`, rounded where `kind` is a type of whole numbers."""
+        """Returns the field with standard deviation `sigma`, rounded for an integer `kind`."""
         other = object.__new__(NoiseField)
         field = self._field * sigma
         other._field = np.rint(field).astype(kind) if np.issubdtype(kind, np.integer) else field.astype(kind)
@@ -40,7 +40,7 @@ class NoiseField:
         return other
 
     def cut(self) -> np.ndarray:
-        """Returns the next cut, shape (height, width) or (height, width, channels); a view, not to be written to."""
+        """Returns the next cut, shape (height, width) or (height, width, channels); a read-only view."""
         row, column = self._rng.integers(0, SPARE_PX, 2)
         cut = self._field[row : row + self._size[0], column : column + self._size[1]]
         return cut[..., 0] if cut.shape[2] == 1 else cut

@@ -1,4 +1,4 @@
-"""Pictures of a MuJoCo model by the processor: colour and depth in one pass, without a screen."""
+"""Off-screen rendering of a MuJoCo model: colour and depth in one pass, without a display."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ class Renderer:
     """Renders one model through one window, in the thread that made it. Close it.
 
     Args:
-        model: the model; its settings of the off-screen buffer are changed.
-        window: what to look through; replaces the field of view that the model's cameras have.
-        samples: of a pixel, against stairs along edges: 0, 2, 4 ...
+        model: the model; its settings of the off-screen buffer change.
+        window: replaces the field of view of the model's cameras.
+        samples: a pixel, for anti-aliasing: 0, 2, 4 ...
 
     Attributes:
-        depth_offset: where in its pixel the depth is that of the scene, to the right and up from the centre [px]: with
-            several samples a pixel's colour is their mean, but its depth is that of the first.
+        depth_offset: position of the depth in its pixel, right and up from the centre [px]: with several samples, a
+            pixel has their mean colour, but the depth of the first.
 
     Raises:
-        DeviceError: this machine cannot render without a screen.
+        DeviceError: this machine cannot render off-screen.
     """
 
     def __init__(self, model: mujoco.MjModel, window: PixelWindow, samples: int) -> None:
         try:
-            from mujoco.egl import GLContext  # opens the display, so not before it is needed
+            from mujoco.egl import GLContext  # opens the display
         except (ImportError, AttributeError, RuntimeError) as error:
             reason = " ".join(str(error).split())
-            raise DeviceError(f"Cannot render without a screen; install libegl1 and libegl-mesa0: {reason}") from None
+            raise DeviceError(f"Cannot render without a display: {reason}. Install libegl1 and libegl-mesa0.") from None
         self._window = window
         model.vis.global_.offwidth, model.vis.global_.offheight = window.width, window.height
         model.vis.quality.offsamples = samples
@@ -59,7 +59,7 @@ class Renderer:
         Rows run from the bottom up.
 
         Args:
-            data: with kinematics and cameras computed.
+            data: with computed kinematics and cameras.
             camera: number of the model's camera.
         """
         window = self._window
@@ -72,7 +72,7 @@ class Renderer:
             view.frustum_near, view.frustum_far = NEAR_M, FAR_M
             view.frustum_bottom, view.frustum_top = window.bottom * NEAR_M, window.top * NEAR_M
             view.frustum_center = (window.left + window.right) / 2.0 * NEAR_M
-            view.frustum_width = (window.right - window.left) / 2.0 * NEAR_M  # half of it, in spite of its name
+            view.frustum_width = (window.right - window.left) / 2.0 * NEAR_M  # MuJoCo means half the width
         viewport = mujoco.MjrRect(0, 0, window.width, window.height)
         mujoco.mjr_render(viewport, self._scene, self._context)
         colour = np.empty((window.height, window.width, 3), np.uint8)
@@ -83,7 +83,7 @@ class Renderer:
         return colour, inverse_depth
 
     def close(self) -> None:
-        """Gives the display's memory back."""
+        """Frees the memory of the display."""
         self._gl.make_current()
         self._context.free()
         self._gl.free()

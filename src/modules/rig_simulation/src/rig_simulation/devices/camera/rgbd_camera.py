@@ -1,7 +1,6 @@
 """The RGB-D camera: one infrared and one colour camera side by side in the simulated world.
 
-Depth comes from a viewpoint of its own; registered depth belongs, pixel by pixel, to the colour picture and shares its
-pass of rendering.
+Depth has its own viewpoint; registered depth has the pixels of the colour image and shares its rendering pass.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ from rig_simulation.devices.camera.rendering import Renderer
 
 @dataclass(frozen=True)
 class RgbdImages:
-    """What the camera took; None where it was not asked for.
+    """Images of one moment; None for those not requested.
 
     Attributes:
         colour: shape (height, width, 3), uint8, red first.
-        depth: seen by the infrared camera, shape (height, width), uint16 [mm], 0 = none.
+        depth: of the infrared camera, shape (height, width), uint16 [mm], 0 = no depth.
         registered: depth in the colour camera's pixels, the same type.
-        seconds: how long each stage took [s].
+        seconds: duration of each stage [s].
     """
 
     colour: np.ndarray | None
@@ -41,12 +40,12 @@ class RgbdImages:
 
 
 class RgbdCamera:
-    """Takes pictures of a model. Use it in one thread only, and close it.
+    """Takes images of a model. Use it in one thread only, and close it.
 
     Args:
         rgb, depth: intrinsics of the two cameras.
-        colour_config, depth_config: what the sensors do.
-        samples: of a pixel of the colour picture, against stairs along edges.
+        colour_config, depth_config: effects of the sensors.
+        samples: a pixel of the colour image, for anti-aliasing.
         seed: of the unit's errors and of the noise.
     """
 
@@ -67,29 +66,29 @@ class RgbdCamera:
         self._renderers: list[Renderer] = []
 
     def attach(self, model: mujoco.MjModel) -> None:
-        """Takes the model to look at from now on.
+        """Attaches the camera to a model.
 
         Raises:
-            DeviceError: this machine cannot render without a screen, or the model has no such cameras.
+            DeviceError: this machine cannot render off-screen, or the model lacks the cameras.
         """
         self.close()
         try:
             self._numbers = [model.camera(name).id for name in (RGB_OPTICAL, DEPTH_OPTICAL)]
         except KeyError:
-            raise DeviceError(f"The world has no cameras {RGB_OPTICAL} and {DEPTH_OPTICAL}.") from None
+            raise DeviceError(f"The world lacks the cameras {RGB_OPTICAL} and {DEPTH_OPTICAL}.") from None
         self._renderers.append(Renderer(model, self._lenses[0].window, self._samples))
         self._renderers.append(Renderer(model, self._lenses[1].window, 0))
         if self._registered is None:
             lens = CameraLens(self._lenses[0].camera, self._renderers[0].depth_offset)
-            # The same unit: the same draws of the generator.
+            # The same unit: the same random draws.
             unit = np.random.default_rng(self._seed + 1)
             self._registered = DepthSensor(lens, self._depth_config, unit, _infrared_offset(model, *self._numbers))
 
     def take(self, data: mujoco.MjData, colour: bool, depth: bool, registered: bool) -> RgbdImages:
-        """Returns the pictures that are asked for.
+        """Returns the requested images.
 
         Args:
-            data: state of the attached model, with kinematics and cameras computed.
+            data: state of the attached model, with computed kinematics and cameras.
         """
         seconds: dict[str, float] = {}
         started = time.perf_counter()
@@ -99,33 +98,33 @@ class RgbdCamera:
             now = time.perf_counter()
             seconds[stage], started = now - started, now
 
-        colour_picture = depth_picture = registered_picture = None
+        colour_image = depth_image = registered_image = None
         if colour or registered:
-            seen, inverse_depth = self._renderers[0].render(data, self._numbers[0])
+            rendered, inverse_depth = self._renderers[0].render(data, self._numbers[0])
             finished("render_rgb")
             if colour:
-                colour_picture = self._colour.take(seen)
+                colour_image = self._colour.take(rendered)
                 finished("colour")
             if registered:
                 assert self._registered is not None  # made by `attach`
-                registered_picture = self._registered.take(inverse_depth, seen)
+                registered_image = self._registered.take(inverse_depth, rendered)
                 finished("registered")
         if depth:
-            seen, inverse_depth = self._renderers[1].render(data, self._numbers[1])
+            rendered, inverse_depth = self._renderers[1].render(data, self._numbers[1])
             finished("render_depth")
-            depth_picture = self._depth.take(inverse_depth, seen)
+            depth_image = self._depth.take(inverse_depth, rendered)
             finished("depth")
-        return RgbdImages(colour_picture, depth_picture, registered_picture, seconds)
+        return RgbdImages(colour_image, depth_image, registered_image, seconds)
 
     def close(self) -> None:
-        """Gives the display's memory back; `attach` takes it again."""
+        """Frees the memory of the display; `attach` allocates it again."""
         for renderer in self._renderers:
             renderer.close()
         self._renderers.clear()
 
 
 def _infrared_offset(model: mujoco.MjModel, rgb: int, depth: int) -> float:
-    """Returns how far to the right of the colour camera the infrared camera stands [m]; both look the same way."""
+    """Returns the offset of the infrared camera to the right of the colour camera [m]; both have one orientation."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)

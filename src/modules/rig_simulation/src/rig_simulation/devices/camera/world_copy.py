@@ -10,13 +10,13 @@ from rig_simulation.world.model import WorldDescription, build_model
 
 
 class WorldCopy:
-    """The same model as the world's, in the state of the last snapshot.
+    """The model of the world in the state of the last snapshot.
 
     Args:
         client: of the world's control port.
 
     Attributes:
-        model, data: MuJoCo's, from the first `follow` on. A new model after a change of scene.
+        model, data: of MuJoCo, after the first `follow`; new after a change of the scene.
     """
 
     def __init__(self, client: ControlClient) -> None:
@@ -26,10 +26,10 @@ class WorldCopy:
         self.data: mujoco.MjData
 
     def follow(self) -> bool:
-        """Takes the world's present state over, and returns whether the model is a new one.
+        """Copies the present state of the world; returns whether the model is new.
 
         Raises:
-            DeviceError: the world does not answer, or not with its state; the next call builds the model anew.
+            DeviceError: the world gives no valid answer; the next call rebuilds the model.
         """
         try:
             snapshot = self._client.ask("snapshot")
@@ -43,7 +43,10 @@ class WorldCopy:
             raise
         except (KeyError, TypeError, ValueError, FileNotFoundError, ConfigError) as error:
             self._load = None
-            raise DeviceError(f"The simulated world's answer does not fit: {type(error).__name__}: {error}.") from None
+            reason = f"{type(error).__name__}: {error}"
+            raise DeviceError(
+                f"The simulated world gave an invalid answer: {reason}. Is it of another version?"
+            ) from None
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         return new

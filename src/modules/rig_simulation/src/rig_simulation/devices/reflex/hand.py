@@ -7,7 +7,7 @@ import random
 from typing import Any
 
 from rig_simulation.devices.reflex.finger import Finger
-from rig_simulation.devices.reflex.mechanics import CELLS, FINGERS, FreeMechanics, Mechanics
+from rig_simulation.devices.reflex.mechanics import FINGERS, TAXELS, FreeMechanics, Mechanics
 from rig_simulation.devices.reflex.servo import TICK_RAD, TURN_TICKS, DynamixelServo
 from rig_simulation.devices.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand, pack_state
 
@@ -28,8 +28,8 @@ class SimulatedHand:
     """State of the hand; angles are spool angles at the joint [rad], 0 = open with the tendon just tight.
 
     Args:
-        seed: of its individual values (slack, zeros, rest counts of cells) and of its noise.
-        mechanics: what the motors move; None: a hand with nothing to touch.
+        seed: of its individual values (slack, zeros, rest counts of taxels) and of its noise.
+        mechanics: driven by the motors; None: a hand in free space.
     """
 
     def __init__(self, seed: int = 0, mechanics: Mechanics | None = None) -> None:
@@ -52,7 +52,7 @@ class SimulatedHand:
         self.power_cycles = 0
 
     def step(self, dt: float) -> None:
-        """Lets `dt` [s] pass."""
+        """Advances by `dt` [s]."""
         self._clock += dt
         for i, servo in enumerate(self.servos):
             stops = PRESHAPE_STOPS_RAD if i == _PRESHAPE else (LOOSEST_SPOOL_RAD, MAX_SPOOL_RAD)
@@ -68,7 +68,7 @@ class SimulatedHand:
         return _CLOSING[motor] * (self.servos[motor].shaft - self._open[motor]) * TICK_RAD / _RATIOS[motor]
 
     def handle(self, command: ModeCommand | TargetCommand) -> None:
-        """Follows a command; the mode of the last motor decides how targets are read."""
+        """Executes a command; the mode of the last motor decides the meaning of targets."""
         if isinstance(command, ModeCommand):
             self.modes_received += 1
             self._target_mode = command.modes[_PRESHAPE]
@@ -85,7 +85,7 @@ class SimulatedHand:
                 servo.goal = value
 
     def packet(self) -> bytes:
-        """Returns the state packet of now."""
+        """Returns the present state packet."""
         servos = self.servos
         return pack_state(
             device_time=int(self._clock * 1e6) % 2**32,
@@ -100,7 +100,7 @@ class SimulatedHand:
         )
 
     def power_cycle(self) -> None:
-        """Is switched off and on: the servos forget their turns, the clock begins again."""
+        """Switches the power off and on: the servos lose their turns, the clock restarts."""
         self._clock = 0.0
         self.modes = [IDLE] * 4
         self._target_mode = POSITION
@@ -109,51 +109,51 @@ class SimulatedHand:
             servo.power_up()
 
     def set_load(self, motor: int, value: float | None) -> None:
-        """Lets a motor report a closing load [0.1 %], whatever it does; None lets it report its own again."""
+        """Lets a motor report this closing load [0.1 %]; None restores its own."""
         if value is not None and not -1000 <= value <= 1000:
-            raise ValueError(f"A load lies in -1000..1000, not {value}.")
+            raise ValueError(f"The load is {value}, but must lie in -1000..1000.")
         self._forced_loads[_motor(motor)] = value
 
     def press(self, finger: int, value: int, cell: int | None = None) -> None:
-        """Presses a cell of finger 0, 1 or 2, or all its cells, by `value` counts."""
-        if cell is not None and not 0 <= cell < CELLS:
-            raise ValueError(f"Cells are 0..{CELLS - 1}, not {cell}.")
+        """Presses a taxel (`cell`) of finger 0, 1 or 2, or all its taxels, by `value` counts."""
+        if cell is not None and not 0 <= cell < TAXELS:
+            raise ValueError(f"The cell is {cell}, but must lie in 0..{TAXELS - 1}.")
         self._fingers[_finger(finger)].press(cell, int(value))
 
     def block(self, finger: int, proximal: float | None, stiffness: float = 400.0) -> None:
-        """Puts an obstacle at a proximal angle [rad], None takes it away; `stiffness` in 0.1 % of load per rad."""
+        """Sets an obstacle at a proximal angle [rad], None removes it; `stiffness` in 0.1 % of load per rad."""
         if proximal is not None and not 0 <= proximal <= math.pi:
-            raise ValueError(f"A proximal angle lies in 0..pi, not {proximal}.")
+            raise ValueError(f"The proximal angle is {proximal}, but must lie in 0..pi.")
         self._fingers[_finger(finger)].block(proximal, stiffness)
         self._mechanics.block(finger, proximal)
 
     def stick_encoder(self, finger: int, on: bool) -> None:
-        """Lets a knuckle encoder stick."""
+        """Lets a knuckle encoder stick, or work again."""
         self._fingers[_finger(finger)].stick(bool(on), self._mechanics.proximal(finger))
 
     def unplug_servo(self, motor: int, on: bool) -> None:
-        """Lets a servo fall silent: its position is 0."""
+        """Unplugs a servo, whose position is then 0, or plugs it in."""
         self.servos[_motor(motor)].present = not on
 
     def jump(self, motor: int, turns: int) -> None:
-        """Lets a servo count from another turn."""
+        """Shifts a servo's position by whole turns."""
         self.servos[_motor(motor)].jump(int(turns))
 
     def set_servo(self, motor: int, temperature: int | None = None, error: int | None = None) -> None:
-        """Sets what a servo reports as temperature [degrees Celsius] and error bits."""
+        """Sets the reported temperature [degrees Celsius] and error bits of a servo."""
         servo = self.servos[_motor(motor)]
         for name, value in (("temperature", temperature), ("error", error)):
             if value is not None:
                 if not 0 <= value <= 255:
-                    raise ValueError(f"The {name} of a servo is a byte, not {value}.")
+                    raise ValueError(f"The {name} is {value}, but must lie in 0..255.")
                 setattr(servo, name, int(value))
 
     def set_silent(self, on: bool) -> None:
-        """Pulls the cable, in both directions, or puts it in again."""
+        """Unplugs the cable, in both directions, or plugs it in."""
         self.silent = bool(on)
 
     def state(self) -> dict[str, Any]:
-        """Returns the truth, for the control port."""
+        """Returns the true state, for the control port."""
         return {
             "angles": [self.angle(i) for i in range(4)],
             "proximal": [self._mechanics.proximal(i) for i in range(FINGERS)],
@@ -182,11 +182,11 @@ class SimulatedHand:
 
 def _motor(motor: int) -> int:
     if motor not in range(4):
-        raise ValueError(f"Motors are 0..3 (f1, f2, f3, preshape), not {motor}.")
+        raise ValueError(f"The motor is {motor}, but must be 0..3 (f1, f2, f3, preshape).")
     return motor
 
 
 def _finger(finger: int) -> int:
     if finger not in range(FINGERS):
-        raise ValueError(f"Fingers are 0..2 (f1, f2, f3), not {finger}.")
+        raise ValueError(f"The finger is {finger}, but must be 0..2 (f1, f2, f3).")
     return finger

@@ -1,8 +1,8 @@
-"""What moves of the hand, apart from its electronics: spools wind tendons, tendons turn the links of the fingers.
+"""The mechanics of the hand: spools wind tendons, tendons turn the links of the fingers.
 
-`Mechanics` is what the electronics of the simulated hand ask for. `FreeMechanics` is the hand in empty space, by its
-kinematics alone; the physical world has another one with masses and contacts. Fingers count from 0 (f1, f2, f3), motors
-too (f1, f2, f3, preshape). Angles in rad, 0 = open.
+`Mechanics` is the interface for the electronics of the simulated hand. `FreeMechanics` is the hand in free space, with
+kinematics alone; the physical world has one with masses and contacts. Fingers count from 0 (f1, f2, f3), motors too
+(f1, f2, f3, preshape). Angles in rad, 0 = open.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-KNUCKLE_SHARE = 1 / 1.4
-"""While nothing is in the way the knuckle takes so much of the tendon's turn and the outer link the rest; once the
-inner link is blocked, the outer link takes all of it."""
+KNUCKLE_FRACTION = 1 / 1.4
+"""Fraction of the tendon's turn that the knuckle takes, the outer link the rest; once the inner link is blocked, the
+outer link takes all further turn."""
 
-CELLS = 9
+TAXELS = 9
 FINGERS = 3
 
 
@@ -26,7 +26,7 @@ class Mechanics(Protocol):
         """Takes the spool angles of the four motors; below 0 a finger's tendon is slack."""
 
     def resistance(self, motor: int) -> float:
-        """Returns the closing effort [0.1 %] that a motor needs to stay where it is."""
+        """Returns the closing effort [0.1 %] that a motor needs to hold its position."""
 
     def proximal(self, finger: int) -> float:
         """Returns the turn of a knuckle."""
@@ -35,14 +35,14 @@ class Mechanics(Protocol):
         """Returns the bend of a finger's outer link."""
 
     def touch(self, finger: int) -> Sequence[float]:
-        """Returns what presses on the nine cells of a finger, in counts."""
+        """Returns the pressure on the nine taxels of a finger [counts]."""
 
     def block(self, finger: int, proximal: float | None) -> None:
-        """Lets a knuckle turn no further than this, or None: as far as it can."""
+        """Limits the turn of a knuckle; None removes the limit."""
 
 
 class FreeMechanics:
-    """A hand with nothing to touch."""
+    """A hand in free space."""
 
     def __init__(self) -> None:
         self._ends = [math.pi] * FINGERS
@@ -53,7 +53,7 @@ class FreeMechanics:
         """Turns the links of the fingers."""
         for finger, end in enumerate(self._ends):
             tendon = max(0.0, spools[finger])
-            self._proximal[finger] = min(tendon * KNUCKLE_SHARE, end)
+            self._proximal[finger] = min(tendon * KNUCKLE_FRACTION, end)
             self._distal[finger] = tendon - self._proximal[finger]
 
     def resistance(self, motor: int) -> float:
@@ -70,8 +70,8 @@ class FreeMechanics:
 
     def touch(self, finger: int) -> Sequence[float]:
         """Returns zeros."""
-        return (0.0,) * CELLS
+        return (0.0,) * TAXELS
 
     def block(self, finger: int, proximal: float | None) -> None:
-        """Puts an end to a knuckle's turn."""
+        """Limits the turn of a knuckle."""
         self._ends[finger] = math.pi if proximal is None else proximal

@@ -1,6 +1,6 @@
-"""A Dynamixel MX-28 as the hand sees it: multi-turn positions of 1024 ticks a turn, speed, load, torque.
+"""A Dynamixel MX-28 as the firmware uses it: multi-turn positions of 1024 ticks a turn, speed, load, torque.
 
-Effort and movement are counted in the direction of rising positions.
+Effort and motion are positive in the direction of rising positions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class DynamixelServo:
     """One servo.
 
     Args:
-        shaft: where its shaft stands [ticks], any turn; it reports the position within one turn at first.
+        shaft: position of its shaft [ticks], of any turn; after power-up it reports the position within one turn.
     """
 
     def __init__(self, shaft: float) -> None:
@@ -40,7 +40,7 @@ class DynamixelServo:
         self.power_up()
 
     def power_up(self) -> None:
-        """Switches on: the turn is forgotten, torque is off, no speed is set."""
+        """Powers up: the turn is lost, torque is off, no speed is set."""
         self._reported_minus_shaft = POWER_UP_TICKS + self.shaft % TURN_TICKS - self.shaft
         self.goal = self.position
         self.torque = False
@@ -56,24 +56,24 @@ class DynamixelServo:
         return round(self.shaft + self._reported_minus_shaft)
 
     def jump(self, turns: int) -> None:
-        """Counts from another turn from now on."""
+        """Shifts the reported position by whole turns."""
         self._reported_minus_shaft += turns * TURN_TICKS
 
     def switch(self, torque: bool) -> None:
-        """Switches torque on or off; after an overload it stays off until power comes anew."""
+        """Switches torque on or off; after an overload it stays off until a power cycle."""
         self.torque = torque and self._overload_time < OVERLOAD_TIME_S
 
     def step(self, dt: float, low: float, high: float, resistance: float) -> None:
         """Moves for `dt` [s] towards the goal, between the stops `low` and `high` [ticks of the shaft].
 
-        What it presses against slows it down, to a standstill at its largest torque. Too long near that it switches
-        its torque off. A shaft without torque stays: the gear holds it.
+        Resistance slows it down, to a standstill at its largest torque; too long near that, it switches its torque
+        off. The gear holds a shaft without torque.
 
         Args:
             dt: time [s].
             low: lower stop.
             high: upper stop.
-            resistance: effort [0.1 %] that what the servo presses against takes.
+            resistance: effort against the load [0.1 %].
         """
         before = self.shaft
         if not self.torque:

@@ -1,7 +1,7 @@
-"""The hand's side of its wire: state packets are packed, commands are read.
+"""The hand's side of its wire: packs state packets, reads commands.
 
-Written from the description of the packets and not from the driver's codec, so that tests of one against the other find
-mistakes of either.
+Written from the packet description (docs/handbook/wire-protocols.md, "Hand: ReFlex"), not from the driver's codec, so
+that tests of one against the other find mistakes in either.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MODE_BYTES = 5
 _TARGET_BYTES = 9
 _PALM_BANK = (0,) * 11
 _SENSOR_TEMPERATURES = (512,) * 38
-# Sensor banks leave the hand in another order than its encoders and servos: f1, f3, f2.
+# Sensor banks are sent in another order than encoders and servos: f1, f3, f2.
 _BANKS = (0, 2, 1)
 
 
@@ -37,15 +37,15 @@ class ModeCommand:
 
 @dataclass(frozen=True)
 class TargetCommand:
-    """Targets of f1, f2, f3, preshape: positions or speeds, as the mode says."""
+    """Targets of f1, f2, f3, preshape: positions or speeds, depending on the mode."""
 
     values: tuple[int, ...]
 
 
 def read_command(data: bytes) -> ModeCommand | TargetCommand | None:
-    """Returns the command in a datagram; longer ones are taken, shorter ones and unknown codes are not.
+    """Returns the command in a datagram; accepts longer ones, ignores shorter ones and unknown codes.
 
-    A state packet, the hand's own or another's, begins like a mode command; it is none.
+    Ignores state packets, which begin like a mode command.
     """
     if not data or len(data) == STATE_BYTES:
         return None
