@@ -230,7 +230,7 @@ def test_a_request_that_is_being_answered_when_the_service_ends_is_carried_out(s
         service.stop()
         wait_until(refused, 10.0, "the end of the service's port")
         ended.wait(0.3)
-        service._play()
+        service._do(service._playback.play)
 
     ended = threading.Event()
     service = start(playing=False, requests={"play_late": play_late})

@@ -236,9 +236,7 @@ def test_text_is_written_into_a_copy():
     assert before.max() == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "sentence"), [("a.gif", ".mp4"), ("none/a.mp4", "folder"), ("a", ".png")]
-)
+@pytest.mark.parametrize(("name", "sentence"), [("a.gif", ".mp4"), ("none/a.mp4", "folder"), ("a", ".png")])
 def test_files_that_cannot_be_are_refused(tmp_path, name, sentence):
     with pytest.raises(FilmError, match=sentence):
         film_for(tmp_path / name, 20.0)
