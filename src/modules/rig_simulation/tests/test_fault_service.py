@@ -33,13 +33,13 @@ def service(ros, leap, free_port):
 
 def test_a_fault_is_switched_on_and_off(service, leap):
     answer = service("leap", "slow", True, 0.5, 0.0)
-    assert (answer.success, answer.message) == (True, "slow on.")
+    assert (answer.success, answer.message) == (True, "on: slow.")
     assert leap.faults.active() == {"slow": 0.5}
     answer = service("leap", "cut", True, 0.0, 60.0)
-    assert answer.message == "cut, slow on."
+    assert answer.message == "on: cut, slow."
     for name in ("slow", "cut"):
         answer = service("leap", name, False, 0.0, 0.0)
-    assert (answer.success, answer.message) == (True, "none is on.")
+    assert (answer.success, answer.message) == (True, "no fault is on.")
     assert leap.faults.active() == {}
 
 
