@@ -96,7 +96,7 @@ def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings
         now = 100.0 + i * GOAL_S
         frame = i // GOALS_PER_FRAME
         desired = Desired(circle[frame], CLOCK_S + 100.0 + frame * FRAME_S)
-        inputs.append((Inputs(desired, CLOCK_S + now, control_on=True, engagements=1), now))
+        inputs.append((Inputs(desired, CLOCK_S + now, control_on=True, enable_count=1), now))
     times, steps = timed(controller.cycle, inputs)
     servo = np.array([isinstance(step.command, Servo) for step in steps])
     fresh = np.array([isinstance(step.command, Servo) and step.command.stamp is not None for step in steps])

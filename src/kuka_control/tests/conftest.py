@@ -1,8 +1,8 @@
-"""The simulated arm of the benchmarks serves tests too."""
+"""The world of the control loops beside the tests, and the simulated arm of the benchmarks."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parents[3]))  # where bench is a package
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[3])]  # where bench is a package

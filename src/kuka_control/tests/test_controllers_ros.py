@@ -308,7 +308,7 @@ def test_a_motion_that_a_safety_stop_holds_is_said_and_goes_on_to_its_end_when_i
     node = start()
     node.wait_for_mode("homing")
     robot.ask("set_external_torque", value=[0, 30, 0, 0, 0, 0, 0])
-    wait_until(lambda: any("does not go on" in m.msg for m in said), 20.0, "the sentence")
+    wait_until(lambda: any("does not continue" in m.msg for m in said), 20.0, "the sentence")
     robot.ask("set_external_torque", value=[0] * 7)
     robot.ask("release")
     node.wait_for_mode("stopped")

@@ -51,13 +51,13 @@ def seen(**what):
 def test_nothing_moves_until_control_is_switched_on(standby, loops):
     standby.connected()
     for i in range(50):
-        step = standby.step(seen(desired=OLD, engagements=3), 101.0 + i)
+        step = standby.step(seen(desired=OLD, enable_count=3), 101.0 + i)
         assert isinstance(step.command, Wait) and step.mode == "stopped" and "connected again" in step.reason
     assert not loops and standby.stopped_because
-    step = standby.step(seen(desired=OLD, engagements=4, control_on=True), 160.0)
+    step = standby.step(seen(desired=OLD, enable_count=4, control_on=True), 160.0)
     assert isinstance(step.command, StartPtp) and standby.stopped_because is None
     assert standby.counts == Counter(ptp_motions=8), "counters go on"
-    standby.step(seen(desired=OLD, engagements=4), 161.0)
+    standby.step(seen(desired=OLD, enable_count=4), 161.0)
     assert len(loops) == 1, "the loop goes on whatever the switch says"
 
 

@@ -33,7 +33,7 @@ def test_each_engagement_counts():
     s = switches()
     for on in (True, True, False, True, False, False, True):
         s.set_control(on)
-    assert s.read().engagements == 3
+    assert s.read().enable_count == 3
 
 
 def test_before_home_control_says_that_the_arm_goes_there_first():
@@ -93,7 +93,7 @@ def test_while_control_is_held_it_cannot_be_switched_on():
     assert not answer.success and answer.message == "Control stays off: the robot is out of reach."
     assert switches.set_control(False).success
     switches.release()
-    assert switches.set_control(True).success and switches.read().engagements == 2
+    assert switches.set_control(True).success and switches.read().enable_count == 2
 
 
 def test_a_controller_whose_control_is_held_says_that_it_leaves_the_arm():

@@ -14,9 +14,7 @@ SKEW = 1.7e9
 
 
 def motion():
-    result = TargetMotion(-UPPER, UPPER)
-    result.reset(np.zeros(7))
-    return result
+    return TargetMotion(-UPPER, UPPER, np.zeros(7))
 
 
 def feed(follower, q_of, rate, seconds, late=lambda i: 0.0):

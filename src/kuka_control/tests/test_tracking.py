@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kuka_control.loop.tracking import MotionMonitor, TrackingMonitor
+from kuka_control.loop.ptp_supervision import PtpSupervision
+from kuka_control.loop.tracking import TrackingMonitor
 from rig_simulation.devices.sunrise.profiles import JointMove
 
 DT = 0.004
@@ -63,9 +64,12 @@ SPEED, ACCELERATION = np.full(7, 0.25), np.full(7, 3.0)
 
 def watch(end, joints, seconds):
     """Returns when a motion counts as held for the first time, or None; `joints` is a function of time [s]."""
-    monitor = MotionMonitor(end)
+    supervision = PtpSupervision("home", end)
     for i in range(int(seconds / DT)):
-        if monitor.step(np.array(joints(i * DT)), i * DT):
+        event = supervision.step(np.array(joints(i * DT)), i * DT)
+        assert supervision.held == supervision.was_held == (event is not None)
+        if supervision.held:
+            assert event.level == "error" and "home" in event.sentence
             return i * DT
     return None
 
@@ -97,8 +101,16 @@ def test_an_arm_that_does_not_begin_to_move_is_found():
 
 
 def test_joints_that_are_not_read_anew_say_nothing_of_a_motion():
-    monitor = MotionMonitor(END)
-    monitor.step(START, 0.0)
+    supervision = PtpSupervision("home", END)
+    supervision.step(START, 0.0)
     still = START + 0.1 * (END - START)
-    assert not any(monitor.step(still, 0.1 * i) for i in range(1, 40))
-    assert not monitor.step(START + 0.2 * (END - START), 4.0)
+    assert not any(supervision.step(still, 0.1 * i) for i in range(1, 40))
+    assert supervision.step(START + 0.2 * (END - START), 4.0) is None and not supervision.was_held
+
+
+def test_an_arm_that_is_free_again_is_reported_once_and_it_stays_known_that_it_was_held():
+    supervision = PtpSupervision("home", END)
+    held = [supervision.step(np.array(START), DT * i) for i in range(300)]
+    free = [supervision.step(START + (0.1 + 1e-3 * i) * (END - START), 2.0 + DT * i) for i in range(100)]
+    assert [event.level for event in held + free if event] == ["error", "info"]
+    assert supervision.was_held and not supervision.held and supervision.still == 0.0

@@ -50,10 +50,6 @@ class FrameSteps:
     def __init__(self, tool_speed: float, turn_speed: float) -> None:
         self._tool_speed = tool_speed
         self._turn_speed = turn_speed
-        self.reset()
-
-    def reset(self) -> None:
-        """Starts anew."""
         self._last: Desired | None = None
         self.jumped = False
 

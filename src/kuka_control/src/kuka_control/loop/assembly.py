@@ -7,6 +7,7 @@ import numpy as np
 from kuka_control.limits.motion_limits import MotionLimits, SpeedLimits, Unlimited
 from kuka_control.limits.speed_change import ShapeLimits
 from kuka_control.limits.workspace_brake import WorkspaceBrake
+from kuka_control.loop.goal_stream import GoalStreamSettings
 from kuka_control.loop.ptp_loop import PtpLoop, PtpSettings
 from kuka_control.loop.real_time_loop import RealTimeLoop, RealTimeSettings
 from kuka_control.model.config import PtpConfig, RealTimeConfig
@@ -18,20 +19,22 @@ RANGE_MARGIN_RAD = float(np.radians(0.1))
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     """Returns the real-time control loop."""
-    limits = motion_limits(config, rig)
+    goals = GoalStreamSettings(
+        joint_speeds=config.joint_speed * rig.model.max_speed,
+        tool_speed=config.tcp_speed,
+        shaped=config.shaping != "none",
+        lower=rig.model.lower + RANGE_MARGIN_RAD,
+        upper=rig.model.upper - RANGE_MARGIN_RAD,
+    )
     settings = RealTimeSettings(
         q_home=rig.home.q,
         time_out=config.time_out,
         velocity_home=config.velocity_ptp_slow,
         velocity_return=config.velocity_ptp_fast,
-        servo_joint_speeds=config.joint_speed * rig.model.max_speed,
-        servo_tool_speed=config.tcp_speed,
         servo_law=config.servo_law,
-        shaped=config.shaping != "none",
-        lower=rig.model.lower + RANGE_MARGIN_RAD,
-        upper=rig.model.upper - RANGE_MARGIN_RAD,
+        goals=goals,
     )
-    return RealTimeLoop(settings, rig.chain, limits if settings.shaped else Unlimited())
+    return RealTimeLoop(settings, rig.chain, motion_limits(config, rig) if goals.shaped else Unlimited())
 
 
 def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:

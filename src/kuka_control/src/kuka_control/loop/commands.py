@@ -1,4 +1,4 @@
-"""What goes into a step of a control loop and what comes out of it. Joints q: shape (7,) [rad]."""
+"""What goes into a cycle of a control loop and what comes out of it. Joints q: shape (7,) [rad]."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ from typing import Union
 import numpy as np
 
 from kuka_control.loop.stream import Desired
+from kuka_control.loop.transitions import Mode, State, Trigger
 from kuka_control.model.target import Target
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What is known at the beginning of a step.
+    """The inputs of a cycle.
 
     Attributes:
         joints: measured joints, shape (7,) [rad].
         desired: the newest desired tool frame, or None.
         clock: ROS time [s], the clock of the stamps.
         control_on: whether the arm is to follow the desired tool frame.
-        engagements: how often control was switched on so far, so that off and on again is never overlooked.
+        enable_count: how often control was switched on so far, so that off and on again is never overlooked.
         scale: scaling factor.
-        exit_requested: whether the controller is to go to zero and end.
+        exit_requested: whether the controller is to go to zero and exit.
         arrived: whether no PTP motion runs.
-        refused: why the robot's controller gave the last PTP motion up, or None.
+        refused: why the robot's controller refused the last command, or None.
     """
 
     joints: np.ndarray
     desired: Desired | None = None
     clock: float = 0.0
     control_on: bool = False
-    engagements: int = 0
+    enable_count: int = 0
     scale: float = 1.0
     exit_requested: bool = False
     arrived: bool = True
@@ -45,7 +46,7 @@ class Wait:
 
 @dataclass(frozen=True)
 class StartPtp:
-    """Move to `q` at the share `velocity` of the full joint speed."""
+    """Move to `q` at the fraction `velocity` of the full joint speed."""
 
     q: np.ndarray
     velocity: float
@@ -53,7 +54,7 @@ class StartPtp:
 
 @dataclass(frozen=True)
 class StartServo:
-    """Begin to follow servo goals."""
+    """Start to follow servo goals."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class StopServo:
 
 @dataclass(frozen=True)
 class End:
-    """The controller ends; `fault` says why, None if it was asked to."""
+    """The controller exits; `fault` says why, None if it was asked to."""
 
     fault: str | None = None
 
@@ -89,20 +90,22 @@ class Event:
 
 @dataclass(frozen=True)
 class Step:
-    """The result of a step.
+    """The result of a cycle.
 
     Attributes:
         command: for the arm.
-        mode: starting, homing, home, pick_up, servo, returning, zero or stopped.
-        reason: why this mode, one sentence.
-        events: what is to be said.
-        aim: what the loop aims at now, or None.
+        mode: the published mode.
+        reason: why this mode, in sentences.
+        events: what is to be logged.
+        target: what the arm goes to or follows, or None.
         limited_by: what limited the last command: names of workspace bounds and of motion limits.
+        transitions: what was taken of the table in this cycle.
     """
 
     command: Command
-    mode: str
+    mode: Mode
     reason: str
     events: tuple[Event, ...]
-    aim: Target | None = None
+    target: Target | None = None
     limited_by: tuple[str, ...] = ()
+    transitions: tuple[tuple[State, Trigger], ...] = ()

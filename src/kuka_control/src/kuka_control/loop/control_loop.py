@@ -1,53 +1,75 @@
-"""What both control loops share: the life from the first way home to the last way to zero, as a state machine.
+"""The part that both control loops share: a state machine from the first motion home to the last motion to zero.
 
-    observation, now -> step: one command for the arm, and what there is to say
+    observation, now -> step: one command for the arm, and what there is to report
 
-A step looks at everything that came since the one before and answers with one command; it waits for nothing. While a
-motion runs, desired tool frames are disregarded; afterwards only new ones count.
+A cycle looks at everything that came since the last one and answers with one command; it waits for nothing. Each state
+has a handler, which answers a command, or the trigger that ends the state. transitions.py has the table that says what
+follows. While a motion runs, desired tool frames are disregarded; afterwards only new ones count.
 
-After a fault (refused motion, arm that was held on its way or does not follow) the loop is latched: it leaves the arm
-where it is, says why, and goes on, with a motion home, only after control was switched off and on again.
-real_time_loop.py and ptp_loop.py hold the two algorithms.
+After a fault the loop is latched in STOPPED: it leaves the arm where it is, says why, and continues only after control
+was switched off and on again, with a motion home.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from dataclasses import dataclass
-from typing import Callable, Generic, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Callable, Generic, TypeVar, Union
 
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.loop.commands import Command, End, Event, Observation, StartPtp, Step, Wait
+from kuka_control.loop.commands import (
+    Command,
+    End,
+    Event,
+    Observation,
+    Servo,
+    StartPtp,
+    StartServo,
+    Step,
+    StopServo,
+    Wait,
+)
+from kuka_control.loop.ptp_supervision import PtpSupervision
 from kuka_control.loop.stream import Desired, DesiredStream
-from kuka_control.loop.tracking import MotionMonitor
+from kuka_control.loop.transitions import Action, State, Trigger, transitions_among
 from kuka_control.model.target import Target, TargetChain
 from kuka_control.model.workspace import Infeasible
 
 Q_ZERO = read_only(np.zeros(7))
 """The joints in which the arm is left behind [rad]."""
 
-UNENDING_S = 2.0
-"""Who wants to exit waits so long for an arm that is held on its way [s]."""
+EXIT_PATIENCE_S = 2.0
+"""On exit, wait at most this long for an arm that something holds [s]."""
 
 COUNTED = (
     *("goals_sent", "limited_goals", "workspace_clips", "ik_failures", "refused_frames"),
     *("pickups", "homes", "ptp_motions", "jumps", "flips", "faults"),
 )
-"""What is counted; all are there from the start."""
+"""The names of the counters; all are there from the start."""
+
+MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.ZERO))
+"""The states in which a PTP motion runs."""
+
+
+WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED}
+"""The states that forget the target."""
+
+COMMANDS = {Action.NONE: Wait(), Action.START_SERVO: StartServo(), Action.STOP_SERVO: StopServo()}
+"""The commands of the actions that need no data."""
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """What both loops need to know.
+    """Settings of both loops.
 
     Attributes:
         q_home: home position, shape (7,) [rad].
-        time_out: go home after so long without a new desired tool frame [s].
-        velocity_home: share of the full joint speed to home at the start and when control goes off, and to zero.
-        velocity_return: share of the full joint speed to home after a time-out.
+        time_out: go home after this time without a new desired tool frame [s].
+        velocity_home: fraction of the full joint speed to home at the start and when control goes off, and to zero.
+        velocity_return: the same to home after a time-out, and to a pick-up pose.
     """
 
     q_home: np.ndarray
@@ -57,224 +79,264 @@ class LoopSettings:
 
 
 @dataclass(frozen=True)
-class _Motion:
-    """A PTP motion that runs: where to, in words and joints, the state after it, and whether it goes on."""
+class Fired:
+    """The trigger that ends the present state, and the detail that its reason quotes."""
 
-    name: str
-    q: np.ndarray
-    then: Callable[..., Command]
-    monitor: MotionMonitor
+    trigger: Trigger
+    detail: str = ""
 
 
+@dataclass(frozen=True)
+class Active:
+    """The present state with the data that belongs to it; a transition replaces it as a whole.
+
+    Attributes:
+        state: the state.
+        trigger: what led to it.
+        because: why it began.
+        reason: the published reason.
+        enable_count: the count of enablings under which the arm left home or was stopped.
+        data: what the state works with: the supervision of its motion, the identification, the stream of goals.
+    """
+
+    state: State = State.STARTING
+    trigger: Trigger | None = None
+    because: str = ""
+    reason: str = State.STARTING.text
+    enable_count: int = 0
+    data: Any = None
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What a handler decides on: the observation, the desired tool frame if it is new, and the monotonic time [s]."""
+
+    observation: Observation
+    fresh: Desired | None
+    now: float
+
+
+Outcome = Union[Command, Fired]
+Handler = Callable[[Cycle], Outcome]
 Settings = TypeVar("Settings", bound=LoopSettings)
-State = Callable[..., Command]
 
 
 class ControlLoop(ABC, Generic[Settings]):
-    """The shared half; a subclass says how a new target is followed."""
+    """The shared part; a subclass says how a new target is followed.
+
+    Attributes:
+        counts: of what happened so far.
+        stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it.
+    """
+
+    STATES: frozenset[State]
+    """The states of the algorithm; the rows of the table between them are its transitions."""
+
+    PICK_UP = ""
+    """What a motion to a target goes to, in words."""
 
     def __init__(self, settings: Settings, chain: TargetChain) -> None:
         self.counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self.stopped_because: str | None = None
         self._settings = settings
         self._chain = chain
+        self._table = transitions_among(self.STATES)
+        self._handlers: dict[State, Handler] = {
+            **dict.fromkeys(MOVING, self._moving),
+            State.STARTING: self._starting,
+            State.HOME: self._home,
+            State.AT_POSE: self._at_rest,
+            State.STOPPED: self._stopped,
+            State.ENDED: lambda _: End(None if self._active.trigger is Trigger.ARRIVED else self._active.because),
+        }
         self._stream = DesiredStream()
-        self._state: Callable[[Observation, Desired | None, float], Command] = self._starting
-        self._mode = "starting"
-        self._reason = "The controller has started."
-        self._limited_by: tuple[str, ...] = ()
+        self._active = Active()
+        self._target: Target | None = None
+        self._infeasible: str | None = None
+        self._unreachable: str | None = None
+        self._unreachable_reported = False
+        # What this cycle has brought so far.
         self._events: list[Event] = []
-        self._motion: _Motion | None = None
-        self._held = self._was_held = False
-        self._at_home = False
-        self._home_at: float | None = None
-        self._because = ""
-        self._leaving_because: str | None = None
-        self._engagements = self._engagement = 0
-        self._aim: Target | None = None
-        self._failing = False
-        self._kept: str | None = None
+        self._limited_by: tuple[str, ...] = ()
+        self._taken: list[tuple[State, Trigger]] = []
 
-    def step(self, seen: Observation, now: float) -> Step:
-        """Returns what is to be done now.
+    def step(self, observation: Observation, now: float) -> Step:
+        """Returns the command of this cycle, with what there is to report.
 
         Args:
-            seen: what is known.
+            observation: the inputs.
             now: monotonic time [s].
         """
-        self._events = []
-        self._limited_by = ()
-        self._engagements = seen.engagements
-        taken = self._stream.take(seen.desired, seen.clock, now)
-        if taken.refused:
+        self._events, self._limited_by, self._taken = [], (), []
+        update = self._stream.take(observation.desired, observation.clock, now)
+        if update.refused:
             self.counts["refused_frames"] += 1
-            self._say("warn", taken.refused)
-        if seen.refused is not None:
-            command = self._give_up(seen.refused)
+            self._report("warn", update.refused)
+        command = self._command(Cycle(observation, update.fresh, now))
+        active = self._active
+        bounds = self._target.bounds if self._target else ()
+        return Step(
+            command,
+            active.state.mode,
+            " ".join(filter(None, (active.reason, self._inhibited_by(observation, now)))),
+            tuple(self._events),
+            self._target,
+            bounds + self._limited_by,
+            tuple(self._taken),
+        )
+
+    def _command(self, cycle: Cycle) -> Command:
+        """Returns the command of the state in which the triggers of this cycle end."""
+        if self._active.state in MOVING:
+            cycle = replace(cycle, fresh=None)
+        refused = cycle.observation.refused
+        if refused is not None and (self._active.state, Trigger.REFUSED) in self._table:
+            outcome: Outcome = Fired(Trigger.REFUSED, refused)
         else:
-            command = self._state(seen, taken.fresh, now)
-        bounds = self._aim.bounds if self._aim else ()
-        reason = " ".join(filter(None, (self._reason, self._hindrance(seen, now))))
-        return Step(command, self._mode, reason, tuple(self._events), self._aim, bounds + self._limited_by)
+            outcome = self._handlers[self._active.state](cycle)
+        while isinstance(outcome, Fired):
+            outcome = self._take(outcome, cycle) or self._handlers[self._active.state](cycle)
+        return outcome
+
+    def _take(self, fired: Fired, cycle: Cycle) -> Command | None:
+        """Takes a transition; returns its command, None if the next state decides in the same cycle."""
+        before = self._active
+        row = self._table[before.state, fired.trigger]
+        self._taken.append((before.state, fired.trigger))
+        moved_to = before.data.name if isinstance(before.data, PtpSupervision) else ""
+        because = row.because.format(because=before.because, detail=fired.detail, name=moved_to)
+        command = COMMANDS.get(row.action)
+        name, velocity, data, enable_count = "", 0.0, None, before.enable_count
+        if row.action is Action.PTP:
+            name, q, velocity = self._motion(row.target, fired.trigger)
+            data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity)
+            self.counts["ptp_motions"] += 1
+        elif row.action is Action.HOLD:
+            command = Servo(cycle.observation.joints)
+        elif row.action is Action.END:
+            command = End(None if fired.trigger is Trigger.ARRIVED else because)
+        if row.target is State.STOPPED:
+            enable_count, self.stopped_because = cycle.observation.enable_count, because
+            self.counts["faults"] += 1
+        elif fired.trigger is Trigger.ENABLED_AGAIN:
+            self.stopped_because = None
+        elif row.target is State.HOME:
+            self.counts["homes"] += 1
+        if row.target in WITHOUT_TARGET:
+            self._target = None
+        reason = row.target.text.format(because=because, name=name, velocity=velocity).strip()
+        if reason:
+            self._unreachable = None
+            self._report("error" if row.target is State.STOPPED else "info", reason)
+        self._active = Active(row.target, fired.trigger, because, reason or before.reason, enable_count, data)
+        return command
+
+    def _motion(self, target: State, trigger: Trigger) -> tuple[str, np.ndarray, float]:
+        """Returns the goal of a motion in words and joints, and the fraction of the full joint speed."""
+        settings = self._settings
+        if target is State.ZERO:
+            return "the zero position", Q_ZERO, settings.velocity_home
+        if target is State.PICK_UP:
+            assert self._target is not None and self._target.q is not None, "a motion needs a target that is reachable"
+            return self.PICK_UP, self._target.q, settings.velocity_return
+        late = Trigger.TIME_OUT in (trigger, self._active.trigger) and target is State.RETURNING
+        return "home", settings.q_home, settings.velocity_return if late else settings.velocity_home
+
+    def _starting(self, cycle: Cycle) -> Outcome:
+        return Fired(Trigger.EXIT if self._exits(cycle) else Trigger.START)
+
+    def _moving(self, cycle: Cycle) -> Outcome:
+        """A PTP motion runs, which nothing can stop."""
+        supervision: PtpSupervision = self._active.data
+        if cycle.observation.arrived:
+            if supervision.was_held and self._active.state is not State.ZERO:
+                return Fired(Trigger.ARRIVED_AFTER_HOLD)
+            return self._arrived(cycle)
+        event = supervision.step(cycle.observation.joints, cycle.now)
+        if supervision.held and supervision.still > EXIT_PATIENCE_S and self._exits(cycle):
+            return Fired(Trigger.EXIT_WHILE_HELD)
+        if event is not None:
+            self._active = replace(self._active, reason=event.sentence)
+            self._events.append(event)
+            if supervision.held:
+                self.stopped_because = event.sentence
+        return Wait()
+
+    def _arrived(self, cycle: Cycle) -> Fired:
+        if self._active.state is State.PICK_UP:
+            return self._leaves(cycle) or Fired(Trigger.ARRIVED)
+        if self._active.state is State.ZERO and self._infeasible is not None:
+            return Fired(Trigger.ARRIVED_AFTER_FAULT, self._infeasible)
+        return Fired(Trigger.ARRIVED)
+
+    def _home(self, cycle: Cycle) -> Outcome:
+        if self._exits(cycle):
+            return Fired(Trigger.EXIT)
+        self._active = replace(self._active, enable_count=cycle.observation.enable_count)
+        return self._new_target(cycle)
+
+    def _at_rest(self, cycle: Cycle) -> Outcome:
+        """No motion and no servo mode, where a motion or servo mode ended."""
+        return self._leaves(cycle) or self._new_target(cycle)
+
+    def _stopped(self, cycle: Cycle) -> Outcome:
+        """A fault holds the loop until control goes off and on again."""
+        if self._exits(cycle):
+            return Fired(Trigger.EXIT)
+        again = cycle.observation.control_on and cycle.observation.enable_count != self._active.enable_count
+        return Fired(Trigger.ENABLED_AGAIN) if again else Wait()
+
+    def _new_target(self, cycle: Cycle) -> Outcome:
+        if not cycle.observation.control_on or cycle.fresh is None:
+            return Wait()
+        q = self._resolve(cycle.observation, cycle.fresh, cycle.observation.joints)
+        return Wait() if q is None else self._follow(float(np.max(np.abs(q - cycle.observation.joints))))
 
     @abstractmethod
-    def _follow(self, seen: Observation, target: Target, now: float) -> Command:
-        """Answers a new target at rest, while control is on."""
+    def _follow(self, distance: float) -> Outcome:
+        """Answers a new target at rest, while control is on; `distance` is that of the farthest joint [rad]."""
 
-    def _starting(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
-        if self._leaving(seen):
-            return self._go_to_zero(seen, now)
-        return self._ptp(seen, "home", self._settings.q_home, self._settings.velocity_home, "homing", self._home, now)
+    def _exits(self, cycle: Cycle) -> bool:
+        return cycle.observation.exit_requested or self._infeasible is not None
 
-    def _home(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
-        self._at_home = True
-        self._enter("home", self._at_rest, "The arm is at home.")
-        self.counts["homes"] += 1
-        return self._at_rest(seen, fresh, now)
+    def _leaves(self, cycle: Cycle) -> Fired | None:
+        """Returns why the arm is to go home or to zero instead of following."""
+        if self._exits(cycle):
+            return Fired(Trigger.EXIT)
+        if not cycle.observation.control_on:
+            return Fired(Trigger.CONTROL_OFF)
+        if cycle.observation.enable_count != self._active.enable_count:
+            return Fired(Trigger.CONTROL_WAS_OFF)
+        if self._stream.silent_for(cycle.now) > self._settings.time_out:
+            return Fired(Trigger.TIME_OUT, f"{self._settings.time_out:g}")
+        return None
 
-    def _at_rest(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
-        """No motion and no servo: at home, or where a motion ended."""
-        if self._leaving(seen):
-            return self._go_to_zero(seen, now)
-        if self._must_return(seen, now) and self._home_at is not None:
-            velocity, self._home_at = self._home_at, None
-            return self._ptp(seen, "home", self._settings.q_home, velocity, "returning", self._home, now)
-        if self._at_home:
-            self._engagement = seen.engagements
-        if not seen.control_on or fresh is None:
-            return Wait()
-        target = self._resolve(seen, fresh, seen.joints)
-        return Wait() if target is None else self._follow(seen, target, now)
-
-    def _moving(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
-        """A PTP motion runs, which nothing can stop; transforms are disregarded."""
-        motion = self._motion
-        assert motion is not None, "this state begins with a motion"
-        if seen.arrived:
-            if self._was_held and motion.then != self._zero:
-                return self._latch(f"Something held the arm on its way to {motion.name}.")
-            self._state = motion.then
-            return motion.then(seen, None, now)
-        held = motion.monitor.step(seen.joints, now)
-        if held and motion.monitor.still > UNENDING_S and self._leaving(seen):
-            return self._end(f"The arm cannot go to zero because its motion to {motion.name} does not end.")
-        if held and not self._held:
-            left = np.degrees(np.max(np.abs(motion.q - seen.joints)))
-            self._reason = self.stopped_because = (
-                f"The motion to {motion.name} does not go on, {left:.1f} deg are left; if a safety stop holds the arm, "
-                "free the arm and press run on the smartPad."
-            )
-            self._say("error", self._reason)
-        elif self._held and not held:
-            self._reason = f"The arm moves on to {motion.name} and stays there until control goes off and on again."
-            self._say("info", self._reason)
-        self._held = held
-        self._was_held |= held
-        return Wait()
-
-    def _latched(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
-        """A fault holds the loop until control goes off and on again."""
-        if self._leaving(seen):
-            return self._go_to_zero(seen, now)
-        if seen.control_on and seen.engagements != self._engagement:
-            self._because = "Control was switched off and on again."
-            self.stopped_because = None
-            return self._starting(seen, fresh, now)
-        return Wait()
-
-    def _zero(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
-        return self._end(self._leaving_because)
-
-    def _ended(self, seen: Observation, fresh: Desired | None, now: float) -> Command:
-        return End(self._leaving_because)
-
-    def _ptp(
-        self, seen: Observation, name: str, q: np.ndarray, velocity: float, mode: str, then: State, now: float
-    ) -> Command:
-        self._motion = _Motion(name, q, then, MotionMonitor(q))
-        self._held = self._was_held = self._at_home = False
-        why = f"{self._because} " if self._because else ""
-        self._because = ""
-        self._enter(mode, self._moving, f"{why}The arm moves to {name} at {velocity:g} of the full joint speed.")
-        if then in (self._home, self._zero):
-            self._aim = None
-        self.counts["ptp_motions"] += 1
-        return StartPtp(read_only(q), velocity)
-
-    def _go_to_zero(self, seen: Observation, now: float) -> Command:
-        velocity = self._settings.velocity_home
-        return self._ptp(seen, "the zero position", Q_ZERO, velocity, "zero", self._zero, now)
-
-    def _give_up(self, refused: str) -> Command:
-        """The robot's controller refused the last command, or ended servo mode by itself."""
-        if self._state == self._latched:
-            return Wait()
-        if self._state != self._moving:
-            return self._latch(f"The robot's controller has ended servo mode: {refused}.")
-        motion = self._motion
-        assert motion is not None, "this state begins with a motion"
-        fault = f"The robot's controller refused the motion to {motion.name}: {refused}."
-        return self._end(fault) if motion.then == self._zero else self._latch(fault)
-
-    def _latch(self, fault: str) -> Command:
-        self._enter("stopped", self._latched, f"{fault} The arm stays where it is until control goes off and on again.")
-        self._aim = self._home_at = None
-        self._at_home = False
-        self._engagement = self._engagements
-        self.stopped_because = fault
-        self.counts["faults"] += 1
-        return Wait()
-
-    def _end(self, fault: str | None) -> Command:
-        self._leaving_because = fault
-        self._enter("stopped", self._ended, fault or "The controller has ended as it was asked to.")
-        return End(fault)
-
-    def _leaving(self, seen: Observation) -> bool:
-        return seen.exit_requested or self._leaving_because is not None
-
-    def _must_return(self, seen: Observation, now: float) -> bool:
-        """Whether the arm has to go home now, or to be stopped for that; at which velocity, stands in _home_at then."""
-        if self._home_at is None and not self._at_home:
-            if not seen.control_on or seen.engagements != self._engagement:
-                self._because = f"Control {'was' if seen.control_on else 'is'} off."
-                self._home_at = self._settings.velocity_home
-            elif self._stream.silent_for(now) > self._settings.time_out:
-                self._because = f"No new desired tool frame came for {self._settings.time_out:g} s."
-                self._home_at = self._settings.velocity_return
-        return self._home_at is not None
-
-    def _resolve(self, seen: Observation, fresh: Desired, near: np.ndarray) -> Target | None:
-        """Returns the joint target of a desired tool frame; without one the arm keeps its joints."""
-        target = self._chain.resolve(fresh.T_base_tool, seen.scale, near)
+    def _resolve(self, observation: Observation, fresh: Desired, q_seed: np.ndarray) -> np.ndarray | None:
+        """Returns the joints of a desired tool frame, shape (7,) [rad]; without a solution the arm keeps its own."""
+        target = self._chain.resolve(fresh.T_base_tool, observation.scale, q_seed)
         if isinstance(target, Infeasible):
-            self._leaving_because = f"The controller shuts down because of the desired tool frame: {target}."
-            self._say("error", self._leaving_because)
+            self._infeasible = f"The controller shuts down because of the desired tool frame: {target}."
+            self._report("error", self._infeasible)
             return None
         if target.q is None:
             self.counts["ik_failures"] += 1
-            self._kept = f"The arm keeps its joints: {target.failure}"
-            if not self._failing:
-                self._say("warn", self._kept)
-            self._failing = True
+            self._unreachable = f"The arm keeps its joints: {target.failure}"
+            if not self._unreachable_reported:
+                self._report("warn", self._unreachable)
+            self._unreachable_reported = True
             return None
-        self._failing, self._kept = False, None
-        if target.bounds and not (self._aim and self._aim.bounds):
+        self._unreachable_reported, self._unreachable = False, None
+        if target.bounds and not (self._target and self._target.bounds):
             self.counts["workspace_clips"] += 1
-        self._aim = target
-        return target
+        self._target = target
+        return target.q
 
-    def _hindrance(self, seen: Observation, now: float) -> str | None:
+    def _inhibited_by(self, observation: Observation, now: float) -> str | None:
         """Returns why the frames that come in are not followed although control is on, a sentence; else None."""
-        if not seen.control_on:
+        if not observation.control_on:
             return None
-        kept = self._kept if self._stream.silent_for(now) <= self._settings.time_out else None
-        return self._stream.refusal(now) or kept
+        unreachable = self._unreachable if self._stream.silent_for(now) <= self._settings.time_out else None
+        return self._stream.refusal(now) or unreachable
 
-    def _enter(self, mode: str, state: State, reason: str) -> None:
-        """Changes the state; what it does and why is said once."""
-        self._state, self._mode, self._reason, self._kept = state, mode, reason, None
-        self._say("error" if mode == "stopped" and state == self._latched else "info", reason)
-
-    def _say(self, level: str, sentence: str) -> None:
+    def _report(self, level: str, sentence: str) -> None:
         self._events.append(Event(level, sentence))

@@ -26,7 +26,7 @@ class Inputs:
     desired: Desired | None = None
     clock: float = 0.0
     control_on: bool = False
-    engagements: int = 0
+    enable_count: int = 0
     scale: float = 1.0
     exit_requested: bool = False
 
@@ -71,7 +71,7 @@ class Controller:
             desired=inputs.desired,
             clock=inputs.clock,
             control_on=inputs.control_on,
-            engagements=inputs.engagements,
+            enable_count=inputs.enable_count,
             scale=inputs.scale,
             exit_requested=inputs.exit_requested,
             arrived=not self.moving,

@@ -51,7 +51,7 @@ def lts_inverse(step: np.ndarray) -> np.ndarray:
 
 
 class LtsGoals:
-    """Goals that a server with the LTS law takes for the wanted ones.
+    """Goals that a server with the LTS law takes for the wanted ones, from the start of servo mode.
 
     Args:
         lower, upper: joint ranges, shape (7,) [rad], that no goal leaves.
@@ -60,10 +60,6 @@ class LtsGoals:
     def __init__(self, lower: np.ndarray, upper: np.ndarray) -> None:
         self._lower = lower
         self._upper = upper
-        self.reset()
-
-    def reset(self) -> None:
-        """Starts anew, as after a start of servo mode."""
         self._measured: np.ndarray | None = None
         self._age = 0.0
         self._speed = np.zeros(7)

@@ -15,6 +15,7 @@ from kst import ConnectionLost, KstError, ReplyTimeout
 from kuka_control.loop.commands import Event, Observation, Step, Wait
 from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.loop.stream import Desired
+from kuka_control.loop.transitions import Mode
 
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 5.0
@@ -79,7 +80,7 @@ class Standby:
 
     def waiting(self) -> Step:
         """Returns the step of one who waits."""
-        return Step(Wait(), "stopped", self.reason, ())
+        return Step(Wait(), Mode.STOPPED, self.reason, ())
 
     def step(self, seen: Observation, now: float) -> Step:
         """As the step of a control loop, for which it stands."""

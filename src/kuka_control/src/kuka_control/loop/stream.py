@@ -38,7 +38,7 @@ class Desired:
 
 
 @dataclass(frozen=True)
-class Taken:
+class StreamUpdate:
     """What the stream made of the newest desired tool frame.
 
     Attributes:
@@ -59,7 +59,7 @@ class DesiredStream:
         self._refusing = False
         self._refusal: tuple[str, float] | None = None
 
-    def take(self, newest: Desired | None, clock: float, now: float) -> Taken:
+    def take(self, newest: Desired | None, clock: float, now: float) -> StreamUpdate:
         """Looks at the newest frame: only one whose stamp differs from the one before is new.
 
         Args:
@@ -68,17 +68,17 @@ class DesiredStream:
             now: monotonic time [s].
         """
         if newest is None or newest.stamp == self._seen:
-            return Taken()
+            return StreamUpdate()
         self._seen = newest.stamp
         fault = _fault(newest, clock)
         if fault is None:
             self._refusing = False
             self._refusal = None
             self._last_good = now
-            return Taken(newest)
+            return StreamUpdate(newest)
         said, self._refusing = self._refusing, True
         self._refusal = (fault, now)
-        return Taken(refused=None if said else fault)
+        return StreamUpdate(refused=None if said else fault)
 
     def refusal(self, now: float) -> str | None:
         """Returns why the frames that come in are refused, a sentence; None if they are not, or none come."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from kuka_control.loop.transitions import Mode
 from kuka_control.model.scaling import SCALING_DEFAULT, check_scaling_factor
 
 
 @dataclass(frozen=True)
-class Switched:
+class SwitchState:
     """The position of all switches."""
 
     control_on: bool = False
-    engagements: int = 0
+    enable_count: int = 0
     gripper_on: bool = False
     scale: float = SCALING_DEFAULT
     exit_requested: bool = False
@@ -30,16 +31,16 @@ class Switches:
     """The switches of a controller."""
 
     def __init__(self) -> None:
-        self._now = Switched()
-        self._mode = "starting"
+        self._now = SwitchState()
+        self._mode = Mode.STARTING
         self._stopped_because: str | None = None
         self._held_by: str | None = None
 
-    def read(self) -> Switched:
+    def read(self) -> SwitchState:
         """Returns the position of all switches."""
         return self._now
 
-    def report(self, mode: str, stopped_because: str | None) -> None:
+    def report(self, mode: Mode, stopped_because: str | None) -> None:
         """Tells what the controller does, so that the answers can say it."""
         self._mode, self._stopped_because = mode, stopped_because
 
@@ -59,8 +60,8 @@ class Switches:
         if on and self._held_by is not None:
             return Answer(False, f"Control stays off: {self._held_by}.")
         stopped, before = self._stopped_because, self._now.control_on
-        engagements = self._now.engagements + (on and not before)
-        self._now = replace(self._now, control_on=on, engagements=engagements)
+        enable_count = self._now.enable_count + (on and not before)
+        self._now = replace(self._now, control_on=on, enable_count=enable_count)
         if on and before and stopped:
             return Answer(False, f"The arm is stopped until control is switched off and on again: {stopped}")
         if on == before:
@@ -68,7 +69,7 @@ class Switches:
         if not on:
             where = "stays where it is until control is on again" if stopped else "goes home"
             return Answer(True, f"Control is off, the arm {where}.")
-        if self._mode == "home":
+        if self._mode == Mode.HOME:
             return Answer(True, "Control is on, the arm follows the desired tool frame.")
         return Answer(True, "Control is on, the arm goes home first and then follows the desired tool frame.")
 

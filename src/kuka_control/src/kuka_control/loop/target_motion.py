@@ -38,7 +38,7 @@ COMPARED = 64
 
 
 @dataclass(frozen=True)
-class Moving:
+class MovingTarget:
     """A moving joint target.
 
     Attributes:
@@ -55,15 +55,12 @@ class TargetMotion:
 
     Args:
         lower, upper: joint ranges, shape (7,) [rad], that no continuation leaves.
+        q: joints at the start, shape (7,) [rad], where the target rests.
     """
 
-    def __init__(self, lower: np.ndarray, upper: np.ndarray) -> None:
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, q: np.ndarray) -> None:
         self._lower = lower
         self._upper = upper
-        self.reset(np.zeros(7))
-
-    def reset(self, q: np.ndarray) -> None:
-        """Starts from joints at rest."""
         self._q = np.asarray(q, dtype=float)
         self._v = np.zeros(7)
         self._since = 0.0
@@ -100,14 +97,14 @@ class TargetMotion:
         self._v = np.zeros(7)
         self._frames.clear()
 
-    def at(self, now: float) -> Moving:
+    def at(self, now: float) -> MovingTarget:
         """Returns the target at the monotonic time `now` [s]."""
         age = max(now - self._since, 0.0)
         faded = min(max(age - self._horizon, 0.0), FADE_S)
         way = min(age, self._horizon) + faded - faded * faded / (2.0 * FADE_S)
         free = self._q + way * self._v
         q = np.clip(free, self._lower, self._upper)
-        return Moving(read_only(q), read_only(np.where(q == free, (1.0 - faded / FADE_S) * self._v, 0.0)))
+        return MovingTarget(read_only(q), read_only(np.where(q == free, (1.0 - faded / FADE_S) * self._v, 0.0)))
 
     def _speed(self, stamp: float) -> np.ndarray:
         short = self._mean_speed(stamp, SHORT_S)

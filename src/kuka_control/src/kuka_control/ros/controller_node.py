@@ -23,6 +23,7 @@ from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.loop.controller import Controller, Inputs
 from kuka_control.loop.standby import Standby
 from kuka_control.loop.switches import Switches
+from kuka_control.loop.transitions import Mode
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig, neighbours
 from kuka_control.model.rig import Rig
 from kuka_control.ros.desired_tool import DesiredTool
@@ -154,9 +155,9 @@ class _Node:
             return True
         return False
 
-    def _for_tool_check(self) -> tuple[str, np.ndarray | None, float]:
+    def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, float]:
         step = self._step
-        return "starting" if step is None else step.mode, self._link.arm.state.joints, self._switches.read().scale
+        return Mode.STARTING if step is None else step.mode, self._link.arm.state.joints, self._switches.read().scale
 
     def _end(self, command: End) -> None:
         if command.fault is not None:
@@ -168,7 +169,7 @@ class _Node:
             desired=desired,
             clock=rospy.get_time(),
             control_on=switched.control_on,
-            engagements=switched.engagements,
+            enable_count=switched.enable_count,
             scale=switched.scale,
             exit_requested=switched.exit_requested,
         )
@@ -202,6 +203,6 @@ class _Node:
         estimated = ", ".join(self._link.arm.estimated_in_servo)
         counts = {**self._loop.counts, "missed_answers": self._controller.missed, "estimated_in_servo": estimated}
         if step is None:
-            return DiagnosticStatus.OK, "starting", {"mode": "starting", **counts}
+            return DiagnosticStatus.OK, "starting", {"mode": Mode.STARTING.value, **counts}
         level = DiagnosticStatus.ERROR if self._loop.stopped_because else DiagnosticStatus.OK
-        return level, step.reason, {"mode": step.mode, **counts}
+        return level, step.reason, {"mode": step.mode.value, **counts}

@@ -20,7 +20,7 @@ from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, TOOL_COMMANDED, TO
 from common.ros.conversions import stamped_transform
 from kuka_control.loop.arm import ArmState
 from kuka_control.loop.commands import Step
-from kuka_control.loop.switches import Switched
+from kuka_control.loop.switches import SwitchState
 from kuka_control.model.rig import Rig
 from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
 from rig_msgs.msg import KukaStatus
@@ -34,7 +34,7 @@ class Snapshot:
 
     arm: ArmState
     step: Step
-    switched: Switched
+    switched: SwitchState
     moving_ptp: bool
     moving_rt: bool
     round_trip: float | None
@@ -54,7 +54,7 @@ class StatePublisher:
         self._read = threading.Event()
         self._told: np.ndarray | None = None
         self._published = ArmState()
-        self._aim = None
+        self._target = None
         self._mode = None
         self._broadcaster = tf2_ros.TransformBroadcaster()
         self._static = tf2_ros.StaticTransformBroadcaster()
@@ -90,7 +90,7 @@ class StatePublisher:
             self._read.set()
         if snapshot.step.mode != self._mode:
             self._mode = snapshot.step.mode
-            self._modes.publish(self._mode)
+            self._modes.publish(self._mode.value)
 
     def stop(self) -> None:
         """Publishes the last state and ends."""
@@ -144,10 +144,10 @@ class StatePublisher:
         if arm.T_base_tool is not self._published.T_base_tool and not reckoned:
             T_base_flange = self._rig.T_base_flange(arm.T_base_tool)
             transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
-        aim = snapshot.step.aim
-        if aim is not None and aim is not self._aim:
-            self._aim = aim
-            transforms.append(stamped_transform(aim.T_base_tool, BASE, TOOL_COMMANDED, now))
+        target = snapshot.step.target
+        if target is not None and target is not self._target:
+            self._target = target
+            transforms.append(stamped_transform(target.T_base_tool, BASE, TOOL_COMMANDED, now))
         if transforms:
             self._broadcaster.sendTransform(transforms)
         for publisher, kind, new, old in (
@@ -179,7 +179,7 @@ class StatePublisher:
             control_on=switched.control_on,
             gripper_on=switched.gripper_on,
             scaling_factor=switched.scale,
-            mode=step.mode,
+            mode=step.mode.value,
             reason=step.reason,
             limited_by=list(step.limited_by),
             round_trip=snapshot.round_trip or 0.0,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kuka_control.loop.law_check import TURN_RAD, LawCheck
 from kuka_control.loop.servo_law import lts
+from kuka_control.loop.servo_law_identification import TURN_RAD, ServoLawIdentification, ServoLawResult, verdict
 
 HOME = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
 DT = 0.004
@@ -14,18 +14,18 @@ DT = 0.004
 
 def run(law, arm_s=0.027, home=HOME, noise=0.0, late=1, push=None):
     random = np.random.default_rng(3)
-    check, q, readings, goals = LawCheck(home), home, [home] * (late + 1), []
+    identification, q, readings, goals = ServoLawIdentification(home), home, [home] * (late + 1), []
     for i in range(3000):
-        checked = check.step(readings[-1 - late], i * DT)
-        goals.append(checked.goal)
+        goal, result = identification.step(readings[-1 - late], i * DT)
+        goals.append(goal)
         for _ in range(4):
-            q = q + 0.25 * DT / arm_s * law(checked.goal - q)
+            q = q + 0.25 * DT / arm_s * law(goal - q)
         if push is not None:
             q = q + push
         readings.append(q + noise * random.uniform(-1.0, 1.0, 7))
-        if checked.done:
-            return checked, np.array(goals), q
-    raise AssertionError("the check does not end")
+        if result is not None:
+            return result, np.array(goals), q
+    raise AssertionError("the identification does not end")
 
 
 @pytest.mark.parametrize("arm_s", [0.01, 0.02, 0.027, 0.04])
@@ -39,7 +39,7 @@ def test_both_laws_are_told_apart_with_fast_and_slow_drives(arm_s, noise):
 def test_only_joint_7_moves_by_half_a_degree_away_from_its_limit_and_back(joint_7):
     home = HOME.copy()
     home[6] = joint_7
-    checked, goals, q = run(lts, home=home)
+    _, goals, q = run(lts, home=home)
     np.testing.assert_array_equal(goals[:, :6], np.tile(home[:6], (len(goals), 1)))
     assert np.max(np.abs(goals[:, 6] - joint_7)) == pytest.approx(TURN_RAD)
     assert np.all(np.abs(goals[:, 6]) <= abs(joint_7) + (TURN_RAD if joint_7 == 0.0 else 1e-12))
@@ -49,11 +49,20 @@ def test_only_joint_7_moves_by_half_a_degree_away_from_its_limit_and_back(joint_
 
 def test_an_arm_that_stands_or_is_pushed_gives_no_answer():
     standing, _, _ = run(lambda e: 0.0 * e)
-    assert standing.law is None and "did not get through" in standing.seen
+    assert standing.law is None and "did not get through" in standing.evidence
     pushed, _, _ = run(lts, push=np.array([1e-4, 0, 0, 0, 0, 0, 0]))
-    assert pushed.law is None and "not to move" in pushed.seen
+    assert pushed.law is None and "not to move" in pushed.evidence
 
 
 def test_between_the_two_the_answer_is_unclear():
-    checked, _, _ = run(lambda e: 0.3 * e)
-    assert checked.law is None and "0.1" in checked.seen
+    result, _, _ = run(lambda e: 0.3 * e)
+    assert result.law is None and "0.1" in result.evidence
+
+
+@pytest.mark.parametrize("law", ["lts", "none", None])
+@pytest.mark.parametrize("servo_law", ["lts", "none"])
+def test_goals_for_the_lts_law_need_both_the_parameter_and_the_robot(law, servo_law):
+    follows = verdict(ServoLawResult(law, "as measured"), servo_law)
+    assert follows.lts == (law == servo_law == "lts")
+    assert follows.refused == (servo_law == "lts" and law == "none")
+    assert (follows.level == "warn") == (law is None) and "as measured" in follows.sentence

@@ -1,0 +1,192 @@
+"""The states of a control loop and the one table of their transitions.
+
+A handler of the present state (control_loop.py, real_time_loop.py) names the trigger that ends the state. The table
+says which state follows, what the arm is told, and why. A pair of state and trigger that has no row is an error.
+docs/reference/control-loop.md is made from this table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Mode(str, Enum):
+    """The mode on kuka/mode and in kuka/status; rig_msgs/KukaStatus has the same constants."""
+
+    STARTING = "starting"
+    HOMING = "homing"
+    HOME = "home"
+    PICK_UP = "pick_up"
+    SERVO = "servo"
+    RETURNING = "returning"
+    ZERO = "zero"
+    STOPPED = "stopped"
+
+
+_MOVES = "{because} The arm moves to {name} at {velocity:g} of the full joint speed."
+_LEAVES = "{because} The arm leaves servo mode."
+
+
+class State(Enum):
+    """A state: the mode that is published in it, and the reason; where that is empty, the reason before stays."""
+
+    STARTING = Mode.STARTING, "The controller has started."
+    HOMING = Mode.HOMING, _MOVES
+    IDENTIFYING = Mode.HOMING, "The arm is at home; a small motion of joint 7 shows its servo law."
+    IDENTIFIED = Mode.HOMING, ""
+    HOME = Mode.HOME, "The arm is at home."
+    PICK_UP = Mode.PICK_UP, _MOVES
+    AT_POSE = Mode.PICK_UP, ""
+    SERVO = Mode.SERVO, "The arm follows the desired tool frame in servo mode."
+    RELEASING = Mode.SERVO, ""
+    SERVO_LEFT = Mode.PICK_UP, _LEAVES
+    RETURN_PENDING = Mode.RETURNING, _LEAVES
+    RETURNING = Mode.RETURNING, _MOVES
+    STOPPED = Mode.STOPPED, "{because} The arm stays where it is until control goes off and on again."
+    ZERO = Mode.ZERO, _MOVES
+    ENDED = Mode.STOPPED, "{because}"
+
+    def __init__(self, mode: Mode, text: str) -> None:
+        self.mode = mode
+        self.text = text
+
+
+class Trigger(Enum):
+    """A condition that ends a state."""
+
+    START = "at once"
+    ARRIVED = "arrived"
+    ARRIVED_UNIDENTIFIED = "arrived for the first time"
+    ARRIVED_AFTER_HOLD = "arrived after something held the arm"
+    ARRIVED_AFTER_FAULT = "arrived after an infeasible position"
+    EXIT = "exit_app or infeasible position"
+    EXIT_WHILE_HELD = "exit_app while the arm is held for 2 s"
+    CONTROL_OFF = "control off"
+    CONTROL_WAS_OFF = "control off and on again at once"
+    ENABLED_AGAIN = "control off and on again"
+    TIME_OUT = "no new frame for time_out"
+    FAR_TARGET = "control on and a new frame with some joint far off"
+    NEAR_TARGET = "control on and a new frame with all joints near"
+    JUMPED = "the frame jumped"
+    JOINTS_JUMPED = "its joints are too far off to catch up"
+    MOVED_ON = "the frame moved on meanwhile (stream not shaped)"
+    SERVO_ENDED = "servo mode has ended"
+    LAW_IDENTIFIED = "test motion done"
+    WRONG_LAW = "servo_law is lts but the robot has another law"
+    LAG = "the arm does not follow"
+    REFUSED = "refused by the robot"
+
+
+class Action(Enum):
+    """What the arm is told at a transition."""
+
+    NONE = "nothing"
+    PTP = "PTP motion"
+    START_SERVO = "start servo mode"
+    HOLD = "servo goal where the arm is"
+    STOP_SERVO = "stop servo mode"
+    END = "end"
+    DECIDE = "what the next state decides, in the same cycle"
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One row. `because` goes into the reason of the target; {because} in it is that of the transition before."""
+
+    sources: tuple[State, ...]
+    trigger: Trigger
+    target: State
+    action: Action
+    because: str = ""
+
+
+_S, _T, _A = State, Trigger, Action
+_TO_HOME = (_S.HOMING, _S.RETURNING)
+_TO_REST = (*_TO_HOME, _S.PICK_UP)
+_AWAY = (_S.PICK_UP, _S.AT_POSE, _S.SERVO_LEFT)
+_LEFT = (_S.AT_POSE, _S.SERVO_LEFT, _S.RETURN_PENDING)
+_OTHERS = (_S.HOME, *_LEFT, _S.IDENTIFYING, _S.IDENTIFIED, _S.SERVO, _S.RELEASING)
+_SILENCE = "No new desired tool frame came for {detail} s."
+_REFUSED = "The robot's controller refused the motion to {name}: {detail}."
+
+TRANSITIONS = (
+    Transition((_S.STARTING,), _T.START, _S.HOMING, _A.PTP),
+    Transition((_S.STARTING, _S.HOME, _S.PICK_UP, _S.STOPPED), _T.EXIT, _S.ZERO, _A.PTP),
+    # The servo law is identified once, at the first home position.
+    Transition((_S.HOMING,), _T.ARRIVED_UNIDENTIFIED, _S.IDENTIFYING, _A.START_SERVO),
+    Transition((_S.IDENTIFYING,), _T.LAW_IDENTIFIED, _S.IDENTIFIED, _A.STOP_SERVO),
+    Transition((_S.IDENTIFYING,), _T.EXIT, _S.IDENTIFIED, _A.STOP_SERVO),
+    Transition((_S.IDENTIFIED,), _T.WRONG_LAW, _S.ENDED, _A.END, "{detail}"),
+    Transition((_S.IDENTIFIED,), _T.SERVO_ENDED, _S.HOME, _A.DECIDE),
+    Transition(_TO_HOME, _T.ARRIVED, _S.HOME, _A.DECIDE),
+    # Following the desired tool frame.
+    Transition((_S.HOME, _S.AT_POSE, _S.SERVO_LEFT), _T.FAR_TARGET, _S.PICK_UP, _A.PTP, "{because}"),
+    Transition((_S.HOME, _S.SERVO_LEFT), _T.NEAR_TARGET, _S.SERVO, _A.START_SERVO),
+    Transition((_S.PICK_UP,), _T.ARRIVED, _S.SERVO, _A.START_SERVO),
+    Transition((_S.PICK_UP,), _T.ARRIVED, _S.AT_POSE, _A.NONE),
+    Transition((_S.SERVO,), _T.JUMPED, _S.SERVO_LEFT, _A.STOP_SERVO, "The desired tool frame jumped."),
+    Transition(
+        (_S.SERVO,),
+        _T.JOINTS_JUMPED,
+        _S.SERVO_LEFT,
+        _A.STOP_SERVO,
+        "The desired tool frame did not jump, but asks for joints far from those before.",
+    ),
+    Transition(
+        (_S.SERVO,),
+        _T.MOVED_ON,
+        _S.SERVO_LEFT,
+        _A.STOP_SERVO,
+        "The desired tool frame moved on while the arm was on its way.",
+    ),
+    # Back home, or to the zero position and the end.
+    Transition((_S.SERVO,), _T.CONTROL_OFF, _S.RETURN_PENDING, _A.STOP_SERVO, "Control is off."),
+    Transition((_S.SERVO,), _T.CONTROL_WAS_OFF, _S.RETURN_PENDING, _A.STOP_SERVO, "Control was off."),
+    Transition((_S.SERVO,), _T.TIME_OUT, _S.RETURN_PENDING, _A.STOP_SERVO, _SILENCE),
+    Transition((_S.RETURN_PENDING,), _T.SERVO_ENDED, _S.RETURNING, _A.PTP, "{because}"),
+    Transition(_AWAY, _T.CONTROL_OFF, _S.RETURNING, _A.PTP, "Control is off."),
+    Transition(_AWAY, _T.CONTROL_WAS_OFF, _S.RETURNING, _A.PTP, "Control was off."),
+    Transition(_AWAY, _T.TIME_OUT, _S.RETURNING, _A.PTP, _SILENCE),
+    Transition((_S.SERVO,), _T.EXIT, _S.SERVO_LEFT, _A.STOP_SERVO),
+    Transition(_LEFT, _T.EXIT, _S.ZERO, _A.PTP, "{because}"),
+    Transition((_S.ZERO,), _T.ARRIVED, _S.ENDED, _A.END, "The controller has ended as it was asked to."),
+    Transition((_S.ZERO,), _T.ARRIVED_AFTER_FAULT, _S.ENDED, _A.END, "{detail}"),
+    # Faults.
+    Transition(
+        (_S.SERVO,),
+        _T.LAG,
+        _S.RELEASING,
+        _A.HOLD,
+        "The arm does not follow, perhaps because of a safety stop: {detail}.",
+    ),
+    Transition((_S.RELEASING,), _T.SERVO_ENDED, _S.STOPPED, _A.STOP_SERVO, "{because}"),
+    Transition(_TO_REST, _T.ARRIVED_AFTER_HOLD, _S.STOPPED, _A.NONE, "Something held the arm on its way to {name}."),
+    Transition(_TO_REST, _T.REFUSED, _S.STOPPED, _A.NONE, _REFUSED),
+    Transition(_OTHERS, _T.REFUSED, _S.STOPPED, _A.NONE, "The robot's controller has ended servo mode: {detail}."),
+    Transition((_S.STOPPED,), _T.ENABLED_AGAIN, _S.HOMING, _A.PTP, "Control was switched off and on again."),
+    Transition((_S.ZERO,), _T.REFUSED, _S.ENDED, _A.END, _REFUSED),
+    Transition(
+        (*_TO_REST, _S.ZERO),
+        _T.EXIT_WHILE_HELD,
+        _S.ENDED,
+        _A.END,
+        "The arm cannot go to zero because its motion to {name} does not end.",
+    ),
+)
+"""All transitions of both algorithms."""
+
+PTP_STATES = frozenset(
+    (_S.STARTING, _S.HOMING, _S.HOME, _S.PICK_UP, _S.AT_POSE, _S.RETURNING, _S.STOPPED, _S.ZERO, _S.ENDED)
+)
+REAL_TIME_STATES = frozenset(_S) - {_S.AT_POSE}
+
+
+def transitions_among(states: frozenset[State]) -> dict[tuple[State, Trigger], Transition]:
+    """Returns the rows of the table whose states an algorithm has, by state and trigger."""
+    return {
+        (source, row.trigger): row
+        for row in TRANSITIONS
+        for source in row.sources
+        if source in states and row.target in states
+    }

@@ -1,0 +1,242 @@
+"""A controller on an arm without a wire, an operator and a hand, in simulated time; for tests of the control loops."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from common.config import parse
+from common.poses import read_only
+from common.rotations import rotation_about
+from kst.errors import MotionRefused
+from kuka_control.loop import assembly
+from kuka_control.loop.arm import Arm, ArmState
+from kuka_control.loop.commands import End
+from kuka_control.loop.controller import Controller, Inputs
+from kuka_control.loop.stream import Desired
+from kuka_control.loop.transitions import State, transitions_among
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.rig import Rig
+
+CONFIG = Path(__file__).parents[1] / "config"
+CLOCK = 1.7e9
+DT = 0.004
+SLOW, FAST = 0.15, 0.25
+
+
+@functools.lru_cache(maxsize=None)
+def rig(schema, **changes):
+    """Returns a configuration and its rig."""
+    name = "rt" if schema is RealTimeConfig else "ptp"
+    values = yaml.safe_load((CONFIG / f"kuka_params_{name}.yaml").read_text())
+    settings = parse(schema, {**values, **changes}, "kuka/")
+    return settings, Rig.of(settings)
+
+
+HOME = rig(RealTimeConfig)[1].home
+
+
+class FakeArm(Arm):
+    """Moves to its goals with `speed` [rad/s], records commands; `held`: a safety stop; `refuse`: what it refuses."""
+
+    def __init__(self):
+        self.speed = 1.0
+        self.q = np.full(7, 0.1)
+        self.goal = self.q
+        self.mode = "idle"
+        self.told = []
+        self.goals = []
+        self.held = False
+        self.refuse = None
+        self.fail = None
+        self.state = ArmState(read_only(self.q))
+
+    def tick(self, dt):
+        if not self.held:
+            self.q = self.q + np.clip(self.goal - self.q, -self.speed * dt, self.speed * dt)
+
+    def read(self):
+        self._fail()
+        self._refuse("read")
+        self.state = ArmState(read_only(self.q))
+
+    def start_ptp(self, q, velocity):
+        assert self.mode == "idle"
+        self._fail()
+        self.told.append(("ptp", tuple(np.round(q, 9)), velocity))
+        self._refuse("start")
+        self.goal, self.mode = q, "ptp"
+
+    def ptp_arrived(self):
+        assert self.mode == "ptp"
+        self._refuse("end")
+        if np.array_equal(self.q, self.goal):
+            self.mode = "idle"
+            return True
+        return False
+
+    def start_servo(self):
+        assert self.mode == "idle"
+        self.told.append(("start_servo",))
+        self._refuse("start_servo")
+        self.mode, self.goal = "servo", self.q
+        self.read()
+
+    def servo(self, q):
+        assert self.mode == "servo"
+        self._fail()
+        self._refuse("hold" if q is self.state.joints else "servo")
+        self.goals.append(q)
+        self.goal = q
+        self.state = ArmState(read_only(self.q))
+
+    def stop_servo(self):
+        assert self.mode == "servo"
+        self.told.append(("stop_servo",))
+        self._refuse("stop_servo")
+        self.mode = "idle"
+
+    def close(self):
+        self.mode = "closed"
+
+    def abort(self):
+        self.mode = "closed"
+
+    def _refuse(self, what):
+        if self.refuse == what:
+            self.mode = self.mode if what == "read" else "idle"
+            raise MotionRefused("nak")
+
+    def _fail(self):
+        if self.fail is not None:
+            raise self.fail
+
+
+class World:
+    """A controller, its fake arm, a person at the switches, and a hand that publishes at 100 Hz while it is shown."""
+
+    def __init__(self, schema=RealTimeConfig, **changes):
+        settings, self.rig = rig(schema, **changes)
+        make = assembly.real_time_loop if schema is RealTimeConfig else assembly.ptp_loop
+        self.arm = FakeArm()
+        self.loop = make(settings, self.rig)
+        self.controller = Controller(self.arm, self.loop)
+        self.now = 100.0
+        self._control_on = False
+        self.enable_count = 0
+        self.exit_requested = False
+        self.scale = 1.0
+        self.tool = None
+        self.skew = 0.0
+        self.conflict = None
+        self.newest = None
+        self.events = []
+        self.modes = []
+        self.steps = []
+        self.table = transitions_among(self.loop.STATES)
+        self.taken = set()
+        self.state = State.STARTING
+
+    def run(self, seconds, tool=None):
+        """`tool`: a tool frame that is published, or a function of time [s] that returns one."""
+        start = self.now
+        for i in range(max(1, round(seconds / DT))):
+            if tool is not None and i % 3 == 0:
+                T = tool(self.now - start) if callable(tool) else tool
+                self.newest = Desired(T, CLOCK + self.now + self.skew, self.conflict)
+            inputs = Inputs(
+                self.newest, CLOCK + self.now, self.control_on, self.enable_count, self.scale, self.exit_requested
+            )
+            step = self.controller.cycle(inputs, self.now)
+            self.events += [e.sentence for e in step.events]
+            if not self.modes or self.modes[-1] != step.mode:
+                self.modes.append(step.mode)
+            self.steps.append(step)
+            for pair in step.transitions:
+                self.state = self.table[pair].target
+                self.taken.add(pair)
+            self.arm.tick(DT)
+            self.now += DT
+            if isinstance(step.command, End):
+                break
+        return self
+
+    def until(self, mode, seconds, tool=None):
+        """Runs until a mode is entered, for so many seconds at most."""
+        end = self.now + seconds
+        while self.now < end and not (self.steps and self.mode == mode):
+            self.run(3 * DT, tool)
+        assert self.mode == mode, self.steps[-1].reason
+        return self
+
+    def until_state(self, state, tool=None):
+        """Runs cycle by cycle until a state is entered, for 12 s at most; a frame is published in each."""
+        start = self.now
+        while self.state is not state:
+            self.run(DT, tool(self.now - start) if callable(tool) else tool)
+            assert self.now < start + 12.0, f"{self.state} instead of {state}: {self.steps[-1].reason}"
+        return self
+
+    def at_home(self):
+        self.run(4.0)
+        assert self.mode == "home"
+        np.testing.assert_allclose(self.arm.q, self.rig.home.q)
+        self.arm.told.clear()
+        self.modes.clear()
+        return self
+
+    def following(self, tool=None):
+        self.at_home()
+        self.control_on = True
+        self.run(4.0, tool if tool is not None else shifted(0.0, 0.0, 0.0))
+        assert self.mode == "servo"
+        self.arm.told.clear()
+        self.modes.clear()
+        return self
+
+    @property
+    def control_on(self):
+        return self._control_on
+
+    @control_on.setter
+    def control_on(self, on):
+        self.enable_count += on and not self._control_on
+        self._control_on = on
+
+    @property
+    def mode(self):
+        return self.steps[-1].mode
+
+
+def shifted(x, y, z):
+    """The home tool frame, shifted [m]."""
+    T = HOME.T_base_tool.copy()
+    T[:3, 3] += (x, y, z)
+    return T
+
+
+def reached(world, tool):
+    return np.linalg.norm(world.rig.kinematics.forward(world.arm.q)[:3, 3] - tool[:3, 3]) < 1e-3
+
+
+def ptp(q, velocity):
+    return ("ptp", tuple(np.round(q, 9)), velocity)
+
+
+def out_of_reach_and_back(turn=0.0, jump=0.0):
+    """Up where the tool cannot be brought, 17 cm aside there, and slowly down again, in 9 s.
+
+    Up there the tool also turns by `turn` [rad] about the vertical, and jumps aside by `jump` [m].
+    """
+
+    def tool(t):
+        up, aside = (np.interp(t, times, (0.0, 1.0)) for times in ((0.0, 2.0), (2.5, 4.5)))
+        up -= np.interp(t, (5.0, 9.0), (0.0, 1.0))
+        T = shifted(0.12 * aside + jump * (t > 3.0), 0.12 * aside, 0.25 * up)
+        T[:3, :3] = rotation_about(2, turn * aside) @ T[:3, :3]
+        return T
+
+    return tool

@@ -1,0 +1,290 @@
+"""The state machine of the control loops: its table, a walk along every transition, and laws in any order of events."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+from loop_world import DT, HOME, World, out_of_reach_and_back, shifted
+
+from common.poses import pose
+from kst.errors import ReplyTimeout
+from kuka_control.loop.commands import End, Servo, StartPtp, StartServo, StopServo, Wait
+from kuka_control.loop.transitions import (
+    PTP_STATES,
+    REAL_TIME_STATES,
+    TRANSITIONS,
+    Action,
+    Mode,
+    State,
+    Trigger,
+    transitions_among,
+)
+from kuka_control.model.config import PtpConfig, RealTimeConfig
+
+STATES = {RealTimeConfig: REAL_TIME_STATES, PtpConfig: PTP_STATES}
+INFEASIBLE = pose(HOME.T_base_tool[:3, :3], (-0.3, 0.3, 0.4))
+FAR, FARTHER = shifted(0.1, 0.0, 0.0), shifted(0.1, 0.1, 0.0)
+COMMANDS = {
+    Action.NONE: Wait,
+    Action.PTP: StartPtp,
+    Action.START_SERVO: StartServo,
+    Action.HOLD: Servo,
+    Action.STOP_SERVO: StopServo,
+    Action.END: End,
+    Action.DECIDE: object,
+}
+both = pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
+
+
+def test_the_message_has_the_modes():
+    from rig_msgs.msg import KukaStatus
+
+    constants = {name: value for name, value in vars(KukaStatus).items() if name.isupper() and isinstance(value, str)}
+    assert constants == {mode.name: mode.value for mode in Mode}
+
+
+@both
+def test_every_state_reaches_the_end_and_is_reached_and_a_trigger_is_clear(schema):
+    states, edges = STATES[schema], {}
+    rows = transitions_among(states)
+    assert len(rows) == sum(row.target in states for row in TRANSITIONS for s in row.sources if s in states)
+    for (source, _), row in rows.items():
+        edges.setdefault(source, set()).add(row.target)
+    assert reachable(State.STARTING, edges) == states
+    assert all(State.ENDED in reachable(state, edges) for state in states)
+    assert State.ENDED not in edges
+
+
+def reachable(start, edges):
+    found, new = set(), {start}
+    while new:
+        found |= new
+        new = {target for state in new for target in edges.get(state, ())} - found
+    return found
+
+
+def enable(world):
+    world.control_on = True
+
+
+def disable(world):
+    world.control_on = False
+
+
+def enable_again(world):
+    world.control_on = False
+    world.control_on = True
+
+
+def leave(world):
+    world.exit_requested = True
+
+
+def hold(world):
+    world.arm.held = True
+
+
+def hold_for_a_while(world):
+    hold(world)
+    world.run(2.5)
+    world.arm.held = False
+
+
+def leave_while_held(world):
+    hold(world)
+    leave(world)
+
+
+def refuse(what):
+    return lambda world: setattr(world.arm, "refuse", what)
+
+
+def nothing(world):
+    pass
+
+
+def wait(world):
+    world.now += 1.0
+
+
+# How a state is reached: the state before, what happens there, and the desired tool frame from then on.
+PATHS = {
+    State.HOMING: (State.STARTING, nothing, None),
+    State.IDENTIFYING: (State.HOMING, nothing, None),
+    State.IDENTIFIED: (State.IDENTIFYING, nothing, None),
+    State.HOME: (State.HOMING, nothing, None),
+    State.PICK_UP: (State.HOME, enable, FAR),
+    State.AT_POSE: (State.PICK_UP, nothing, FAR),
+    State.SERVO: (State.PICK_UP, nothing, FAR),
+    State.RELEASING: (State.SERVO, hold, lambda t: shifted(0.1, 0.05 * t, 0.0)),
+    State.SERVO_LEFT: (State.SERVO, lambda world: world.run(0.1, FAR), FARTHER),
+    State.RETURN_PENDING: (State.SERVO, disable, None),
+    State.RETURNING: (State.PICK_UP, disable, None),
+    State.STOPPED: (State.HOMING, refuse("end"), None),
+    State.ZERO: (State.HOME, leave, None),
+}
+# What makes a trigger fire in a state, and the desired tool frame from then on.
+EVENTS = {
+    Trigger.ARRIVED: (nothing, FAR),
+    Trigger.ARRIVED_AFTER_HOLD: (hold_for_a_while, FAR),
+    Trigger.EXIT: (leave, None),
+    Trigger.EXIT_WHILE_HELD: (leave_while_held, None),
+    Trigger.CONTROL_OFF: (disable, FAR),
+    Trigger.CONTROL_WAS_OFF: (enable_again, FAR),
+    Trigger.ENABLED_AGAIN: (enable_again, None),
+    Trigger.TIME_OUT: (wait, None),
+    Trigger.FAR_TARGET: (enable, FARTHER),
+    Trigger.NEAR_TARGET: (enable, FAR),
+    Trigger.JUMPED: (lambda world: world.run(0.1, FAR), FARTHER),
+    Trigger.JOINTS_JUMPED: (nothing, out_of_reach_and_back(turn=-1.2)),
+    Trigger.LAG: (hold, lambda t: shifted(0.1, 0.05 * t, 0.0)),
+}
+# Where they differ.
+NEAR_HOME = shifted(0.003, 0.0, 0.0)
+EVENTS_IN = {
+    (State.HOMING, Trigger.ARRIVED): (leave, None),
+    (State.HOME, Trigger.NEAR_TARGET): (enable, NEAR_HOME),
+    **{(state, Trigger.REFUSED): (refuse("end"), None) for state in (State.HOMING, State.PICK_UP, State.RETURNING)},
+    (State.ZERO, Trigger.REFUSED): (refuse("end"), None),
+    **{(state, Trigger.REFUSED): (refuse("read"), None) for state in (State.HOME, State.AT_POSE)},
+    **{(state, Trigger.REFUSED): (refuse("servo"), FAR) for state in (State.IDENTIFYING, State.SERVO)},
+    (State.SERVO, Trigger.MOVED_ON): (nothing, shifted(0.0, 0.0, 0.15)),
+}
+BEFORE = {
+    **{(s, Trigger.REFUSED): "stop_servo" for s in (State.IDENTIFIED, State.SERVO_LEFT, State.RETURN_PENDING)},
+    (State.RELEASING, Trigger.REFUSED): "hold",
+}
+"""What the arm refuses on the way into a state."""
+CHANGES = {Trigger.WRONG_LAW: {"servo_law": "lts"}, Trigger.MOVED_ON: {"shaping": "none"}}
+"""Parameters that a trigger needs."""
+
+
+def reach(world, state, refused=None):
+    if state is not State.STARTING:
+        before, event, tool = PATHS[state]
+        reach(world, before)
+        event(world)
+        world.arm.refuse = refused or world.arm.refuse
+        world.until_state(state, tool)
+        world.arm.refuse = None
+
+
+@pytest.mark.parametrize(
+    "schema, source, trigger",
+    [(schema, *pair) for schema, states in STATES.items() for pair in transitions_among(states)],
+    ids=lambda part: part.name.lower() if isinstance(part, (State, Trigger)) else part.__name__,
+)
+def test_every_transition_is_taken(schema, source, trigger):
+    world = World(schema, **CHANGES.get(trigger, {}))
+    if trigger is Trigger.JOINTS_JUMPED:
+        world.following()
+    elif trigger is Trigger.ARRIVED_AFTER_FAULT:
+        reach(world, State.HOME)
+        enable(world)
+        world.until_state(State.ZERO, INFEASIBLE)
+    else:
+        reach(world, source, BEFORE.get((source, trigger)))
+    assert world.state is source
+    event, tool = EVENTS_IN.get((source, trigger)) or EVENTS.get(trigger, (nothing, None))
+    event(world)
+    row = world.table[source, trigger]
+    start = world.now
+    while (source, trigger) not in world.taken:
+        world.run(3 * DT if callable(tool) else DT, tool(world.now - start) if callable(tool) else tool)
+        assert world.now < start + 12.0, world.steps[-1].reason
+    assert isinstance(world.steps[-1].command, COMMANDS[row.action])
+    assert world.steps[-1].mode == world.state.mode
+
+
+class AnyOrder(RuleBasedStateMachine):
+    """Laws that hold in whatever order the events come. The fake arm asserts that a command comes in its mode only."""
+
+    @initialize(schema=st.sampled_from([RealTimeConfig, PtpConfig]), speed=st.sampled_from([0.3, 1.0]))
+    def start(self, schema, speed):
+        self.world = World(schema)
+        self.world.arm.speed = speed
+        self.stopped_under = None
+        self.last_goal = None
+        self.tool = None
+
+    @rule(on=st.booleans())
+    def switch(self, on):
+        self.world.control_on = on
+
+    @rule()
+    def switch_off_and_on_at_once(self):
+        enable_again(self.world)
+
+    @rule(shift=st.tuples(*[st.sampled_from([0.0, 0.003, 0.1, -0.1])] * 3), skew=st.sampled_from([0.0, 0.0, -1.0]))
+    def show(self, shift, skew):
+        self.tool, self.world.skew = shifted(*shift), skew
+
+    @rule(tool=st.sampled_from([None, shifted(0.0, 0.0, 0.3), INFEASIBLE]))
+    def show_nothing_that_can_be_followed(self, tool):
+        self.tool, self.world.skew = tool, 0.0
+
+    @rule(held=st.booleans())
+    def safety_stop(self, held):
+        self.world.arm.held = held
+
+    @rule(what=st.sampled_from(["start", "end", "start_servo", "servo", "hold", "stop_servo"]))
+    def refuse_one(self, what):
+        self.world.arm.refuse = what
+        self.live(0.5)
+        self.world.arm.refuse = None
+
+    @rule()
+    def miss_an_answer(self):
+        self.world.arm.fail = ReplyTimeout("late")
+        self.live(DT)
+        self.world.arm.fail = None
+
+    @rule()
+    def leave(self):
+        leave(self.world)
+
+    @rule(seconds=st.sampled_from([DT, 0.1, 0.3, 2.5]))
+    def live(self, seconds):
+        world = self.world
+        for _ in range(round(seconds / DT)):
+            if world.state is State.ENDED:
+                break
+            world.run(DT, self.tool)
+            self.check(world.steps[-1])
+
+    def check(self, step):
+        world, command = self.world, step.command
+        moves = isinstance(command, (StartPtp, StartServo, Servo))
+        if isinstance(command, StartPtp):
+            away = min(float(np.max(np.abs(command.q - q))) for q in (HOME.q, np.zeros(7)))
+            assert world.control_on or away == 0.0, "with control off the arm moves to home or zero only"
+        elif moves:
+            assert world.control_on or step.mode == Mode.HOMING, "with control off only the servo law is identified"
+        leaving = world.exit_requested or (step.mode in (Mode.ZERO, Mode.STOPPED) and isinstance(command, StartPtp))
+        if world.state is State.STOPPED:
+            if self.stopped_under is None:
+                self.stopped_under = world.enable_count
+            assert not moves, "no motion after a fault"
+        elif self.stopped_under is not None:
+            assert leaving or world.enable_count > self.stopped_under, "a fault holds until control is enabled again"
+            self.stopped_under = None
+        if isinstance(command, Servo):
+            assert np.all(np.abs(command.q) <= world.rig.model.upper + 1e-9)
+            held = np.array_equal(command.q, world.arm.state.joints)
+            if self.last_goal is not None and not held:
+                assert np.all(np.abs(command.q - self.last_goal) <= 0.9 * world.rig.model.max_speed * DT + 1e-9)
+        self.last_goal = command.q if isinstance(command, Servo) else None
+
+    def teardown(self):
+        """Every state reaches the end, also with an arm that is held."""
+        if hasattr(self, "world"):
+            leave(self.world)
+            self.live(30.0)
+            assert self.world.state is State.ENDED
+
+
+AnyOrder.TestCase.settings = settings(max_examples=40, stateful_step_count=12)
+TestAnyOrder = AnyOrder.TestCase

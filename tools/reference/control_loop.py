@@ -1,0 +1,67 @@
+"""The page of the control loops' states: diagrams and a table, from the table of transitions."""
+
+from __future__ import annotations
+
+from kuka_control.loop.transitions import (
+    PTP_STATES,
+    REAL_TIME_STATES,
+    TRANSITIONS,
+    Action,
+    State,
+    transitions_among,
+)
+from tools.reference import markdown
+
+INTRO = (
+    "The states of the two controllers of the arm and all transitions between them. The handbook explains "
+    "[the control loops](../handbook/control-loops.md); `kuka/mode` and `kuka/status` publish the mode of the state. "
+    "A fault ends in `stopped`, which waits until control goes off and on again."
+)
+
+
+def page() -> str:
+    """Returns the page."""
+    modes = [[_name(state), f"`{state.mode.value}`", _algorithms(state)] for state in State]
+    rows = [
+        [
+            ", ".join(map(_name, row.sources)),
+            markdown.text(row.trigger.value),
+            _name(row.target),
+            row.action.value,
+            markdown.text(row.because),
+        ]
+        for row in TRANSITIONS
+    ]
+    return "\n".join(
+        [
+            markdown.generated("States of the control loops", "kuka_control/loop/transitions.py", INTRO),
+            f"## Real time\n\n{diagram(REAL_TIME_STATES)}",
+            f"## PTP\n\n{diagram(PTP_STATES)}",
+            "## States\n",
+            markdown.table(["state", "published mode", "controller"], modes),
+            "## Transitions\n",
+            markdown.table(["from", "when", "to", "the arm is told", "because"], rows),
+        ]
+    )
+
+
+def diagram(states: frozenset[State]) -> str:
+    """Returns the diagram of the algorithm that has these states; refusals are left to the table."""
+    arrows: dict[tuple[State, State], list[str]] = {}
+    for (source, trigger), row in transitions_among(states).items():
+        if trigger.name != "REFUSED":
+            arrows.setdefault((source, row.target), []).append(trigger.value)
+    drawn = [f"  {_name(a)} --> {_name(b)}: {', or '.join(triggers)}" for (a, b), triggers in arrows.items()]
+    ptp = sorted({_name(row.target) for row in transitions_among(states).values() if row.action is Action.PTP})
+    lines = ["```mermaid", "stateDiagram-v2", f"  [*] --> {_name(State.STARTING)}", *drawn]
+    lines += [f"  {_name(State.ENDED)} --> [*]", "```"]
+    return "\n".join(lines) + f"\n\nA PTP motion runs in {', '.join(f'`{name}`' for name in ptp)}.\n"
+
+
+def _name(state: State) -> str:
+    return state.name.lower()
+
+
+def _algorithms(state: State) -> str:
+    names = [name for name, states in (("real time", REAL_TIME_STATES), ("PTP", PTP_STATES)) if state in states]
+    return ", ".join(names)
