@@ -11,7 +11,7 @@ import yaml
 from common.config import parse
 from common.poses import read_only
 from common.rotations import rotation_about
-from kst.errors import MotionRefused
+from kst import MotionRefused
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End

@@ -10,7 +10,7 @@ from loop_world import DT, FAST, HOME, SLOW, World, out_of_reach_and_back, ptp, 
 
 from common.poses import pose
 from common.rotations import rotation_from_zyx
-from kst.errors import ConnectionLost, ReplyTimeout
+from kst import ConnectionLost, ReplyTimeout
 from kuka_control.loop.commands import End
 from kuka_control.loop.controller import MAX_MISSED
 from kuka_control.loop.stream import Desired
