@@ -10,7 +10,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import serve
 
 from leap_motion import client as client_module
-from leap_motion.client import LeapClient, Link
+from leap_motion.client import LeapClient, LeapLink
 
 HEADER = '{"version":6,"serviceVersion":"2.3.1+33747"}'
 
@@ -92,7 +92,7 @@ def test_frames_arrive_with_the_stamp_of_their_receipt(start):
     service, client = start(stream(frame(1)), clock=lambda: next(stamps))
     received = client.next_frame(10.0)
     assert (received.frame.id, received.stamp) == (1, 100)
-    assert client.status.link in (Link.STREAMING, Link.SILENT)
+    assert client.status.link in (LeapLink.STREAMING, LeapLink.SILENT)
     assert client.status.service == "2.3.1+33747"
     assert service.paths == ["/v6.json"]
 
@@ -110,7 +110,7 @@ def test_reconnects_and_sends_the_policy_messages_again(start, wait_until):
         connection.close(1001)
 
     service, client = start(ends, stream(frame(2)))
-    wait_until(lambda: client.next_frame(0.2) and client.counters.connections == 2, 10.0, "the second connection")
+    wait_until(lambda: client.next_frame(0.2) and client.counts.connections == 2, 10.0, "the second connection")
     assert service.heard == ['{"background":true}', '{"focused":true}'] * 2
 
 
@@ -130,10 +130,10 @@ def test_a_wrong_first_message_is_refused_and_tried_again(start, wait_until, fir
 
     service, client = start(wrong)
     wait_until(lambda: sentence in client.status.sentence, 10.0, sentence)
-    assert client.status.link is Link.REFUSED
+    assert client.status.link is LeapLink.REFUSED
     wait_until(lambda: len(service.paths) >= 2, 10.0, "another try")
     assert service.heard == []
-    assert client.counters.connections == 0
+    assert client.counts.connections == 0
 
 
 def test_a_wrong_service_that_gets_right_is_used(start):
@@ -153,7 +153,7 @@ def test_no_header(start, wait_until, monkeypatch):
 def test_close_1001_before_the_header(start, wait_until):
     _service, client = start(lambda _service, connection: connection.close(1001))
     wait_until(lambda: "ended the connection (1001)" in client.status.sentence, 10.0, "the sentence")
-    assert client.status.link is Link.REFUSED
+    assert client.status.link is LeapLink.REFUSED
 
 
 def test_silence_is_a_fault_and_ends_with_the_next_frame(start, wait_until):
@@ -170,10 +170,10 @@ def test_silence_is_a_fault_and_ends_with_the_next_frame(start, wait_until):
     _service, client = start(pauses)
     assert client.next_frame(10.0).frame.id == 1
     wait_until(
-        lambda: client.status.link is Link.SILENT and "sends no frames" in client.status.sentence, 10.0, "silence"
+        lambda: client.status.link is LeapLink.SILENT and "sends no frames" in client.status.sentence, 10.0, "silence"
     )
     go.set()
-    wait_until(lambda: client.status.link is Link.STREAMING, 10.0, "the end of the silence")
+    wait_until(lambda: client.status.link is LeapLink.STREAMING, 10.0, "the end of the silence")
     assert client.next_frame(10.0) is not None
 
 
@@ -199,15 +199,15 @@ def test_a_service_that_does_not_answer_pings_is_left(start, wait_until, monkeyp
     received = client.next_frame(20.0)
     stopped.set()
     assert received.frame.id == 5
-    assert client.counters.connections == 2
+    assert client.counts.connections == 2
 
 
 def test_of_a_backlog_only_the_newest_frame_is_returned(start, wait_until):
     _service, client = start(stream(*[frame(i) for i in range(1, 51)]))
-    wait_until(lambda: client.counters.received == 50, 10.0, "all frames")
+    wait_until(lambda: client.counts.received == 50, 10.0, "all frames")
     assert client.next_frame(5.0).frame.id == 50
     assert client.next_frame(0.0) is None
-    assert client.counters.superseded == 49
+    assert client.counts.superseded == 49
 
 
 def test_bad_frames_are_dropped_with_a_reason_and_the_stream_goes_on(start, wait_until):
@@ -223,44 +223,44 @@ def test_bad_frames_are_dropped_with_a_reason_and_the_stream_goes_on(start, wait
 
     _service, client = start(talk)
     for count in range(1, 5):
-        wait_until(lambda: client.next_frame(0.05) or sum(client.counters.dropped.values()) == count, 10.0, "a drop")  # noqa: B023
+        wait_until(lambda: client.next_frame(0.05) or sum(client.counts.dropped.values()) == count, 10.0, "a drop")  # noqa: B023
         step.release()
     assert client.next_frame(10.0).frame.id == 5
     step.release()
-    wait_until(lambda: client.next_frame(0.05) or "A frame came twice." in client.counters.dropped, 10.0, "a drop")
+    wait_until(lambda: client.next_frame(0.05) or "A frame came twice." in client.counts.dropped, 10.0, "a drop")
     step.release()
     assert client.next_frame(10.0).frame.id == 6
-    assert client.counters.dropped == {
+    assert client.counts.dropped == {
         "The text holds the number NaN.": 1,
         "The text is not JSON.": 2,
         "The field type is missing.": 1,
         "A frame came twice.": 1,
     }
-    assert client.counters.connections == 1
+    assert client.counts.connections == 1
 
 
 def test_reasons_are_counted_without_growing_for_ever(start, wait_until):
     _service, client = start(stream())
     for i in range(100):
         client._drop(f"reason {i}")
-    assert len(client.counters.dropped) == client_module.MAX_REASONS + 1
-    assert client.counters.dropped["other reasons"] == 100 - client_module.MAX_REASONS
+    assert len(client.counts.dropped) == client_module.MAX_REASONS + 1
+    assert client.counts.dropped["other reasons"] == 100 - client_module.MAX_REASONS
 
 
 def test_a_missing_service_is_named_with_the_way_to_start_it(free_port, wait_until):
     client = LeapClient(port=free_port())
     try:
-        wait_until(lambda: client.status.link is Link.NO_SERVICE, 10.0, "the missing service")
+        wait_until(lambda: client.status.link is LeapLink.NO_SERVICE, 10.0, "the missing service")
         assert "sudo leapd" in client.status.sentence
         assert client.next_frame(0.01) is None
     finally:
         client.close()
-    assert client.status.link is Link.CLOSED
+    assert client.status.link is LeapLink.CLOSED
 
 
 def test_close_from_another_thread_ends_a_wait(start, wait_until):
     _service, client = start(stream())
-    wait_until(lambda: client.counters.connections == 1, 10.0, "the connection")
+    wait_until(lambda: client.counts.connections == 1, 10.0, "the connection")
     threading.Timer(0.2, client.close).start()
     before = time.monotonic()
     assert client.next_frame(60.0) is None
@@ -277,8 +277,8 @@ def test_close_with_unread_messages_is_bounded(start, wait_until):
             connection.send(frame(number))
 
     _service, client = start(floods)
-    wait_until(lambda: client.counters.received > 100, 10.0, "a flood")
+    wait_until(lambda: client.counts.received > 100, 10.0, "a flood")
     before = time.monotonic()
     client.close()
     assert time.monotonic() - before < 30.0
-    assert client.status.link is Link.CLOSED
+    assert client.status.link is LeapLink.CLOSED

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from leap_motion.codec import DeviceEvent, Header, ProtocolError, read_header, read_message
+from leap_motion.codec import DeviceEvent, LeapHeader, LeapProtocolError, read_header, read_message
 from leap_motion.frames import DISTAL, INDEX, METACARPAL
 
 RECORDINGS = {
@@ -243,14 +243,14 @@ def changed(record, changes):
 
 @pytest.mark.parametrize("reason", HAND_FAULTS)
 def test_bad_hands_are_refused_with_a_reason(reason):
-    with pytest.raises(ProtocolError, match=".") as refused:
+    with pytest.raises(LeapProtocolError, match=".") as refused:
         read(frame([changed(right_hand(), HAND_FAULTS[reason])]))
     assert reason in str(refused.value)
 
 
 @pytest.mark.parametrize("reason", FINGER_FAULTS)
 def test_bad_fingers_are_refused_with_a_reason(reason):
-    with pytest.raises(ProtocolError, match=".") as refused:
+    with pytest.raises(LeapProtocolError, match=".") as refused:
         read(frame(pointables=[changed(index_finger(), FINGER_FAULTS[reason])]))
     assert reason in str(refused.value)
 
@@ -272,14 +272,14 @@ def test_bad_fingers_are_refused_with_a_reason(reason):
     ],
 )
 def test_bad_texts_are_refused_with_a_reason(text, reason):
-    with pytest.raises(ProtocolError, match=reason):
+    with pytest.raises(LeapProtocolError, match=reason):
         read_message(text)
 
 
 def test_the_same_hand_or_finger_twice_is_refused():
-    with pytest.raises(ProtocolError, match="same id"):
+    with pytest.raises(LeapProtocolError, match="same id"):
         read(frame([right_hand(), right_hand(type="left")], []))
-    with pytest.raises(ProtocolError, match="types"):
+    with pytest.raises(LeapProtocolError, match="types"):
         read(frame(pointables=[index_finger(), index_finger()]))
 
 
@@ -306,7 +306,7 @@ def test_whatever_stands_in_a_frame_it_is_read_or_refused(path, value):
     target[path[-1]] = value
     try:
         got = read_message(json.dumps(message))
-    except ProtocolError:
+    except LeapProtocolError:
         return
     for hand in got.hands:
         assert np.isfinite([*hand.palm, *hand.normal, *hand.velocity, hand.confidence, hand.time_visible]).all()
@@ -321,12 +321,12 @@ def test_events():
 
 
 def test_headers():
-    assert read_header('{"version":6,"serviceVersion":"2.3.1+33747"}') == Header(6, "2.3.1+33747")
-    assert read_header('{"version":1}') == Header(1, "")
-    with pytest.raises(ProtocolError, match="protocol version '7'"):
+    assert read_header('{"version":6,"serviceVersion":"2.3.1+33747"}') == LeapHeader(6, "2.3.1+33747")
+    assert read_header('{"version":1}') == LeapHeader(1, "")
+    with pytest.raises(LeapProtocolError, match="protocol version '7'"):
         read_header('{"version":7}')
     for text in ('{"version":"6"}', '{"version":true}', '{"version":0}', '{"id":1}', "HTTP/1.1", "[6]"):
-        with pytest.raises(ProtocolError):
+        with pytest.raises(LeapProtocolError):
             read_header(text)
 
 

@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from common.errors import DeviceError
-from leap_motion.client import LeapClient, Link
+from leap_motion.client import LeapClient, LeapLink
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.devices.leap.program import main, parse
@@ -192,10 +192,10 @@ def test_an_unplugged_device_is_told_and_silent(start, wait_until):
     try:
         assert client.next_frame(10.0)
         ask(service, "unplug")
-        wait_until(lambda: client.status.link is Link.SILENT, 10.0, "silence")
+        wait_until(lambda: client.status.link is LeapLink.SILENT, 10.0, "silence")
         wait_until(lambda: "not plugged in" in client.status.sentence, 10.0, "the cause")
         ask(service, "plug")
-        wait_until(lambda: client.status.link is Link.STREAMING, 10.0, "frames")
+        wait_until(lambda: client.status.link is LeapLink.STREAMING, 10.0, "frames")
     finally:
         client.close()
 
@@ -207,12 +207,12 @@ def test_our_client_follows_a_restart_on_the_same_port(start, wait_until):
         assert client.next_frame(10.0)
         port = service.port
         service.stop()
-        wait_until(lambda: client.status.link not in (Link.STREAMING, Link.SILENT), 20.0, "the loss")
+        wait_until(lambda: client.status.link not in (LeapLink.STREAMING, LeapLink.SILENT), 20.0, "the loss")
         playback = Playback(ScriptedOperator(Script()), playing=False)
         again = LeapService(playback, "127.0.0.1", port, 0)
         thread = threading.Thread(target=again.run, daemon=True)
         thread.start()
-        wait_until(lambda: client.next_frame(0.2) and client.counters.connections == 2, 20.0, "frames again")
+        wait_until(lambda: client.next_frame(0.2) and client.counts.connections == 2, 20.0, "frames again")
         again.stop()
         thread.join(10.0)
     finally:

@@ -1,8 +1,8 @@
 """WebSocket client of the Leap service: always the newest frame, and always a sentence about the link.
 
-A thread reads every message as it comes and keeps only the newest frame, because a queue of frames would be delay. Who
-asks for a frame decodes it in his own thread. The service sends frames at about 110 Hz, also without hands, so that
-silence is a fault. Nothing persists over a reconnect: the policy messages are sent again.
+A thread reads every message as it comes and keeps only the newest frame, because a queue of frames would be delay. The
+caller's thread decodes the frame. The service sends frames at about 110 Hz, also without hands, so silence is a fault.
+Nothing persists over a reconnect: the client sends the policy messages again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from enum import Enum
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, ProtocolError, read_header, read_message
+from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, LeapProtocolError, read_header, read_message
 from leap_motion.frames import LeapFrame
 
 SILENCE_S = 0.1
@@ -28,10 +28,10 @@ RETRY_S = 0.5
 RETRY_FACTOR = 1.6
 RETRY_MAX_S = 3.0
 MAX_REASONS = 20
-UNKNOWN_CAUSE = "is it paused, or has another program the focus?"
+UNKNOWN_CAUSE = "is it paused, or does another program have the focus?"
 
 
-class Link(Enum):
+class LeapLink(Enum):
     """State of the link to the service."""
 
     CONNECTING = "connecting"
@@ -43,14 +43,14 @@ class Link(Enum):
 
 
 @dataclass(frozen=True)
-class Counters:
-    """What came over the link since the client was made.
+class LeapCounts:
+    """Counts since the client was made.
 
     Attributes:
         received: frames read from the socket.
         superseded: frames that a newer one replaced before anybody asked for them.
-        dropped: frames that were not usable, by reason.
-        connections: how often a header was received; all but the first are reconnects.
+        dropped: unusable frames, by reason.
+        connections: headers received; all but the first are reconnects.
     """
 
     received: int = 0
@@ -60,17 +60,17 @@ class Counters:
 
 
 @dataclass(frozen=True)
-class Status:
-    """State of the link, one sentence about it, and version of the service where it says so."""
+class LeapStatus:
+    """State of the link, one sentence about it, and the version of the service if known."""
 
-    link: Link
+    link: LeapLink
     sentence: str
     service: str = ""
 
 
 @dataclass(frozen=True)
-class Received:
-    """A frame and what the clock said when its message had come in."""
+class StampedFrame:
+    """A frame and the clock's value at the receipt of its message."""
 
     frame: LeapFrame
     stamp: object
@@ -82,7 +82,7 @@ class LeapClient:
     Args:
         host: address of the service.
         port: its plain WebSocket port.
-        clock: called when a message came in; its value becomes the stamp of the frame.
+        clock: called at the receipt of a message; its value becomes the stamp of the frame.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 6437, clock: Callable[[], object] = time.time) -> None:
@@ -93,27 +93,27 @@ class LeapClient:
         self._changed = threading.Condition()
         self._newest: tuple[str | bytes, object] | None = None
         self._last: tuple[int, int] | None = None
-        self._counters = Counters()
-        self._status = Status(Link.CONNECTING, f"Connecting to the Leap service on {self._address}.")
+        self._counts = LeapCounts()
+        self._status = LeapStatus(LeapLink.CONNECTING, f"Connecting to the Leap service on {self._address}.")
         self._thread = threading.Thread(target=self._run, name="leap client", daemon=True)
         self._thread.start()
 
     @property
-    def status(self) -> Status:
+    def status(self) -> LeapStatus:
         """The present state of the link."""
         with self._changed:
             return self._status
 
     @property
-    def counters(self) -> Counters:
-        """What was counted so far."""
+    def counts(self) -> LeapCounts:
+        """The counts so far."""
         with self._changed:
-            return replace(self._counters, dropped=dict(self._counters.dropped))
+            return replace(self._counts, dropped=dict(self._counts.dropped))
 
-    def next_frame(self, timeout: float) -> Received | None:
+    def next_frame(self, timeout: float) -> StampedFrame | None:
         """Returns the newest frame that was not returned before, or None if none came within `timeout` [s].
 
-        Frames that are not usable are counted with their reason, and the wait goes on.
+        Unusable frames are counted by their reason, and the wait continues.
         """
         deadline = time.monotonic() + timeout
         while True:
@@ -128,17 +128,17 @@ class LeapClient:
             try:
                 frame = read_message(text)
                 if not isinstance(frame, LeapFrame):
-                    raise ProtocolError("A device event came as a frame.")
+                    raise LeapProtocolError("A device event came as a frame.")
                 if (frame.id, frame.timestamp_us) == self._last:
-                    raise ProtocolError("A frame came twice.")
-            except ProtocolError as error:
+                    raise LeapProtocolError("A frame came twice.")
+            except LeapProtocolError as error:
                 self._drop(str(error))
                 continue
             self._last = (frame.id, frame.timestamp_us)
-            return Received(frame, stamp)
+            return StampedFrame(frame, stamp)
 
     def close(self) -> None:
-        """Ends the link and waits for its thread, a few seconds at most. Any thread may call it, also twice."""
+        """Closes the link and waits for its thread, a few seconds at most; any thread may call it, also twice."""
         self._closing.set()
         with self._changed:
             self._changed.notify_all()
@@ -148,22 +148,22 @@ class LeapClient:
     def _run(self) -> None:
         retry = RETRY_S
         while not self._closing.is_set():
-            connections = self._counters.connections
+            connections = self._counts.connections
             try:
                 self._converse()
             except _LinkFault as fault:
                 self._set_status(fault.link, str(fault))
-            if self._counters.connections > connections:
+            if self._counts.connections > connections:
                 retry = RETRY_S
             self._closing.wait(retry)
             retry = min(retry * RETRY_FACTOR, RETRY_MAX_S)
-        self._set_status(Link.CLOSED, f"The link to the Leap service on {self._address} is closed.")
+        self._set_status(LeapLink.CLOSED, f"The link to the Leap service on {self._address} is closed.")
 
     def _converse(self) -> None:
-        """One connection from opening to end.
+        """Opens one connection and reads it to its end.
 
         Raises:
-            _LinkFault: it ended, and not because the client is closed.
+            _LinkFault: it ended although the client is not closed.
         """
         try:
             connection = connect(
@@ -171,7 +171,7 @@ class LeapClient:
             )
         except (OSError, EOFError, UnicodeError, WebSocketException) as error:
             raise _LinkFault(
-                Link.NO_SERVICE,
+                LeapLink.NO_SERVICE,
                 f"No Leap service answers on {self._address} ({_reason(error)}); start it with "
                 "`sudo leapd` or `sudo systemctl start leapd`. Trying again.",
             ) from error
@@ -182,11 +182,12 @@ class LeapClient:
             except ConnectionClosed as error:
                 code = error.rcvd.code if error.rcvd else "no close frame"
                 raise _LinkFault(
-                    Link.REFUSED, f"The Leap service on {self._address} ended the connection ({code}). Trying again."
+                    LeapLink.REFUSED,
+                    f"The Leap service on {self._address} ended the connection ({code}). Trying again.",
                 ) from error
             except OSError as error:
                 raise _LinkFault(
-                    Link.NO_SERVICE, f"The Leap service on {self._address} is lost: {_reason(error)}."
+                    LeapLink.NO_SERVICE, f"The Leap service on {self._address} is lost: {_reason(error)}."
                 ) from error
 
     def _greet(self, connection: ClientConnection) -> None:
@@ -194,17 +195,19 @@ class LeapClient:
             header = read_header(connection.recv(HEADER_TIMEOUT_S))
         except TimeoutError as error:
             raise _LinkFault(
-                Link.REFUSED, f"What answers on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s."
+                LeapLink.REFUSED, f"What answers on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s."
             ) from error
-        except ProtocolError as error:
-            raise _LinkFault(Link.REFUSED, f"{error} Trying again.") from error
+        except LeapProtocolError as error:
+            raise _LinkFault(LeapLink.REFUSED, f"{error} Trying again.") from error
         for message in POLICY_MESSAGES:
             connection.send(message)
         with self._changed:
-            self._counters = replace(self._counters, connections=self._counters.connections + 1)
+            self._counts = replace(self._counts, connections=self._counts.connections + 1)
         version = header.service or "of unknown version"
         self._set_status(
-            Link.CONNECTING, f"Connected to Leap service {version} on {self._address}; no frame yet.", header.service
+            LeapLink.CONNECTING,
+            f"Connected to Leap service {version} on {self._address}; no frame yet.",
+            header.service,
         )
 
     def _read(self, connection: ClientConnection) -> None:
@@ -214,7 +217,7 @@ class LeapClient:
             try:
                 text = connection.recv(SILENCE_S)
             except TimeoutError:
-                self._set_status(Link.SILENT, f"The Leap service on {self._address} sends no frames; {cause}")
+                self._set_status(LeapLink.SILENT, f"The Leap service on {self._address} sends no frames; {cause}")
                 if time.monotonic() >= next_ping:
                     if pong is not None and not pong.is_set():
                         raise OSError(f"no answer to a ping for {PING_S:g} s") from None
@@ -229,20 +232,20 @@ class LeapClient:
 
     def _take_frame(self, text: str | bytes, stamp: object) -> None:
         with self._changed:
-            counters = self._counters
-            superseded = counters.superseded + (self._newest is not None)
-            self._counters = replace(counters, received=counters.received + 1, superseded=superseded)
+            counts = self._counts
+            superseded = counts.superseded + (self._newest is not None)
+            self._counts = replace(counts, received=counts.received + 1, superseded=superseded)
             self._newest = (text, stamp)
             self._changed.notify_all()
-            streaming = self._status.link is Link.STREAMING
+            streaming = self._status.link is LeapLink.STREAMING
         if not streaming:
-            self._set_status(Link.STREAMING, f"The Leap service on {self._address} sends frames.")
+            self._set_status(LeapLink.STREAMING, f"The Leap service on {self._address} sends frames.")
 
     def _take_event(self, text: str) -> str:
-        """Returns what the event says about the reason for a silence that may follow."""
+        """Returns the cause that the event gives for a silence that may follow."""
         try:
             event = read_message(text)
-        except ProtocolError as error:
+        except LeapProtocolError as error:
             self._drop(str(error))
             return UNKNOWN_CAUSE
         if not isinstance(event, DeviceEvent) or event.streaming:
@@ -251,21 +254,21 @@ class LeapClient:
 
     def _drop(self, reason: str) -> None:
         with self._changed:
-            dropped = dict(self._counters.dropped)
+            dropped = dict(self._counts.dropped)
             if reason not in dropped and len(dropped) >= MAX_REASONS:
                 reason = "other reasons"
             dropped[reason] = dropped.get(reason, 0) + 1
-            self._counters = replace(self._counters, dropped=dropped)
+            self._counts = replace(self._counts, dropped=dropped)
 
-    def _set_status(self, link: Link, sentence: str, service: str | None = None) -> None:
+    def _set_status(self, link: LeapLink, sentence: str, service: str | None = None) -> None:
         with self._changed:
-            self._status = Status(link, sentence, self._status.service if service is None else service)
+            self._status = LeapStatus(link, sentence, self._status.service if service is None else service)
 
 
 class _LinkFault(Exception):
-    """A connection could not be made or ended; the text is one sentence for the user."""
+    """A connection failed or ended; the text is one sentence for the user."""
 
-    def __init__(self, link: Link, sentence: str) -> None:
+    def __init__(self, link: LeapLink, sentence: str) -> None:
         super().__init__(sentence)
         self.link = link
 

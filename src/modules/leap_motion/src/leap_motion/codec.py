@@ -1,10 +1,10 @@
-"""Text on the WebSocket of the Leap service <-> records; here millimetres end.
+"""Text on the WebSocket of the Leap service to records; millimetres end here.
 
-The first message of a connection is the header; of the later ones those with the key `event` are events and the others
-frames. Fields that control depends on must be there, finite and plausible, else the frame is refused with a reason.
-Fields that services leave out are optional, and unknown ones are ignored:
+The first message of a connection is the header; later messages with the key `event` are events, the others frames.
+Fields that control depends on must be present, finite and plausible, or the frame is refused with a reason. Unknown
+fields are ignored, and fields that some services leave out have defaults:
 
-| missing | taken instead |
+| missing | default |
 | --- | --- |
 | carpPosition | the metacarpal starts at the knuckle and has no length, as the thumb's always has |
 | btipPosition | the last bone ends at tipPosition, as it does in the early frames without this field |
@@ -29,25 +29,25 @@ VERSIONS = range(1, 7)
 """Versions of the protocol that exist."""
 
 POLICY_MESSAGES = ('{"background":true}', '{"focused":true}')
-"""What a client sends to be served whatever window has the focus; one key each and no spaces, as all services need."""
+"""A client that sends these gets frames whatever window has the focus; all services take one key and no spaces."""
 
 UNIT_TOLERANCE = 0.01
 """How far the length of a unit vector, or a product of two axes, may be off."""
 
 LIMIT = 1e9
-"""Numbers beyond are no measurements; they would not fit into the fields of messages either."""
+"""Numbers beyond this are not measurements; they would not fit into the fields of messages either."""
 
 MM = 1e-3
 ZERO = (0, 0, 0)
 
 
-class ProtocolError(ValueError):
-    """A message that is not what the protocol says; the text is one sentence."""
+class LeapProtocolError(ValueError):
+    """A message that breaks the protocol; the text is one sentence."""
 
 
 @dataclass(frozen=True)
-class Header:
-    """First message of a connection: version of the protocol, and of the service where it says so."""
+class LeapHeader:
+    """First message of a connection: version of the protocol, and of the service if given."""
 
     version: int
     service: str
@@ -55,57 +55,57 @@ class Header:
 
 @dataclass(frozen=True)
 class DeviceEvent:
-    """A change of the device: whether it is plugged in and whether it sends frames."""
+    """A change of the device: whether it is plugged in and sends frames."""
 
     id: str
     attached: bool
     streaming: bool
 
 
-def read_header(text: str | bytes) -> Header:
-    """Returns the header that `text` is.
+def read_header(text: str | bytes) -> LeapHeader:
+    """Returns the header in `text`.
 
     Raises:
-        ProtocolError: it is no header, or one of a version that does not exist.
+        LeapProtocolError: it is not a header, or its version does not exist.
     """
     message = _object(text)
     if "version" not in message:
-        raise ProtocolError("The first message has no protocol version, so this is no Leap service.")
+        raise LeapProtocolError("The first message has no protocol version, so this is not a Leap service.")
     version = message["version"]
     if isinstance(version, bool) or not isinstance(version, int) or version not in VERSIONS:
-        raise ProtocolError(f"The Leap service announces protocol version {str(version)[:40]!r}; known are 1 to 6.")
-    return Header(version, str(message.get("serviceVersion", "")))
+        raise LeapProtocolError(f"The Leap service announces protocol version {str(version)[:40]!r}; known are 1 to 6.")
+    return LeapHeader(version, str(message.get("serviceVersion", "")))
 
 
 def read_message(text: str | bytes) -> LeapFrame | DeviceEvent | None:
-    """Returns the frame or device event that `text` is, or None for an event of another kind.
+    """Returns the frame or device event in `text`, or None for an event of another kind.
 
     Raises:
-        ProtocolError: the text is torn, or the frame is not usable.
+        LeapProtocolError: the text is torn, or the frame is unusable.
     """
     message = _object(text)
     try:
         return _event(message["event"]) if "event" in message else _frame(message)
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-        if isinstance(error, ProtocolError):
+        if isinstance(error, LeapProtocolError):
             raise
-        raise ProtocolError(f"A field has an unexpected form: {type(error).__name__} {str(error)[:80]}.") from error
+        raise LeapProtocolError(f"A field has an unexpected form: {type(error).__name__} {str(error)[:80]}.") from error
 
 
 def _object(text: str | bytes) -> dict:
     try:
         message = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        if isinstance(error, ProtocolError):
+        if isinstance(error, LeapProtocolError):
             raise
-        raise ProtocolError("The text is not JSON.") from error
+        raise LeapProtocolError("The text is not JSON.") from error
     if not isinstance(message, dict):
-        raise ProtocolError("The text is not a JSON object.")
+        raise LeapProtocolError("The text is not a JSON object.")
     return message
 
 
 def _refuse_constant(token: str) -> NoReturn:
-    raise ProtocolError(f"The text holds the number {token}.")
+    raise LeapProtocolError(f"The text holds the number {token}.")
 
 
 def _event(event: Any) -> DeviceEvent | None:
@@ -124,7 +124,7 @@ def _frame(message: dict) -> LeapFrame:
             fingers_of.setdefault(pointable.get("handId"), []).append(pointable)
     hands = tuple(_hand(hand, fingers_of.get(hand.get("id"), [])) for hand in _field(message, "hands"))
     if len({hand.id for hand in hands}) < len(hands):
-        raise ProtocolError("Two hands have the same id.")
+        raise LeapProtocolError("Two hands have the same id.")
     return LeapFrame(
         id=_whole(message, "id"),
         timestamp_us=_whole(message, "timestamp"),
@@ -136,13 +136,13 @@ def _frame(message: dict) -> LeapFrame:
 
 def _hand(hand: dict, pointables: list[dict]) -> LeapHand:
     if _field(hand, "type") not in ("right", "left"):
-        raise ProtocolError(f"A hand has the type {str(hand['type'])[:40]!r}.")
+        raise LeapProtocolError(f"A hand has the type {str(hand['type'])[:40]!r}.")
     normal, direction = _unit(hand, "palmNormal"), _unit(hand, "direction")
     if abs(normal @ direction) > UNIT_TOLERANCE:
-        raise ProtocolError("palmNormal and direction of a hand are not orthogonal.")
+        raise LeapProtocolError("palmNormal and direction of a hand are not orthogonal.")
     confidence = _number(hand, "confidence")
     if not 0.0 <= confidence <= 1.0:
-        raise ProtocolError(f"The confidence of a hand is {confidence:g}, not between 0 and 1.")
+        raise LeapProtocolError(f"The confidence of a hand is {confidence:g}, not between 0 and 1.")
     palm_axes = np.stack([_cross(normal, direction), -normal, -direction], axis=1)
     return LeapHand(
         id=_whole(hand, "id"),
@@ -167,7 +167,7 @@ def _fingers(pointables: list[dict], palm_axes: np.ndarray) -> tuple[LeapFinger,
     pointables = sorted(pointables, key=lambda pointable: _whole(pointable, "type"))
     types = [pointable["type"] for pointable in pointables]
     if len(set(types)) < len(types) or not set(types) <= set(range(5)):
-        raise ProtocolError(f"The fingers of a hand have the types {types}.")
+        raise LeapProtocolError(f"The fingers of a hand have the types {types}.")
     n = len(pointables)
     tips = _vectors([_field(p, "tipPosition") for p in pointables], "tipPosition", n, 3, scale=MM)
     joints = _joints(pointables)
@@ -197,7 +197,7 @@ def _joints(pointables: list[dict]) -> np.ndarray:
 
 
 def _rotations(pointables: list[dict], joints: np.ndarray, palm_axes: np.ndarray) -> np.ndarray:
-    """Returns the attitudes of the four bones of each finger, shape (n, 4, 3, 3), axes as columns."""
+    """Returns the orientations of the four bones of each finger, shape (n, 4, 3, 3), axes as columns."""
     back = joints[:, :-1] - joints[:, 1:]
     length = np.linalg.norm(back, axis=-1)
     no_length = length < 1e-6
@@ -205,7 +205,7 @@ def _rotations(pointables: list[dict], joints: np.ndarray, palm_axes: np.ndarray
         bases = _vectors([p["bases"] for p in pointables], "bases", len(pointables), 4, 3, 3)
         wrong = _not_orthonormal(bases)
         if (wrong & ~no_length).any():
-            raise ProtocolError("The axes of a bone are not orthonormal.")
+            raise LeapProtocolError("The axes of a bone are not orthonormal.")
         rotations = np.where((wrong & no_length)[..., None, None], palm_axes, _proper(bases.swapaxes(-1, -2)))
     else:
         z = np.where(no_length[..., None], palm_axes[:, 2], back / np.maximum(length, 1e-6)[..., None])
@@ -222,17 +222,17 @@ def _arm(hand: dict) -> LeapBone:
     ends = _vectors([_field(hand, "elbow"), _field(hand, "wrist")], "the arm", 2, 3, scale=MM)
     basis = _vectors(hand["armBasis"], "armBasis", 3, 3)
     if _not_orthonormal(basis):
-        raise ProtocolError("The axes of an arm are not orthonormal.")
+        raise LeapProtocolError("The axes of an arm are not orthonormal.")
     return LeapBone(ends[0], ends[1], _proper(basis.T))
 
 
 def _not_orthonormal(bases: np.ndarray) -> np.ndarray:
-    """Returns for each of the matrices, shape (..., 3, 3), whether its rows are no orthonormal axes."""
+    """Returns for each of the matrices, shape (..., 3, 3), whether its rows are not orthonormal."""
     return np.abs(bases @ bases.swapaxes(-1, -2) - np.eye(3)).max(axis=(-1, -2)) > UNIT_TOLERANCE
 
 
 def _proper(axes: np.ndarray) -> np.ndarray:
-    """Returns the matrices, shape (..., 3, 3), with the x column turned round where they mirror: left hands do."""
+    """Returns the matrices, shape (..., 3, 3), with the x column negated where they mirror, as for left hands."""
     axes = axes.copy()
     axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
     axes.setflags(write=False)
@@ -241,14 +241,14 @@ def _proper(axes: np.ndarray) -> np.ndarray:
 
 def _field(message: dict, key: str) -> Any:
     if key not in message:
-        raise ProtocolError(f"The field {key} is missing.")
+        raise LeapProtocolError(f"The field {key} is missing.")
     return message[key]
 
 
 def _whole(message: dict, key: str) -> int:
     value = _field(message, key)
     if isinstance(value, bool) or not isinstance(value, int):
-        raise ProtocolError(f"The field {key} is {str(value)[:40]!r}, not a whole number.")
+        raise LeapProtocolError(f"The field {key} is {str(value)[:40]!r}, not a whole number.")
     return value
 
 
@@ -257,7 +257,7 @@ def _number(message: dict, key: str, missing: float | None = None) -> float:
         return missing
     value = _field(message, key)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < LIMIT:
-        raise ProtocolError(f"The field {key} is {str(value)[:40]!r}, not a number below 1e9.")
+        raise LeapProtocolError(f"The field {key} is {str(value)[:40]!r}, not a number below 1e9.")
     return float(value)
 
 
@@ -268,7 +268,7 @@ def _vectors(value: Any, name: str, *shape: int, scale: float = 1.0) -> np.ndarr
     except ValueError:
         array = np.array(None)
     if array.shape != shape or array.dtype.kind not in "fi" or not (np.abs(array) < LIMIT).all():
-        raise ProtocolError(f"The field {name} does not hold {' x '.join(map(str, shape))} numbers.")
+        raise LeapProtocolError(f"The field {name} does not hold {' x '.join(map(str, shape))} numbers.")
     array = array * scale
     array.setflags(write=False)
     return array
@@ -278,7 +278,7 @@ def _unit(message: dict, key: str) -> np.ndarray:
     vector = _vectors(_field(message, key), key, 3)
     norm = float(np.linalg.norm(vector))
     if abs(norm - 1.0) > UNIT_TOLERANCE:
-        raise ProtocolError(f"The field {key} has the length {norm:g}, not 1.")
+        raise LeapProtocolError(f"The field {key} has the length {norm:g}, not 1.")
     vector = vector / norm
     vector.setflags(write=False)
     return vector

@@ -22,7 +22,7 @@ class LeapBone:
     Attributes:
         start: end nearer to the body, shape (3,) [m].
         end: end nearer to the finger tip, shape (3,) [m].
-        rotation: attitude of the bone, shape (3, 3), a proper rotation for both hands. Columns: x across the finger,
+        rotation: orientation of the bone, shape (3, 3), a proper rotation for both hands. Columns: x across the finger,
             y out of its back, z against the bone's direction. On a right hand x points to the pinky's side, on a left
             hand to the thumb's side.
     """
@@ -33,7 +33,7 @@ class LeapBone:
 
     @property
     def length(self) -> float:
-        """Distance of the two ends [m]; 0 where the service does not say where the bone starts."""
+        """Distance of the two ends [m]; 0 where the service does not report the start."""
         return float(np.linalg.norm(self.end - self.start))
 
     @property
@@ -75,7 +75,7 @@ class LeapHand:
         palm: centre of the palm, shape (3,) [m].
         normal: unit vector out of the palm, shape (3,).
         direction: unit vector from the palm to the fingers, shape (3,).
-        velocity: of the palm, shape (3,) [m/s]; zero where the service does not say.
+        velocity: of the palm, shape (3,) [m/s]; zero where unknown.
         confidence: how well the model fits the image, 0 to 1.
         grab: 0 open to 1 fist.
         pinch: 0 open to 1 thumb on a finger.
@@ -132,8 +132,8 @@ class LeapFrame:
         id: rises from frame to frame.
         timestamp_us: capture time on the device's own clock [us]; the source for time differences.
         rate: the service's estimate of the frame rate [Hz].
-        hands: in the order of the service; none, one, two or more.
-        gestures: how many gestures the service reported; none unless they were asked for.
+        hands: in the order of the service.
+        gestures: number of gestures; zero unless the client asked for them.
     """
 
     id: int
@@ -144,13 +144,10 @@ class LeapFrame:
 
     @property
     def finger_count(self) -> int:
-        """How many fingers the hands of this frame have together."""
+        """Number of fingers of all hands."""
         return sum(len(hand.fingers) for hand in self.hands)
 
     def hand(self, side: str) -> LeapHand | None:
-        """Returns the hand of that side that is tracked longest, or None.
-
-        With two hands of one side (a second person) the lower id is the older one, and the choice does not flicker.
-        """
+        """Returns the hand of that side with the lowest id, which is tracked longest, or None."""
         hands = [hand for hand in self.hands if hand.side == side]
         return min(hands, key=lambda hand: hand.id) if hands else None

@@ -11,10 +11,10 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.node import run
 from common.ros.params import private_config
 from common.ros.stage_times import StageTimes
-from leap_motion.client import LeapClient, Link, Status
+from leap_motion.client import LeapClient, LeapLink, LeapStatus
 from leap_motion.msg import Human
-from leap_motion.node_parameters import DriverConfig
 from leap_motion.ros.human import human_from_frame
+from leap_motion.ros.node_parameters import DriverConfig
 
 NAME = "leap_driver"
 TOPIC = "leap_motion/leap_device"
@@ -24,39 +24,39 @@ SETTLED_S = 0.3
 
 
 class LinkReport:
-    """Logs a state of the link that stays for a moment, and again every 10 s while no frames come."""
+    """Logs a state of the link that lasts, and again every 10 s while no frames come."""
 
     def __init__(self, client: LeapClient) -> None:
         self._client = client
-        self._seen: Status | None = None
-        self._logged: Status | None = None
-        self._seen_at = self._logged_at = 0.0
+        self._status: LeapStatus | None = None
+        self._logged: LeapStatus | None = None
+        self._changed_at = self._logged_at = 0.0
 
     def update(self) -> None:
-        """Logs if there is something to say."""
+        """Logs the state if it is due."""
         status, now = self._client.status, time.monotonic()
-        if status != self._seen:
-            self._seen, self._seen_at = status, now
-        streaming = status.link is Link.STREAMING
+        if status != self._status:
+            self._status, self._changed_at = status, now
+        streaming = status.link is LeapLink.STREAMING
         due = status != self._logged or (not streaming and now - self._logged_at > REMIND_S)
-        if due and now - self._seen_at > SETTLED_S:
+        if due and now - self._changed_at > SETTLED_S:
             self._logged, self._logged_at = status, now
-            log = rospy.loginfo if streaming or status.link is Link.CONNECTING else rospy.logwarn
+            log = rospy.loginfo if streaming or status.link is LeapLink.CONNECTING else rospy.logwarn
             log("%s", status.sentence)
 
     def diagnostics(self) -> tuple[int, str, dict[str, object]]:
-        """Returns level, sentence and counters for /diagnostics."""
-        status, counters = self._client.status, self._client.counters
+        """Returns level, sentence and counts for /diagnostics."""
+        status, counts = self._client.status, self._client.counts
         values = {
             "state": status.link.value,
             "service_version": status.service,
-            "frames_received": counters.received,
-            "frames_superseded": counters.superseded,
-            "frames_dropped": sum(counters.dropped.values()),
-            "reconnects": max(0, counters.connections - 1),
+            "frames_received": counts.received,
+            "frames_superseded": counts.superseded,
+            "frames_dropped": sum(counts.dropped.values()),
+            "reconnects": max(0, counts.connections - 1),
         }
-        values.update({f"dropped: {reason}": count for reason, count in counters.dropped.items()})
-        level = DiagnosticStatus.OK if status.link is Link.STREAMING else DiagnosticStatus.ERROR
+        values.update({f"dropped: {reason}": count for reason, count in counts.dropped.items()})
+        level = DiagnosticStatus.OK if status.link is LeapLink.STREAMING else DiagnosticStatus.ERROR
         return level, status.sentence, values
 
 

@@ -1,14 +1,14 @@
-"""A tracking frame as the message leap_motion/Human, field by field as the published C++ driver fills it.
+"""A tracking frame as the message leap_motion/Human, filled as the published C++ driver fills it.
 
-That driver has two oddities. `compatible` repeats them, for programs that were written for it; `correct` does not:
+That driver has two errors. `compatible` repeats them, for programs written for it; `correct` does not:
 
 | field | compatible | correct |
 | --- | --- | --- |
-| orientation of bones and arm | the conjugate of the bone's attitude | the bone's attitude |
+| orientation of bones and arm | the conjugate of the bone's orientation | the bone's orientation |
 | arm.direction | the arm's centre | unit vector from elbow to wrist |
 
-`direction` and `normal` of the hand, and every position, are the same in both. Nothing in Human changes axes: they are
-the Leap's own. Absent are the gestures, which this driver does not ask for, and texts of hands, fingers and bones.
+`direction` and `normal` of the hand, and every position, are the same in both. All vectors stay in the Leap's own axes.
+Gestures, which this driver does not ask for, and the texts of hands, fingers and bones stay empty.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from std_msgs.msg import Header
 from common.rotations import quaternion_from_rotation
 from leap_motion.frames import LeapBone, LeapFinger, LeapFrame, LeapHand
 from leap_motion.msg import Arm, Bone, Finger, Hand, Human
-from leap_motion.node_parameters import COMPATIBLE
+from leap_motion.ros.node_parameters import COMPATIBLE
 
 FRAME_ID = "leap_hands"
 
@@ -31,7 +31,7 @@ def human_from_frame(frame: LeapFrame, stamp: rospy.Time, orientation: str = COM
 
     Args:
         frame: the tracking frame.
-        stamp: when its message was received.
+        stamp: of the receipt of its message.
         orientation: COMPATIBLE or CORRECT.
     """
     header = Header(0, stamp, FRAME_ID)
@@ -108,5 +108,5 @@ class _Converter:
 
 
 def _int32(number: int) -> int:
-    """Returns the low 32 bits as a signed number, which is what a field of that size can hold of a longer id."""
+    """Returns the low 32 bits as a signed number, the part of a longer id that the field can hold."""
     return int(np.int64(number & 0xFFFFFFFF).astype(np.int32))
