@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -28,7 +29,9 @@ ROS = {"rospy", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "rospkg", "geome
        "reflex_msgs", "rig_msgs", "grasp_msgs"}  # fmt: skip
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files: they may hold sockets, clocks and threads.
-EDGES = {"transport", "session", "client", "ptp_client", "ports"}
+EDGES = {"transport", "session", "client", "ptp_client", "calibration_files", "ports"}
+# Libraries that stand alone: what their pure halves may import beside themselves, numpy and the standard library.
+ALONE = {"iiwa_kinematics": set(), "kst": set(), "leap_motion": {"websockets"}, "reflex": {"yaml"}}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
 STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
 
@@ -43,7 +46,9 @@ NEWER_TYPES = {f"{name}[]" for name in ("dict", "frozenset", "list", "set", "tup
 NEWER_METHODS = {
     "bit_count", "hardlink_to", "is_relative_to", "removeprefix", "removesuffix", "with_stem", "add_note",
 }  # fmt: skip
-PYTHON = sorted({file for folder in ("src", "tools", "tests", "bench") for file in ROOT.glob(f"{folder}/**/*.py")})
+PYTHON = sorted(
+    {file for folder in ("src", "tools", "tests", "bench", "examples") for file in ROOT.glob(f"{folder}/**/*.py")}
+)
 
 FILES = sorted(ROOT.glob("src/**/src/*/**/*.py"))
 
@@ -94,6 +99,12 @@ class TestModule:
             if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
         }
         assert not calls & {"open", "print", "input"}
+
+    def test_libraries_stand_alone(self, path):
+        if package(path) in ALONE and not in_ros(path):
+            tops = {name.split(".")[0] for name in imports(path)}
+            foreign = tops - set(getattr(sys, "stdlib_module_names", tops)) - {package(path), "numpy"} - ALONE[package(path)]
+            assert not foreign, f"{package(path)} installs without {foreign}"
 
     def test_simulation_keeps_ros_in_its_ros_folder(self, path):
         if package(path) == "rig_simulation" and not in_ros(path):

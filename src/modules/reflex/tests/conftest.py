@@ -8,12 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 
-from common.config import parse
-from reflex.calibration import offsets_from_text, zeros_from_text
-from reflex.hand import Hand
-from reflex.settings import Settings
+from reflex.calibration import FingerZeros, TactileOffsets, calibration_from_text
+from reflex.hand import HandLogic
+from reflex.settings import HandSettings
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.devices.reflex.wire import read_command
@@ -23,18 +21,18 @@ HAND = Path(__file__).parents[2] / "rig_simulation" / "scripts" / "reflex_hand.p
 SOURCE = ("10.99.99.99", 11333)
 
 
-def settings_with(**changes) -> Settings:
+def settings_with(**changes) -> HandSettings:
     """The shipped settings, some of them changed."""
-    values = yaml.safe_load((CONFIG / "reflex_takktile.yaml").read_text())
-    values.update(network_interface="lo", port=11333, calibration_folder="unused")
-    return parse(Settings, {**values, **changes})
+    return HandSettings(**changes)
 
 
 def shipped_calibration():
     """The calibration that comes with the package."""
     names = ("finger_calibrate.yaml", "tactile_calibrate.yaml")
     fingers, tactile = ((CONFIG / name).read_text() for name in names)
-    return zeros_from_text(fingers, names[0]), offsets_from_text(tactile, names[1])
+    return calibration_from_text(FingerZeros, fingers, names[0]), calibration_from_text(
+        TactileOffsets, tactile, names[1]
+    )
 
 
 class Bench:
@@ -43,7 +41,7 @@ class Bench:
     def __init__(self, seed: int = 0, calibrated: bool = False, **changes) -> None:
         self.settings = settings_with(**changes)
         self.device = SimulatedHand(seed)
-        self.driver = Hand(self.settings, *shipped_calibration(), calibrated)
+        self.driver = HandLogic(self.settings, *shipped_calibration(), calibrated)
         self.now = 100.0
         self.sent: list[bytes] = []
         self.notes: list = []
@@ -101,6 +99,12 @@ def bench():
 def make_settings():
     """The function settings_with."""
     return settings_with
+
+
+@pytest.fixture
+def config_folder():
+    """Folder of the files that come with the package."""
+    return CONFIG
 
 
 @pytest.fixture

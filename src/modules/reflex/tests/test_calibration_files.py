@@ -6,13 +6,12 @@ import os
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.ros
+from reflex.calibration_files import CalibrationFiles
+from reflex.errors import CalibrationFileError
 
 
 @pytest.fixture
 def files(tmp_path):
-    from reflex.ros.calibration_files import CalibrationFiles
-
     return CalibrationFiles(str(tmp_path / "hand"))
 
 
@@ -20,22 +19,28 @@ def test_what_was_saved_is_loaded(files, shipped):
     zeros, offsets, calibrated = files.load()
     assert not calibrated
     np.testing.assert_array_equal(zeros.motor_zero_reference, shipped[0].motor_zero_reference)
-    files.save_zeros(zeros)
-    assert files.save_offsets(offsets).read_text().count("[") == 4
+    np.testing.assert_array_equal(zeros.encoder_zero_reference, shipped[0].encoder_zero_reference)
+    np.testing.assert_array_equal(offsets.tactile_offset_f3, shipped[1].tactile_offset_f3)
+    files.save(zeros)
+    assert files.save(offsets).read_text().count("[") == 4
     assert files.load()[2]
 
 
-def test_a_full_disk_leaves_the_old_file_and_no_other(files, shipped, tmp_path, monkeypatch):
-    from common.errors import DeviceError
+def test_a_file_that_cannot_be_read(files):
+    (files.folder / "finger_calibrate.yaml").mkdir(parents=True)
+    with pytest.raises(CalibrationFileError):
+        files.load()
 
-    path = files.save_zeros(shipped[0])
+
+def test_a_full_disk_leaves_the_old_file_and_no_other(files, shipped, monkeypatch):
+    path = files.save(shipped[0])
     before = path.read_bytes()
 
     def full(_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(DeviceError, match=r"No space left on device; the calibration holds until the driver ends\."):
-        files.save_zeros(shipped[0])
+    with pytest.raises(CalibrationFileError, match="No space left on device"):
+        files.save(shipped[0])
     assert path.read_bytes() == before
     assert [p.name for p in path.parent.iterdir()] == ["finger_calibrate.yaml"]

@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from reflex.codec import IDLE, POSITION, VELOCITY, decode_state, encode_mode, encode_target
-from reflex.hand import State
-from reflex.reading import Reader, joint_positions
+from reflex.hand import HandStatus
+from reflex.reading import HandReader, joint_positions
 from reflex.status import status
 from rig_simulation.devices.reflex.hand import SimulatedHand
 
@@ -42,7 +42,7 @@ def test_the_speed_is_set_when_the_hand_appears(bench):
         encode_target(b.reading.packet.positions),
     ]
     assert b.device.state()["torque"] == [True] * 4
-    assert b.driver.state(b.now) is State.READY
+    assert b.driver.state(b.now) is HandStatus.READY
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -87,7 +87,7 @@ def test_nothing_moves_before_the_hand_is_heard(bench):
     b = bench()
     assert "not been heard" in b.command(1, 1, 1, 0).refusal
     assert "not been heard" in b.take(b.driver.set_speed((1, 1, 1, 1), b.now)).refusal
-    assert b.driver.state(b.now) is State.WAITING
+    assert b.driver.state(b.now) is HandStatus.WAITING
     assert len(b.sent) == 1
 
 
@@ -107,7 +107,7 @@ def test_commands_wait_for_the_end_of_a_calibration(bench):
     b.run(0.3)
     b.take(b.driver.calibrate_fingers(b.now))
     b.run(0.1)
-    assert b.driver.state(b.now) is State.CALIBRATING
+    assert b.driver.state(b.now) is HandStatus.CALIBRATING
     b.command(3.6, 3.6, 3.6, 1)
     b.command(1.0, 1.0, 1.0, 0.2)
     assert "being calibrated" in b.take(b.driver.command_raw((14000,) * 4, b.now)).refusal
@@ -184,7 +184,7 @@ def test_contact_is_strictly_above_the_threshold(shipped, above, touched):
     packet = decode_state(SimulatedHand(1).packet())
     counts = tuple(140 + above * (cell == 4) for cell in range(9))
     packet = replace(packet, pressures=(packet.pressures[0], counts, packet.pressures[2]))
-    reading = Reader().read(packet, *shipped, thresholds=((20,) * 9,) * 3)
+    reading = HandReader().read(packet, *shipped, thresholds=((20,) * 9,) * 3)
     assert reading.pressure[1][4] == above
     assert reading.contact[1] == tuple(touched and cell == 4 for cell in range(9))
 
@@ -278,7 +278,7 @@ def test_a_hot_finger_is_not_closed_further(bench):
         b.command(goal, goal, goal, 0)
     np.testing.assert_allclose(angles(b)[:3], (0.6, 1.99, 1.99), atol=0.05)
     assert b.said("f1 has 75 degrees")
-    assert status(b.driver, b.settings, "", b.now)[:2] == ("warning", "Motor f1 is hot.")
+    assert status(b.driver, "", b.now)[:2] == ("warning", "Motor f1 is hot.")
 
 
 def test_set_speed_is_three_packets_in_time_and_targets_wait(bench):
@@ -288,9 +288,9 @@ def test_set_speed_is_three_packets_in_time_and_targets_wait(bench):
     b.take(b.driver.set_speed((1, 2, 3, 30), b.now))
     b.command(1, 1, 1, 0)
     b.command(2, 2, 2, 0)
-    assert b.driver.state(b.now) is State.CHANGING_SPEED
+    assert b.driver.state(b.now) is HandStatus.CHANGING_SPEED
     times = []
-    while b.driver.state(b.now) is State.CHANGING_SPEED:
+    while b.driver.state(b.now) is HandStatus.CHANGING_SPEED:
         count = len(b.sent)
         b.run(0.025)
         times += [b.now - begin] * (len(b.sent) - count)
@@ -306,7 +306,7 @@ def test_set_speed_refuses_what_is_not_finite(bench):
     b = bench().calibrated()
     before = len(b.sent)
     assert "refused" in b.take(b.driver.set_speed((1, math.nan, 1, 1), b.now)).refusal
-    assert len(b.sent) == before and b.driver.state(b.now) is State.READY
+    assert len(b.sent) == before and b.driver.state(b.now) is HandStatus.READY
 
 
 def test_a_hand_that_was_moved_without_torque_stays_where_it_is(bench):
@@ -330,7 +330,7 @@ def test_without_torque_commands_are_refused_until_the_speed_is_set(bench):
     assert "Torque is off" in b.command(1, 1, 1, 0).refusal
     assert "Torque is off" in b.take(b.driver.calibrate_fingers(b.now)).refusal
     b.run(1.0)
-    assert len(b.sent) == before and b.driver.state(b.now) is State.TORQUE_OFF
+    assert len(b.sent) == before and b.driver.state(b.now) is HandStatus.TORQUE_OFF
     b.take(b.driver.set_speed((3, 3, 3, 2), b.now))
     b.run(0.3)
     assert not b.command(1, 1, 1, 0).refusal
@@ -357,10 +357,10 @@ def test_position_mode_is_sent_again_after_a_pause(bench):
     b.run(1.0)
     b.device.set_silent(True)
     b.run(2.0)
-    assert b.driver.state(b.now) is State.SILENT
+    assert b.driver.state(b.now) is HandStatus.SILENT
     assert sum("silent" in note.text for note in b.notes) == 1
     assert "silent" in b.command(2, 2, 2, 0).refusal
-    assert status(b.driver, b.settings, "", b.now)[0] == "error"
+    assert status(b.driver, "", b.now)[0] == "error"
     before = len(b.sent)
     b.device.set_silent(False)
     b.run(1.0)
@@ -482,10 +482,10 @@ def test_joint_positions_of_the_model(bench):
 
 def test_status_names_the_servo_that_reports_an_error(bench):
     b = bench().calibrated()
-    assert status(b.driver, b.settings, "", b.now)[:2] == ("ok", "The hand is ready.")
+    assert status(b.driver, "", b.now)[:2] == ("ok", "The hand is ready.")
     b.device.set_servo(2, error=0x24)
     b.run(0.05)
-    assert status(b.driver, b.settings, "", b.now)[:2] == ("error", "Servo f3 reports overheating, overload.")
+    assert status(b.driver, "", b.now)[:2] == ("error", "Servo f3 reports overheating, overload.")
 
 
 actions = st.lists(
@@ -523,7 +523,7 @@ def test_any_sequence_of_events_leaves_a_driver_that_works(bench, plan, seed):
     for action in plan:
         do[action]()
         b.run(0.15)
-        status(b.driver, b.settings, "", b.now)
+        status(b.driver, "", b.now)
         low = -1.5 - 0.22 * plan.count("zero")
         assert all(low < angle < 4.2 for angle in b.device.state()["angles"]), action
     b.device.set_silent(False)
@@ -533,4 +533,4 @@ def test_any_sequence_of_events_leaves_a_driver_that_works(bench, plan, seed):
     b.run(12.0)
     b.take(b.driver.set_speed((3, 3, 3, 2), b.now))
     b.run(0.5)
-    assert b.driver.state(b.now) is State.READY
+    assert b.driver.state(b.now) is HandStatus.READY

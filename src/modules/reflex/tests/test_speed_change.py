@@ -2,14 +2,14 @@
 
 import pytest
 
-from reflex.speed_change import SpeedChange
+from reflex.motion import MotorSpeedChange
 
 PACKETS = [bytes.fromhex(text) for text in ("0101010101", "02 0164 0564 0164 04fb", "0102020202")]
 
 
 @pytest.mark.parametrize("poll", [0.001, 0.005, 0.05])
 def test_packets_keep_their_pauses(poll):
-    change, now, sent = SpeedChange((3, 3, 3, 2), 10.0), 10.0, []
+    change, now, sent = MotorSpeedChange((3, 3, 3, 2), 10.0), 10.0, []
     while not change.done:
         sent += [(now, packet) for packet in change.step(now)]
         now += poll

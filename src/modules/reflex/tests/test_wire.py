@@ -6,18 +6,18 @@ import time
 import numpy as np
 import pytest
 
-from common.errors import DeviceError
 from reflex.codec import GROUP, STATE_BYTES, decode_state, encode_mode, encode_target
-from reflex.hand import Hand
-from reflex.transport import Transport, interface_address
+from reflex.errors import WireFault
+from reflex.hand import HandLogic
+from reflex.transport import HandTransport, interface_address
 
 
 class Host:
     """The driver's loop."""
 
     def __init__(self, settings, calibration, port) -> None:
-        self.transport = Transport("lo", port)
-        self.hand = Hand(settings, *calibration, calibrated=False)
+        self.transport = HandTransport("lo", port)
+        self.hand = HandLogic(settings, *calibration, calibrated=False)
         self.notes = []
         self.reading = None
         self.act(self.hand.start())
@@ -67,7 +67,7 @@ def test_calibrates_commands_and_lets_go(simulated_hand, host):
     assert np.array(h.reading.contact).sum() == 1
     h.act(h.hand.stop())
     h.until(lambda: control.ask("state")["torque"] == [False] * 4)
-    counters = h.hand.link.counters
+    counters = h.hand.link.counts
     assert counters.packets > 20
     assert (counters.repeated, counters.malformed, counters.other_hands, counters.other_hosts) == (0, 0, 0, 0)
 
@@ -76,13 +76,13 @@ def test_survives_garbage_and_names_a_second_host(simulated_hand, host):
     _, port, control = simulated_hand()
     h = host(port)
     h.until(lambda: h.reading)
-    other = Transport("lo", port)
+    other = HandTransport("lo", port)
     for data in (b"", b"\1", bytes(STATE_BYTES), b"\1" + bytes(4000), encode_mode(2)):
         other.send(data)
     other.close()
-    h.until(lambda: h.hand.link.counters.malformed >= 4 and h.hand.link.counters.other_hosts == 1)
-    packets = h.hand.link.counters.packets
-    h.until(lambda: h.hand.link.counters.packets > packets + 3)
+    h.until(lambda: h.hand.link.counts.malformed >= 4 and h.hand.link.counts.other_hosts == 1)
+    packets = h.hand.link.counts.packets
+    h.until(lambda: h.hand.link.counts.packets > packets + 3)
     assert control.ask("state")["targets_received"] > 0
 
 
@@ -98,7 +98,7 @@ def test_the_hand_may_come_and_go(simulated_hand, processes, host):
 
 
 def test_own_packets_do_not_come_back(free_port):
-    transport = Transport("lo", free_port(socket.SOCK_DGRAM))
+    transport = HandTransport("lo", free_port(socket.SOCK_DGRAM))
     transport.send(encode_target((1, 2, 3, 4)))
     assert [transport.receive(0.05) for _ in range(3)] == [None] * 3
     transport.close()
@@ -110,7 +110,7 @@ def test_only_the_named_interface_is_heard(free_port):
     if not others:
         pytest.skip("this machine has no second interface with an IPv4 address")
     port = free_port(socket.SOCK_DGRAM)
-    here, there = Transport("lo", port), Transport(others[0], port)
+    here, there = HandTransport("lo", port), HandTransport(others[0], port)
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
     sender.sendto(b"simulated", (GROUP, port))
@@ -123,26 +123,26 @@ def test_only_the_named_interface_is_heard(free_port):
 def _has_address(name: str) -> bool:
     try:
         return bool(interface_address(name))
-    except DeviceError:
+    except WireFault:
         return False
 
 
 def test_an_absent_interface_is_one_sentence_with_those_there_are():
-    with pytest.raises(DeviceError, match=r"'eth77' does not exist; interfaces with an IPv4 address: .*lo"):
-        Transport("eth77", 11333)
+    with pytest.raises(WireFault, match=r"'eth77' does not exist; interfaces with an IPv4 address: .*lo"):
+        HandTransport("eth77", 11333)
 
 
 def test_a_port_in_use_is_one_sentence(free_port):
     port = free_port(socket.SOCK_DGRAM)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as selfish:
         selfish.bind(("", port))
-        with pytest.raises(DeviceError, match=f"Cannot use the multicast group {GROUP}:{port} on lo"):
-            Transport("lo", port)
+        with pytest.raises(WireFault, match=f"Cannot use the multicast group {GROUP}:{port} on lo"):
+            HandTransport("lo", port)
 
 
 def test_the_simulated_hand_sends_whole_packets(simulated_hand):
     _, port, _ = simulated_hand()
-    transport = Transport("lo", port)
+    transport = HandTransport("lo", port)
     datagrams = [transport.receive(2.0) for _ in range(5)]
     transport.close()
     times = [decode_state(data).device_time for data, _ in datagrams]

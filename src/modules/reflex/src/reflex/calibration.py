@@ -1,40 +1,56 @@
-"""What a hand's calibration consists of, and the yaml text in which it is kept. Pure: no files.
+"""Calibration of a hand, and the yaml text in which it is kept. Pure: no files.
 
 Keys and layout are those of the maker's driver: a comment line, then flow lists, six significant digits for angles.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
-from common.config import Schema, parse, vector
-from common.errors import ConfigError
 from reflex.codec import StatePacket
 from reflex.conversions import ENCODER_RAD, SIGNS, zero_reference
+from reflex.errors import CalibrationFileError
+
+_Record = TypeVar("_Record")
+
+
+def _range(length: int, unit: str, low: float, high: float) -> Any:
+    return field(metadata={"length": length, "unit": unit, "low": low, "high": high})
 
 
 @dataclass(frozen=True)
 class FingerZeros:
-    """Where the hand is open: encoder angles, shape (3,) [rad], and motors, shape (4,) [joint rad]."""
+    """Where the hand is open.
 
-    encoder_zero_reference: np.ndarray = vector(3, "rad", low=-6.3, high=6.3, doc="encoder angle that counts as open")
-    motor_zero_reference: np.ndarray = vector(4, "rad", low=0, high=300, doc="motor position that counts as open")
+    Attributes:
+        encoder_zero_reference: angles of the knuckle encoders, shape (3,) [rad].
+        motor_zero_reference: positions of the motors, shape (4,) [joint rad].
+    """
+
+    encoder_zero_reference: np.ndarray = _range(3, "rad", -6.3, 6.3)
+    motor_zero_reference: np.ndarray = _range(4, "rad", 0.0, 300.0)
 
 
 @dataclass(frozen=True)
 class TactileOffsets:
-    """Raw counts of untouched sensors, shape (9,) for each finger, sensors in the finger's own order."""
+    """Raw counts of untouched taxels, shape (9,) for each finger, in the finger's own order."""
 
-    tactile_offset_f1: np.ndarray = vector(9, "counts", low=0, high=65535, doc="untouched sensors of f1")
-    tactile_offset_f2: np.ndarray = vector(9, "counts", low=0, high=65535, doc="untouched sensors of f2")
-    tactile_offset_f3: np.ndarray = vector(9, "counts", low=0, high=65535, doc="untouched sensors of f3")
+    tactile_offset_f1: np.ndarray = _range(9, "counts", 0, 65535)
+    tactile_offset_f2: np.ndarray = _range(9, "counts", 0, 65535)
+    tactile_offset_f3: np.ndarray = _range(9, "counts", 0, 65535)
 
     def of_finger(self, finger: int) -> np.ndarray:
         """Returns the offsets of finger 0, 1 or 2, shape (9,)."""
         return (self.tactile_offset_f1, self.tactile_offset_f2, self.tactile_offset_f3)[finger]
+
+
+DEFAULT_ZEROS = FingerZeros(np.array([3.0, 3.0, 3.0]), np.array([59.0, 57.0, 58.0, 55.0]))
+DEFAULT_OFFSETS = TactileOffsets(*(np.full(9, 140.0) for _ in range(3)))
+"""Values for no hand in particular; a hand with these refuses commands until its fingers are calibrated."""
 
 
 def zeros_here(encoders: tuple[int, ...], positions: tuple[int, ...], slack: int) -> FingerZeros:
@@ -57,7 +73,7 @@ def open_positions(positions: tuple[int, ...], slack: int) -> tuple[int, ...]:
 
 
 def mean_offsets(packets: list[StatePacket]) -> TactileOffsets:
-    """Returns the mean counts of some packets as offsets, rounded to whole counts."""
+    """Returns the mean counts of the packets as offsets, rounded to whole counts."""
     means = np.rint(np.mean([p.pressures for p in packets], axis=0))
     return TactileOffsets(*means)
 
@@ -77,30 +93,43 @@ def offsets_text(offsets: TactileOffsets) -> str:
     return "# Written by the driver when the tactile sensors are zeroed [counts].\n" + "".join(lines)
 
 
-def zeros_from_text(text: str, where: str) -> FingerZeros:
-    """Returns the zeros in the text of a finger_calibrate.yaml; `where` names the file in the messages.
+def calibration_from_text(record: type[_Record], text: str, where: str) -> _Record:
+    """Returns FingerZeros or TactileOffsets from the text of their file; `where` names the file in the messages.
 
     Raises:
-        ConfigError: not yaml, or a key is missing, unknown or out of range.
+        CalibrationFileError: not yaml, or a key is missing, unknown or out of range.
     """
-    return _parse(FingerZeros, text, where)
-
-
-def offsets_from_text(text: str, where: str) -> TactileOffsets:
-    """Returns the offsets in the text of a tactile_calibrate.yaml; `where` names the file in the messages.
-
-    Raises:
-        ConfigError: not yaml, or a key is missing, unknown or out of range.
-    """
-    return _parse(TactileOffsets, text, where)
-
-
-def _parse(schema: type[Schema], text: str, where: str) -> Schema:
     try:
         values = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise ConfigError([f"{where} is not yaml: {' '.join(str(error).split())}."]) from None
-    return parse(schema, values, prefix=f"{where}: ")
+        raise CalibrationFileError(f"{where} is not yaml: {' '.join(str(error).split())}.") from None
+    if not isinstance(values, dict):
+        raise CalibrationFileError(f"{where} is {values!r}, but must be a mapping of keys to values.")
+    known = {f.name: f.metadata for f in fields(record)}  # type: ignore[arg-type]  # a TypeVar cannot say "a dataclass"
+    faults = [f"{where}: {key} is not a known key; known are {', '.join(known)}." for key in values if key not in known]
+    read = {}
+    for name, allowed in known.items():
+        value = values.get(name)
+        if not _in_range(value, allowed):
+            faults.append(
+                f"{where}: {name} is {value!r}, but must be a list of {allowed['length']} numbers in "
+                f"[{allowed['low']:g}, {allowed['high']:g}] {allowed['unit']}."
+            )
+            continue
+        read[name] = np.array(value, dtype=float)
+        read[name].setflags(write=False)
+    if faults:
+        raise CalibrationFileError(*faults)
+    return record(**read)
+
+
+def _in_range(value: Any, allowed: Any) -> bool:
+    return (
+        isinstance(value, (list, tuple))
+        and len(value) == allowed["length"]
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
+        and all(allowed["low"] <= v <= allowed["high"] for v in value)
+    )
 
 
 def _flow(values: np.ndarray) -> str:

@@ -1,8 +1,7 @@
 """The bytes of the ReFlex TakkTile hand: state packets come in little endian, command packets go out big endian.
 
-Pure: bytes in, records out and back. Raw counts only; what they mean in radians is in `conversions`. The wire carries
-no sequence number and no checksum, and the first byte of a state packet equals the mode command's code, so that length
-tells the kinds apart.
+Pure. Raw counts only; `conversions` turns them into radians. The wire carries no sequence number and no checksum. The
+first byte of a state packet equals the code of the mode command, so the length distinguishes them.
 """
 
 from __future__ import annotations
@@ -110,7 +109,7 @@ def encode_target(raw: Sequence[int]) -> bytes:
 
 
 def is_command(data: bytes) -> bool:
-    """Whether `data` is a packet from a host to the hand, such as a host hears when another one commands."""
+    """Returns whether `data` is a packet from a host to the hand; a host receives those of other hosts."""
     return (len(data) == MODE_BYTES and data[0] == _MODE_CODE) or (
         len(data) == TARGET_BYTES and data[0] == _TARGET_CODE
     )

@@ -1,4 +1,4 @@
-"""Raw counts of the ReFlex TakkTile hand and what they mean at its joints.
+"""Raw counts of the ReFlex TakkTile hand to angles, speeds and loads of its joints.
 
 A motor's joint angle is the turn of its tendon spool [rad], 0 = open: for a finger the sum of proximal and distal
 flexion. Motors in the order f1, f2, f3, preshape. f2 and preshape are mounted the other way round: closing lowers their
@@ -62,7 +62,7 @@ def ticks(motor: int, turn: float) -> float:
 
 
 def implausible_servos(positions: Sequence[int]) -> tuple[str, ...]:
-    """Returns the motors whose servo does not answer (0), or reports a position [ticks] near which none can be sent."""
+    """Returns the motors whose servo does not answer (0) or reports a position [ticks] that no target can have."""
     return tuple(
         f"{name} ({raw})"
         for name, raw in zip(MOTORS, positions)
@@ -87,8 +87,7 @@ def speed_units(motor: int, speed: float) -> int:
 def proximal_angle(raw: int, zero: float) -> float:
     """Returns the proximal angle [rad] of a knuckle encoder at `raw` counts that is open at `zero` [rad].
 
-    Closing lowers the count. The encoder turns through its end, so the angle is the one in [-pi/2, 3 pi/2), which holds
-    all that a finger can reach.
+    Closing lowers the count. The encoder wraps; the angle is the one in [-pi/2, 3 pi/2), the range of a finger.
     """
     return (zero - raw * ENCODER_RAD + PI / 2) % (2 * PI) - PI / 2
 

@@ -1,7 +1,7 @@
-"""Protects the fingers: an overloaded motor is loosened, a hot one is not driven further, the others stay as they are.
+"""Protects the fingers: loosens an overloaded motor, closes a hot one no further, leaves the others alone.
 
-A motor whose effort is too high gets a bound just before its measured angle. The bound stays until a command turns back
-from it, so that a stream of commands which still ask for more does not squeeze again and again. Joint angles in rad.
+A motor with too much effort gets a bound just before its measured angle. The bound stays until a command turns back
+from it, so that a stream of commands that still ask for more does not squeeze again and again. Joint angles in rad.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from reflex.conversions import MOTORS
-from reflex.reading import Reading
-from reflex.settings import Settings
+from reflex.reading import HandReading
+from reflex.settings import HandSettings
 
-RELIEVED_SHARE = 0.8
+RELIEVED_FRACTION = 0.8
 COOLING_DEGC = 3
 
 
 class EffortGuard:
-    """Bounds of the goals, and why they are there."""
+    """Bounds of the goals, and their causes."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: HandSettings) -> None:
         self._settings = settings
         self.reset()
 
     def reset(self) -> None:
-        """Takes all bounds away."""
+        """Removes all bounds."""
         self._low = np.zeros(4)
         self._high = np.array(self._settings.travel)
         self._overloaded = [False] * 4
@@ -34,17 +34,17 @@ class EffortGuard:
 
     @property
     def overloaded(self) -> tuple[str, ...]:
-        """Motors that are overloaded now."""
+        """Overloaded motors."""
         return tuple(name for name, on in zip(MOTORS, self._overloaded) if on)
 
     @property
     def hot(self) -> tuple[str, ...]:
-        """Motors that are hot now."""
+        """Hot motors."""
         return tuple(name for name, on in zip(MOTORS, self._hot) if on)
 
     @property
     def bounded(self) -> tuple[str, ...]:
-        """Motors that follow their commands only in part."""
+        """Motors whose goals are bounded."""
         inside = (self._low <= 0) & (self._high >= self._settings.travel)
         return tuple(name for name, free in zip(MOTORS, inside) if not free)
 
@@ -60,11 +60,13 @@ class EffortGuard:
         self._low = np.where((wanted > self._low) | (wanted >= travel), 0.0, self._low)
         return tuple(np.clip(wanted, self._low, self._high).tolist())
 
-    def check(self, reading: Reading, goals: Sequence[float], calibrated: bool) -> tuple[tuple[float, ...], list[str]]:
-        """Returns the goals [rad] by the rule, equal to `goals` where nothing is wrong, and news as sentences.
+    def check(
+        self, reading: HandReading, goals: Sequence[float], calibrated: bool
+    ) -> tuple[tuple[float, ...], list[str]]:
+        """Returns goals [rad] that protect the fingers, equal to `goals` where nothing is wrong, and news as sentences.
 
-        A motor outside of its travel, or of a hand that is not calibrated, is only stopped: which way is open for how
-        long is not known.
+        A motor outside of its travel, or of a hand that is not calibrated, is only stopped, because its distance from
+        open is unknown.
         """
         settings = self._settings
         new_goals, notes = list(goals), []
@@ -77,9 +79,9 @@ class EffortGuard:
             if overloaded and not self._overloaded[i]:
                 notes.append(f"Motor {name} is overloaded (load {load:.0f} of {settings.overload[i]:.0f}): loosened.")
             if hot and not self._hot[i]:
-                notes.append(f"Motor {name} has {temperature} degrees Celsius: it is not closed further.")
+                notes.append(f"Motor {name} has {temperature} degrees Celsius: it does not close further.")
             self._overloaded[i] = overloaded or (
-                self._overloaded[i] and abs(load) > RELIEVED_SHARE * settings.overload[i]
+                self._overloaded[i] and abs(load) > RELIEVED_FRACTION * settings.overload[i]
             )
             self._hot[i] = hot
             if overloaded and load > 0:

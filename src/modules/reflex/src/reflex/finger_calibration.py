@@ -1,9 +1,9 @@
-"""Finds where the fingers are open: draws the tendons in, step by step, until each knuckle begins to turn.
+"""Finds the open position of the fingers: draws the tendons in, step by step, until each knuckle begins to turn.
 
-The person opens the fingers first. The present encoder values are the encoders' zeros; each round every finger whose
-knuckle has not turned yet is closed by a small step; the motors' zeros lie a slack before the point where it has.
-Unlike the maker's, this calibration ends: it gives up on a bound of closing, time or load and on servos that do not
-answer, with a sentence. Pure: packets and time [s] are handed in, targets [ticks] come out.
+The user opens the fingers first. The present encoder values are the encoders' zeros. Each round closes every finger
+whose knuckle has not turned yet by a small step. The motors' zeros lie a slack before the point where it turned. The
+calibration gives up on a bound of closing, time or load and on servos that do not answer, with a sentence. Pure:
+packets and time [s] come in, targets [ticks] come out.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from dataclasses import dataclass
 from reflex.calibration import FingerZeros, open_positions, zeros_here
 from reflex.codec import StatePacket
 from reflex.conversions import ENCODER_RAD, FINGERS, PI, SIGNS, TURN_TICKS, implausible_servos
-from reflex.settings import Settings
+from reflex.settings import HandSettings
 
 _JUMP_TICKS = 200
 _TURN_TOLERANCE_TICKS = 40
 
 
 @dataclass(frozen=True)
-class Step:
-    """What a packet led to.
+class CalibrationStep:
+    """Result of a packet.
 
     Attributes:
         target: positions to send [ticks], or None.
         zeros: the result, when the calibration has succeeded.
-        failure: why it has failed, as a sentence, or empty.
+        failure: reason of a failure as a sentence, or empty.
     """
 
     target: tuple[int, ...] | None = None
@@ -36,9 +36,9 @@ class Step:
 
 
 class FingerCalibration:
-    """One calibration, from its first packet to success or failure."""
+    """One calibration, from its first packet to its end."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: HandSettings) -> None:
         self._settings = settings
         self._encoders: tuple[int, ...] = ()
         self._last_positions: tuple[int, ...] = ()
@@ -47,23 +47,27 @@ class FingerCalibration:
         self._origin: list[int] = []
         self._held: list[int | None] = [None] * 3
 
-    def step(self, packet: StatePacket, loads: Sequence[float], now: float) -> Step:
-        """Takes in the next packet, received at `now` [s], and the filtered loads [0.1 %] of the motors."""
+    def step(self, packet: StatePacket, loads: Sequence[float], now: float) -> CalibrationStep:
+        """Handles the next packet, received at `now` [s], with the filtered loads [0.1 %] of the motors."""
         silent = implausible_servos(packet.positions)
         if silent:
-            return Step(failure=f"The position of servo {', '.join(silent)} cannot be right: is its cable loose?")
+            return CalibrationStep(
+                failure=f"The position of servo {', '.join(silent)} cannot be right: is its cable loose?"
+            )
         if not self._encoders:
             self._encoders, self._start_time, self._round_time = packet.encoders, now, now
             self._origin = list(packet.positions)
             self._last_positions = packet.positions
-            return Step(target=self._closer(packet))
+            return CalibrationStep(target=self._closer(packet))
         turned = self._follow_jumps(packet)
         self._last_positions = packet.positions
         if turned is None:
-            return Step(target=packet.positions, failure="A servo's position jumped: its reports cannot be trusted.")
+            return CalibrationStep(
+                target=packet.positions, failure="A servo's position jumped: its reports cannot be trusted."
+            )
         failure = self._bound_reached(packet, loads, now)
         if failure:
-            return Step(target=tuple(self._origin), failure=failure)
+            return CalibrationStep(target=tuple(self._origin), failure=failure)
         for i in range(3):
             if self._held[i] is None and self._knuckle_turn(packet, i) > self._settings.calibration_moved:
                 self._held[i] = packet.positions[i]
@@ -71,11 +75,11 @@ class FingerCalibration:
         if len(held) == len(self._held):
             slack = self._settings.calibration_slack
             zeros = zeros_here(self._encoders, (*held, packet.positions[3]), slack)
-            return Step(target=open_positions((*held, packet.positions[3]), slack), zeros=zeros)
+            return CalibrationStep(target=open_positions((*held, packet.positions[3]), slack), zeros=zeros)
         if turned or now - self._round_time >= self._settings.calibration_round:
             self._round_time = now
-            return Step(target=self._closer(packet))
-        return Step()
+            return CalibrationStep(target=self._closer(packet))
+        return CalibrationStep()
 
     def _closer(self, packet: StatePacket) -> tuple[int, ...]:
         step = self._settings.calibration_step

@@ -1,8 +1,8 @@
 """The hand as one state machine: packets and requests go in, packets to send and readings come out.
 
-Pure: every call takes the time `now` [s, monotonic] and returns a Result; nothing is sent, saved or logged here. Angles
-are joint angles [rad], motors f1, f2, f3, preshape, 0 = open. A target goes only to a hand that is heard, has torque
-and stands where its calibration makes sense; everything else is refused with a sentence.
+Pure: every call takes the time `now` [s, monotonic] and returns a HandUpdate; it sends, saves and logs nothing. Angles
+are joint angles [rad] of the motors f1, f2, f3, preshape; 0 is open. A target goes only to a hand that sends packets,
+has torque and whose angles fit its calibration. Everything else is refused with a sentence.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from reflex.calibration import FingerZeros, TactileOffsets, mean_offsets, open_p
 from reflex.codec import IDLE, POSITION, StatePacket, encode_mode
 from reflex.conversions import implausible_servos
 from reflex.finger_calibration import FingerCalibration
-from reflex.link import Arrival, Link
-from reflex.motion import Motion, Note
-from reflex.reading import Reader, Reading
-from reflex.settings import Settings
+from reflex.link import PacketArrival, PacketFilter
+from reflex.motion import HandNote, MotorGoals
+from reflex.reading import HandReader, HandReading
+from reflex.settings import HandSettings
 
 _COMPLAINT_PERIOD_S = 10.0
 
 
-class State(Enum):
-    """What the hand does."""
+class HandStatus(Enum):
+    """State of the hand."""
 
     WAITING = "waiting"
     SILENT = "silent"
@@ -36,83 +36,93 @@ class State(Enum):
 
 
 @dataclass(frozen=True)
-class Result:
-    """What a packet, a request or the passing of time led to.
+class HandUpdate:
+    """Result of a packet, a request or the passing of time.
 
     Attributes:
-        send: packets for the hand, in their order.
+        send: packets for the hand, in order.
         notes: for the log.
-        refusal: why a request was not followed, as a sentence; empty when it was.
-        reading: what the hand measured, when a packet came.
+        refusal: reason why a request was not followed, as a sentence, or empty.
+        reading: measurements, when a packet came.
         zeros: new zeros of the fingers, to be saved.
         offsets: new zeros of the tactile sensors, to be saved.
     """
 
     send: tuple[bytes, ...] = ()
-    notes: tuple[Note, ...] = ()
+    notes: tuple[HandNote, ...] = ()
     refusal: str = ""
-    reading: Reading | None = None
+    reading: HandReading | None = None
     zeros: FingerZeros | None = None
     offsets: TactileOffsets | None = None
 
 
-class Hand:
-    """State of one hand.
+class HandLogic:
+    """State machine of one hand.
 
     Args:
         settings: the driver's settings.
         zeros: where the fingers are open.
         offsets: counts of the untouched tactile sensors.
-        calibrated: whether the zeros are those of this hand; if not, commands are refused until it is calibrated.
+        calibrated: whether the zeros are those of this hand; if not, it refuses commands until it is calibrated.
     """
 
-    def __init__(self, settings: Settings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
+    def __init__(self, settings: HandSettings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
         self._settings = settings
         self._zeros = zeros
         self._calibrated = calibrated
         self._offsets = offsets
         self._thresholds: tuple[tuple[int, ...], ...] = ((settings.default_contact_threshold,) * 9,) * 3
-        self.link = Link(settings.silence_time)
-        self.motion = Motion(settings)
-        self._reader = Reader()
+        self.link = PacketFilter(settings.silence_time)
+        self.motion = MotorGoals(settings)
+        self._reader = HandReader()
         self._torque = True
-        self._speeds = tuple(settings.default_speed.tolist())
+        self._speeds: tuple[float, ...] = tuple(settings.default_speed)
         self._calibration: FingerCalibration | None = None
         self._requests: dict[str, float] = {}
         self._tactile: list[StatePacket] | None = None
         self._waiting_command: tuple[float, ...] | None = None
-        self._reading: Reading | None = None
+        self._reading: HandReading | None = None
         self._complaint_time = -math.inf
         self.calibration_outcome = "none yet"
         self.commands = 0
         self.refused = 0
         self._begin()
 
-    def state(self, now: float) -> State:
-        """Returns what the hand does at `now`."""
+    def state(self, now: float) -> HandStatus:
+        """Returns the state of the hand at `now`."""
         if not self.link.alive(now):
-            return State.SILENT if self.link.heard() else State.WAITING
+            return HandStatus.SILENT if self.link.heard() else HandStatus.WAITING
         if not self._torque:
-            return State.TORQUE_OFF
+            return HandStatus.TORQUE_OFF
         if self._calibration:
-            return State.CALIBRATING
-        return State.CHANGING_SPEED if self.motion.changing_speed else State.READY
+            return HandStatus.CALIBRATING
+        return HandStatus.CHANGING_SPEED if self.motion.changing_speed else HandStatus.READY
 
     @property
-    def reading(self) -> Reading | None:
+    def calibrated(self) -> bool:
+        """Whether the zeros are those of this hand."""
+        return self._calibrated
+
+    @property
+    def calibrating(self) -> bool:
+        """Whether a calibration of the fingers is requested or under way."""
+        return self._calibration is not None or "calibrate_fingers" in self._requests
+
+    @property
+    def reading(self) -> HandReading | None:
         """The last reading."""
         return self._reading
 
-    def start(self) -> Result:
-        """Returns the packet that a driver begins with: torque on, targets are positions."""
-        return Result(send=(encode_mode(POSITION),))
+    def start(self) -> HandUpdate:
+        """Returns the first packet of a driver: torque on, targets are positions."""
+        return HandUpdate(send=(encode_mode(POSITION),))
 
-    def stop(self) -> Result:
-        """Returns the packet that a driver ends with: torque off."""
-        return Result(send=(encode_mode(IDLE),))
+    def stop(self) -> HandUpdate:
+        """Returns the last packet of a driver: torque off."""
+        return HandUpdate(send=(encode_mode(IDLE),))
 
-    def receive(self, data: bytes, source: tuple, now: float) -> Result:
-        """Takes a datagram in that came from `source` (address, port)."""
+    def receive(self, data: bytes, source: tuple, now: float) -> HandUpdate:
+        """Handles a datagram from `source` (address, port)."""
         self._begin()
         arrival, packet, why = self.link.sort(data, source, now)
         if packet is None:
@@ -121,7 +131,7 @@ class Hand:
                 self._note("warning", why)
             return self._result()
         previous = self._reading.packet if self._reading else None
-        if arrival is not Arrival.NEXT:
+        if arrival is not PacketArrival.NEXT:
             self._appeared(arrival, packet, now)
             previous = None
         elif previous and implausible_servos(previous.positions) and not implausible_servos(packet.positions):
@@ -139,8 +149,8 @@ class Hand:
             self._notes.extend(notes)
         return self._result(reading)
 
-    def tick(self, now: float) -> Result:
-        """Lets time pass: packets of a speed change, silence, requests that waited too long."""
+    def tick(self, now: float) -> HandUpdate:
+        """Handles the passing of time: packets of a speed change, silence, requests that waited too long."""
         self._begin()
         self._send.extend(self.motion.step(now))
         if self.link.watch(now):
@@ -154,12 +164,12 @@ class Hand:
                 self._note("error", f"{name} was given up: no packet came for {self._settings.request_time:g} s.")
         return self._result()
 
-    def command(self, angles: Sequence[float], now: float) -> Result:
-        """Sends the motors to joint angles [rad], clamped to their travel; waits for the end of a calibration."""
+    def command(self, angles: Sequence[float], now: float) -> HandUpdate:
+        """Sends the motors to joint angles [rad], clamped to their travel; during a calibration, after its end."""
         self._begin()
         angles = tuple(float(a) for a in angles)
         if not all(math.isfinite(a) for a in angles):
-            return self._refuse(f"The command {list(angles)} is not finite; the last one stays.")
+            return self._refuse(f"The command {list(angles)} is not finite; the last goal stays.")
         refusal = self._not_ready(now)
         if refusal:
             return self._refuse(refusal)
@@ -169,7 +179,7 @@ class Hand:
         refusal = self._command(angles)
         return self._refuse(refusal) if refusal else self._result()
 
-    def command_raw(self, positions: Sequence[int], now: float) -> Result:
+    def command_raw(self, positions: Sequence[int], now: float) -> HandUpdate:
         """Sends the servos to positions [ticks] as they are; for tests of the hand. Refused during a calibration."""
         self._begin()
         refusal = self._not_ready(now) or ("The fingers are being calibrated." if self._calibration else "")
@@ -179,7 +189,7 @@ class Hand:
         self._aim(tuple(int(p) for p in positions))
         return self._result()
 
-    def set_speed(self, speeds: Sequence[float], now: float) -> Result:
+    def set_speed(self, speeds: Sequence[float], now: float) -> HandUpdate:
         """Begins to set the joint speeds [rad/s]; the state is CHANGING_SPEED until it is done. Switches torque on."""
         self._begin()
         reading = self._reading
@@ -200,8 +210,8 @@ class Hand:
             self._aim(reading.packet.positions)
         return self._result()
 
-    def disable_torque(self) -> Result:
-        """Lets all motors go, whatever they do; torque returns with `set_speed`."""
+    def disable_torque(self) -> HandUpdate:
+        """Lets all motors go; torque returns with `set_speed`."""
         self._begin()
         self._torque = False
         self._waiting_command = None
@@ -212,8 +222,8 @@ class Hand:
         self._send.append(encode_mode(IDLE))
         return self._result()
 
-    def calibrate_fingers(self, now: float) -> Result:
-        """Asks for the finger calibration, which begins with the next packet; no effect while one is under way."""
+    def calibrate_fingers(self, now: float) -> HandUpdate:
+        """Requests the finger calibration, which begins with the next packet; no effect during one."""
         self._begin()
         if not self._torque:
             return self._refuse("Torque is off; set_speed switches it on again.")
@@ -221,21 +231,21 @@ class Hand:
             self._requests["calibrate_fingers"] = now
         return self._result()
 
-    def calibrate_tactile(self, now: float) -> Result:
-        """Asks for the tactile sensors to be zeroed over the next packets."""
+    def calibrate_tactile(self, now: float) -> HandUpdate:
+        """Requests that the next packets zero the tactile sensors."""
         self._begin()
         self._requests["calibrate_tactile"] = now
         return self._result()
 
-    def zero_pose(self, now: float) -> Result:
-        """Asks for the pose of the next packet to be taken as zero, the fingers let out by the slack."""
+    def zero_pose(self, now: float) -> HandUpdate:
+        """Requests that the pose of the next packet becomes zero, with the fingers let out by the slack."""
         self._begin()
         if self._calibration:
             return self._refuse("The fingers are being calibrated.")
         self._requests["zero_pose"] = now
         return self._result()
 
-    def set_thresholds(self, thresholds: Sequence[Sequence[int]]) -> Result:
+    def set_thresholds(self, thresholds: Sequence[Sequence[int]]) -> HandUpdate:
         """Sets the contact thresholds, three times nine counts."""
         self._begin()
         self._thresholds = tuple(tuple(row) for row in thresholds)
@@ -243,17 +253,17 @@ class Hand:
 
     def _begin(self) -> None:
         self._send: list[bytes] = []
-        self._notes: list[Note] = []
+        self._notes: list[HandNote] = []
         self._new_zeros: FingerZeros | None = None
         self._new_offsets: TactileOffsets | None = None
 
-    def _result(self, reading: Reading | None = None, refusal: str = "") -> Result:
-        return Result(tuple(self._send), tuple(self._notes), refusal, reading, self._new_zeros, self._new_offsets)
+    def _result(self, reading: HandReading | None = None, refusal: str = "") -> HandUpdate:
+        return HandUpdate(tuple(self._send), tuple(self._notes), refusal, reading, self._new_zeros, self._new_offsets)
 
     def _note(self, level: str, text: str) -> None:
-        self._notes.append(Note(level, text))
+        self._notes.append(HandNote(level, text))
 
-    def _refuse(self, sentence: str) -> Result:
+    def _refuse(self, sentence: str) -> HandUpdate:
         self.refused += 1
         return self._result(refusal=sentence)
 
@@ -265,24 +275,24 @@ class Hand:
             return self._silent_sentence()
         return "" if self._torque else "Torque is off; set_speed switches it on again."
 
-    def _appeared(self, arrival: Arrival, packet: StatePacket, now: float) -> None:
-        """The first packet ever, after a silence, or after the hand was switched off and on."""
+    def _appeared(self, arrival: PacketArrival, packet: StatePacket, now: float) -> None:
+        """Handles the first packet ever, after a silence, or after a restart of the hand."""
         if self._calibration:
             self._fail("The hand was interrupted.")
         self._reader.reset()
-        if arrival is Arrival.RESUMED:
+        if arrival is PacketArrival.RESUMED:
             self._note("info", "The hand is heard again.")
             if not self.motion.changing_speed:
                 self._send.append(encode_mode(POSITION if self._torque else IDLE))
             return
-        if arrival is Arrival.FIRST:
-            self._note("info", "The hand is there.")
+        if arrival is PacketArrival.FIRST:
+            self._note("info", "The hand is connected.")
         else:
             self._note("warning", "The hand was switched off and on: calibrate its fingers before they are used.")
         self._start_servos(packet, now)
 
     def _start_servos(self, packet: StatePacket, now: float) -> None:
-        """Servos may have lost torque, speed and turn: gives them the first two again and keeps them where they are."""
+        """Servos may have lost torque, speed and turn: restores the first two and holds them where they are."""
         self.motion.reset()
         silent = implausible_servos(packet.positions)
         if silent:
@@ -320,7 +330,7 @@ class Hand:
         if self._torque:
             self._aim(open_positions(packet.positions, slack))
 
-    def _calibrate(self, calibration: FingerCalibration, reading: Reading, now: float) -> None:
+    def _calibrate(self, calibration: FingerCalibration, reading: HandReading, now: float) -> None:
         step = calibration.step(reading.packet, reading.loads, now)
         if step.target is not None:
             self._aim(step.target)
@@ -351,7 +361,7 @@ class Hand:
         self._send.extend(self.motion.aim(positions))
 
     def _command(self, angles: tuple[float, ...]) -> str:
-        """Sends the motors to `angles`; returns why not, or an empty text."""
+        """Sends the motors to `angles`; returns the reason of a refusal, or an empty text."""
         if not self._calibrated or self._reading is None:
             return "This hand has never been calibrated: calibrate the fingers."
         zeros = self._zeros.motor_zero_reference

@@ -1,7 +1,7 @@
-"""Sorts what comes in on the hand's multicast group: whole, from one hand, new, and in which relation to the last one.
+"""Filters the datagrams on the hand's multicast group, and finds pauses and restarts of the hand.
 
-Pure: datagrams, their senders and the time [s] are handed in. The device time in a state packet is the hand's own clock
-[microseconds since it was switched on], which tells a pause of the network from a hand that was switched off.
+Pure: datagrams, their senders and the time [s] come in as arguments. The device time in a state packet is the hand's
+clock [microseconds since power-up], which tells a pause of the network from a restart of the hand.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ _MICROSECONDS = 1e-6
 _LONGEST_REORDERING_S = 0.2
 
 
-class Arrival(Enum):
-    """What a datagram is."""
+class PacketArrival(Enum):
+    """Relation of a datagram to the packet before it."""
 
     DROPPED = "dropped"
     FIRST = "first"
@@ -31,8 +31,8 @@ class Arrival(Enum):
 
 
 @dataclass
-class Counters:
-    """What came in so far."""
+class PacketCounts:
+    """Datagrams so far."""
 
     packets: int = 0
     lost: int = 0
@@ -44,11 +44,11 @@ class Counters:
     restarts: int = 0
 
 
-class Link:
-    """Tells the packets of the hand from everything else.
+class PacketFilter:
+    """Separates the packets of one hand from everything else.
 
     Args:
-        silence_time: without a packet for so long the hand is silent [s].
+        silence_time: without a packet for this long the hand is silent [s].
     """
 
     def __init__(self, silence_time: float) -> None:
@@ -57,7 +57,7 @@ class Link:
         self._last_time = 0.0
         self._source: tuple | None = None
         self._missed = False
-        self.counters = Counters()
+        self.counts = PacketCounts()
 
     def heard(self) -> bool:
         """Whether a packet ever came."""
@@ -68,7 +68,7 @@ class Link:
         return self._last is not None and now - self._last_time <= self._silence_time
 
     def watch(self, now: float) -> bool:
-        """Looks whether the hand is silent; true once, when the silence begins."""
+        """Returns true once, when a silence begins."""
         begins = self.heard() and not self.alive(now) and not self._missed
         self._missed = self._missed or begins
         return begins
@@ -77,65 +77,56 @@ class Link:
         """Returns the time since the last packet [s]; infinite before the first."""
         return now - self._last_time if self._last is not None else float("inf")
 
-    def sort(self, data: bytes, source: tuple, now: float) -> tuple[Arrival, StatePacket | None, str]:
-        """Takes a datagram in.
-
-        Args:
-            data: the datagram.
-            source: address and port of its sender.
-            now: time of its arrival [s].
-
-        Returns:
-            What it is, the packet unless it is dropped, and why it was dropped, as a sentence.
-        """
+    def sort(self, data: bytes, source: tuple, now: float) -> tuple[PacketArrival, StatePacket | None, str]:
+        """Returns the arrival of a datagram, its packet unless dropped, and the reason of a drop as a sentence."""
         if is_command(data):
-            self.counters.other_hosts += 1
-            return Arrival.DROPPED, None, f"Another program ({_name(source)}) sends commands to the hand."
+            self.counts.other_hosts += 1
+            return PacketArrival.DROPPED, None, f"Another program ({_name(source)}) sends commands to the hand."
         try:
             packet = decode_state(data)
         except PacketError as error:
-            self.counters.malformed += 1
-            return Arrival.DROPPED, None, f"{error} It came from {_name(source)}."
+            self.counts.malformed += 1
+            return PacketArrival.DROPPED, None, f"{error} It came from {_name(source)}."
         if self.alive(now) and source != self._source:
-            self.counters.other_hands += 1
+            self.counts.other_hands += 1
             why = f"A second hand ({_name(source)}) sends on the port of the first ({_name(self._source)})."
-            return Arrival.DROPPED, None, why
+            return PacketArrival.DROPPED, None, why
         arrival = self._relate(packet, now)
-        if arrival is Arrival.DROPPED:
-            self.counters.repeated += 1
+        if arrival is PacketArrival.DROPPED:
+            self.counts.repeated += 1
             return arrival, None, ""
-        self.counters.packets += 1
-        self.counters.restarts += arrival is Arrival.RESTARTED
+        self.counts.packets += 1
+        self.counts.restarts += arrival is PacketArrival.RESTARTED
         self._last, self._last_time, self._source = packet, now, source
         self._missed = False
         return arrival, packet, ""
 
-    def _relate(self, packet: StatePacket, now: float) -> Arrival:
+    def _relate(self, packet: StatePacket, now: float) -> PacketArrival:
         """Compares the hand's clock with the host's.
 
-        A host that was busy takes packets late, so that the hand's clock falls behind only in appearance; that counts
-        as a restart only after a silence that `watch` has seen.
+        A busy host reads packets late, so the hand's clock only appears to fall behind. That counts as a restart only
+        after a silence that `watch` reported.
         """
         if self._last is None:
-            return Arrival.FIRST
+            return PacketArrival.FIRST
         host_step = now - self._last_time
         device_step = _signed((packet.device_time - self._last.device_time) * _MICROSECONDS)
         repeated = device_step == 0 and host_step < PERIOD_S / 2
         if not self._missed and (repeated or -_LONGEST_REORDERING_S < device_step < 0):
-            return Arrival.DROPPED
+            return PacketArrival.DROPPED
         behind = _signed(host_step - device_step)
         tolerance = CLOCK_TOLERANCE_S + CLOCK_DRIFT * host_step
         if behind < -tolerance or (self._missed and behind > tolerance) or (not self._missed and device_step < 0):
-            return Arrival.RESTARTED
+            return PacketArrival.RESTARTED
         if self._missed:
-            return Arrival.RESUMED
-        self.counters.lost += max(0, round(device_step / PERIOD_S) - 1)
-        self.counters.late += host_step - device_step > PERIOD_S
-        return Arrival.NEXT
+            return PacketArrival.RESUMED
+        self.counts.lost += max(0, round(device_step / PERIOD_S) - 1)
+        self.counts.late += host_step - device_step > PERIOD_S
+        return PacketArrival.NEXT
 
 
 def _signed(step: float) -> float:
-    """Returns the step [s] around the end of the hand's clock, at most half its range either way."""
+    """Returns the step [s] across the wrap of the hand's clock, at most half its range either way."""
     wrap = _CLOCK_WRAP * _MICROSECONDS
     return (step + wrap / 2) % wrap - wrap / 2
 

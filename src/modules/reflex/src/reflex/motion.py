@@ -1,7 +1,7 @@
-"""Where the motors are to go: goals, their limits, and the packets that say so.
+"""Goals of the motors, their limits, changes of speed, and the packets for them.
 
-Goals are kept in servo positions [ticks], so that what stays is sent again unchanged. While the speed is being changed
-the hand would read a target as a speed; the newest one waits. Pure: time [s] is handed in, packets come out.
+Goals are servo positions [ticks], so that a goal that stays is sent again unchanged. During a change of speed the hand
+would read a target as a speed; the newest target waits. Pure: time [s] comes in, packets come out.
 """
 
 from __future__ import annotations
@@ -11,33 +11,62 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reflex.codec import StatePacket, encode_target
-from reflex.conversions import MOTORS, TURN_TICKS, all_joint_angles, implausible_servos, raw_target, ticks
+from reflex.codec import POSITION, VELOCITY, StatePacket, encode_mode, encode_target
+from reflex.conversions import MOTORS, TURN_TICKS, all_joint_angles, implausible_servos, raw_target, speed_units, ticks
 from reflex.effort import EffortGuard
-from reflex.reading import Reading
-from reflex.settings import Settings
-from reflex.speed_change import SpeedChange
+from reflex.reading import HandReading
+from reflex.settings import HandSettings
 
-# A servo at full speed needs a second for so many ticks.
+# A servo at full speed needs a second for this many ticks.
 _JUMP_TICKS = TURN_TICKS - 124
+
+PAUSES_S = (0.020, 0.035, 0.035)
+"""After each packet of a change of speed [s]."""
 
 
 @dataclass(frozen=True)
-class Note:
-    """Something that a person should read; level is "info", "warning" or "error"."""
+class HandNote:
+    """A sentence for the log; level is "info", "warning" or "error"."""
 
     level: str
     text: str
 
 
-class Motion:
+class MotorSpeedChange:
+    """One change of the four joint speeds [rad/s], begun at `now` [s]: three packets with pauses between them.
+
+    The hand reads targets as speeds in velocity mode, in which torque is off.
+
+    Raises:
+        ValueError: a speed is not finite.
+    """
+
+    def __init__(self, speeds: Sequence[float], now: float) -> None:
+        units = [speed_units(i, speed) for i, speed in enumerate(speeds)]
+        self._packets = [encode_mode(VELOCITY), encode_target(units), encode_mode(POSITION)]
+        self._pauses = list(PAUSES_S)
+        self._due = now
+        self.done = False
+
+    def step(self, now: float) -> tuple[bytes, ...]:
+        """Returns the packet that is due, if one is; `done` is true one pause after the last."""
+        if now < self._due:
+            return ()
+        if not self._packets:
+            self.done = True
+            return ()
+        self._due = now + self._pauses.pop(0)
+        return (self._packets.pop(0),)
+
+
+class MotorGoals:
     """The goals of the four motors."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: HandSettings) -> None:
         self._settings = settings
         self.guard = EffortGuard(settings)
         self._goals: tuple[int, ...] | None = None
-        self._change: SpeedChange | None = None
+        self._change: MotorSpeedChange | None = None
         self._waiting: tuple[int, ...] | None = None
 
     @property
@@ -46,7 +75,7 @@ class Motion:
         return self._change is not None
 
     def reset(self) -> None:
-        """Forgets goals, limits and a change of speed: torque is off."""
+        """Drops goals, limits and a change of speed: torque is off."""
         self._goals = self._change = self._waiting = None
         self.guard.reset()
 
@@ -56,11 +85,11 @@ class Motion:
         Raises:
             ValueError: a speed is not finite.
         """
-        self._change = SpeedChange(speeds, now)
+        self._change = MotorSpeedChange(speeds, now)
         return self._change.step(now)
 
     def step(self, now: float) -> tuple[bytes, ...]:
-        """Returns what is due by now: packets of a change of speed, then the target that waited for its end."""
+        """Returns the packets that are due: those of a change of speed, then the target that waited for its end."""
         if self._change is None:
             return ()
         packets = self._change.step(now)
@@ -89,7 +118,7 @@ class Motion:
             zeros: motor zeros [joint rad].
 
         Returns:
-            The packets, and why there are none as a sentence.
+            The packets, and the reason of a refusal as a sentence.
         """
         margin, travel = self._settings.travel_margin, self._settings.travel
         silent = implausible_servos(positions)
@@ -108,12 +137,12 @@ class Motion:
         return self.aim(goals), ""
 
     def protect(
-        self, reading: Reading, previous: StatePacket | None, zeros: np.ndarray, calibrated: bool
-    ) -> tuple[tuple[bytes, ...], list[Note]]:
-        """Looks at a new reading for what must not go on.
+        self, reading: HandReading, previous: StatePacket | None, zeros: np.ndarray, calibrated: bool
+    ) -> tuple[tuple[bytes, ...], list[HandNote]]:
+        """Holds or loosens motors that must stop.
 
         A motor whose servo suddenly counts from another turn would wind on to its old goal: it is held. An overloaded
-        one is loosened. The others keep the goals that they were last sent to.
+        motor is loosened. The others keep their goals.
 
         Args:
             reading: the new reading.
@@ -135,11 +164,11 @@ class Motion:
             if jumped:
                 names = ", ".join(MOTORS[i] for i in jumped)
                 text = f"The position of motor {names} jumped by a turn: held there, calibrate the fingers."
-                notes.append(Note("error", text))
+                notes.append(HandNote("error", text))
         if not self._change:
             angles = all_joint_angles(goals, zeros)
             relieved, news = self.guard.check(reading, angles, calibrated)
-            notes.extend(Note("warning", text) for text in news)
+            notes.extend(HandNote("warning", text) for text in news)
             for i, (old, new) in enumerate(zip(angles, relieved)):
                 if new != old:
                     goals[i] += round(ticks(i, new - old))

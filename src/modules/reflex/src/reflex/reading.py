@@ -1,4 +1,4 @@
-"""What the hand measures, in units of its joints: the maker's conversions of a state packet.
+"""Measurements of the hand in units of its joints: the maker's conversions of a state packet.
 
 Fingers f1, f2, f3 (index, middle, thumb), motors f1, f2, f3, preshape; angles in rad, 0 = open.
 """
@@ -25,14 +25,14 @@ JOINT_NAMES = (
 
 
 @dataclass(frozen=True)
-class Reading:
+class HandReading:
     """A state packet in units of the joints.
 
     Attributes:
         proximal: turn of each knuckle [rad].
         distal: estimated flexion of each finger's outer link [rad], never negative.
         pressure: three times nine counts above the untouched sensor.
-        contact: three times nine, whether the pressure is above the sensor's threshold.
+        contact: three times nine, whether the pressure is above the taxel's threshold.
         joint_angles: turn of each motor's spool [rad].
         loads: filtered load of each motor [0.1 % of the largest torque], positive = closing effort.
         packet: the raw counts.
@@ -47,24 +47,24 @@ class Reading:
     packet: StatePacket
 
     @property
-    def dead_cells(self) -> tuple[str, ...]:
-        """Tactile sensors that never answered the hand, such as "f1.3"; their raw count is 0."""
+    def dead_taxels(self) -> tuple[str, ...]:
+        """Taxels that never answered the hand, such as "f1.3"; their raw count is 0."""
         return tuple(
-            f"f{finger + 1}.{cell}"
+            f"f{finger + 1}.{taxel}"
             for finger, counts in enumerate(self.packet.pressures)
-            for cell, count in enumerate(counts)
+            for taxel, count in enumerate(counts)
             if count == 0
         )
 
 
-class Reader:
-    """Turns packets into readings; remembers the filtered load."""
+class HandReader:
+    """Turns packets into readings; filters the load."""
 
     def __init__(self) -> None:
         self._loads: tuple[float, ...] = (0.0,) * 4
 
     def reset(self) -> None:
-        """Lets the load filter start again at zero."""
+        """Restarts the load filter at zero."""
         self._loads = (0.0,) * 4
 
     def read(
@@ -73,7 +73,7 @@ class Reader:
         zeros: FingerZeros,
         offsets: TactileOffsets,
         thresholds: tuple[tuple[int, ...], ...],
-    ) -> Reading:
+    ) -> HandReading:
         """Returns the reading of the newest packet; `thresholds` are three times nine counts."""
         self._loads = tuple(
             NEW_LOAD_WEIGHT * closing_load(i, raw) + (1 - NEW_LOAD_WEIGHT) * old
@@ -86,7 +86,7 @@ class Reader:
             for finger in range(3)
         )
         contact = tuple(tuple(p > t for p, t in zip(pressure[finger], thresholds[finger])) for finger in range(3))
-        return Reading(
+        return HandReading(
             proximal=proximal,
             distal=tuple(max(0.0, angle - p) for angle, p in zip(angles, proximal)),
             pressure=pressure,
@@ -97,7 +97,7 @@ class Reader:
         )
 
 
-def joint_positions(reading: Reading) -> tuple[float, ...]:
+def joint_positions(reading: HandReading) -> tuple[float, ...]:
     """Returns the positions [rad] of the joints of the hand's model, in the order of JOINT_NAMES.
 
     The two swivels turn against each other about axes that point the same way.

@@ -1,48 +1,54 @@
-"""Schema of the driver's private parameters: config/reflex_takktile.yaml and the addresses of the launch file."""
+"""Settings of the hand's client; vectors of four are f1, f2, f3, preshape.
+
+The ROS driver checks ranges and takes the values from config/reflex_takktile.yaml; the defaults here are the same.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Tuple
 
-import numpy as np
-
-from common.config import integer, number, text, vector
-from reflex.conversions import MOTORS
-
-MAX_TRAVEL_RAD = (3.6, 3.6, 3.6, 1.75)
+Four = Tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Settings of the driver; vectors of four are f1, f2, f3, preshape."""
+class HandSettings:
+    """Settings of the state machine.
 
-    network_interface: str = text("interface on which the hand is, such as eth0; lo for the simulated hand")
-    port: int = integer(low=1, high=65535, doc="UDP port of hand and host")
-    calibration_folder: str = text("where calibrations are kept; may begin with ~")
+    Attributes:
+        travel: commands are clamped to 0..travel [rad].
+        default_speed: joint speeds sent when the hand appears [rad/s].
+        overload: filtered load above which a finger is loosened [0.1 % of the largest torque].
+        loosen_angle: how far from its measured angle it is loosened [rad].
+        hot: servo temperature from which a finger does not close further [degC].
+        travel_margin: a motor measured this far outside of its travel is not calibrated [rad].
+        default_contact_threshold: pressure above which a taxel is touched [counts].
+        silence_time: without a packet for this long the hand is silent [s].
+        request_time: how long a calibration waits for a silent hand [s].
+        tactile_packets: packets averaged to zero the taxels.
+        calibration_round: shortest time between two closing steps of the finger calibration [s].
+        calibration_step: closing step [ticks].
+        calibration_moved: turn of a knuckle that ends the closing of its finger [rad].
+        calibration_slack: distance of a finger's zero from the point where its knuckle turned [ticks].
+        calibration_max_closing: largest closing of a finger [ticks].
+        calibration_max_time: longest finger calibration [s].
+        calibration_max_load: load above which the calibration gives up [0.1 %].
+    """
 
-    travel: np.ndarray = vector(4, "rad", above=0, doc="commands are clamped to 0..travel")
-    default_speed: np.ndarray = vector(4, "rad/s", above=0, high=3.5, doc="sent when the hand appears")
-    overload: np.ndarray = vector(4, "0.1 %", above=0, high=1000, doc="filtered load above which a finger is loosened")
-    loosen_angle: float = number("rad", above=0, high=0.5, doc="how far from the measured angle it is loosened")
-    hot: float = number("degC", above=0, high=80, doc="servo temperature from which a finger is not closed further")
-    travel_margin: float = number("rad", above=0, high=0.8, doc="measured angles this far outside of travel are wrong")
-    default_contact_threshold: int = integer("counts", low=0, high=65535, doc="pressure above which a cell is touched")
-    silence_time: float = number("s", above=0.05, high=5, doc="without a packet for so long the hand is silent")
-    request_time: float = number("s", above=0, high=30, doc="how long a calibration waits for a silent hand")
-
-    tactile_packets: int = integer("packets", low=1, high=200, doc="averaged to zero the tactile sensors")
-    calibration_round: float = number("s", low=0.02, high=1, doc="shortest time between two closing steps")
-    calibration_step: int = integer("ticks", low=1, high=20, doc="closing step")
-    calibration_moved: float = number("rad", above=0, high=0.5, doc="turn of the knuckle that ends a finger's closing")
-    calibration_slack: int = integer("ticks", low=0, high=200, doc="how far a finger's zero is let out from there")
-    calibration_max_closing: int = integer("ticks", low=10, high=800, doc="no finger is closed further than this")
-    calibration_max_time: float = number("s", above=0, high=60, doc="the calibration gives up after this time")
-    calibration_max_load: float = number("0.1 %", above=0, high=1000, doc="the calibration gives up above this load")
-
-    def faults(self) -> list[str]:
-        """Returns what is wrong beyond the range of single fields: travel above what the hand's fingers can do."""
-        return [
-            f"travel of {name} is {value:g} rad; the hand has {most:g} rad at most."
-            for name, value, most in zip(MOTORS, self.travel, MAX_TRAVEL_RAD)
-            if value > most
-        ]
+    travel: Four = (3.6, 3.6, 3.6, 1.75)
+    default_speed: Four = (3.0, 3.0, 3.0, 2.0)
+    overload: Four = (350.0, 350.0, 350.0, 400.0)
+    loosen_angle: float = 0.05
+    hot: float = 70.0
+    travel_margin: float = 0.6
+    default_contact_threshold: int = 20
+    silence_time: float = 0.5
+    request_time: float = 5.0
+    tactile_packets: int = 8
+    calibration_round: float = 0.05
+    calibration_step: int = 6
+    calibration_moved: float = 0.05
+    calibration_slack: int = 50
+    calibration_max_closing: int = 250
+    calibration_max_time: float = 8.0
+    calibration_max_load: float = 350.0

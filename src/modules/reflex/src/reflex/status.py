@@ -1,33 +1,30 @@
-"""The state of the hand as one level, one sentence and its numbers, for whoever watches the rig."""
+"""The state of the hand as one level, one sentence and the values behind it."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 
 from reflex.conversions import MOTORS
-from reflex.hand import Hand, State
-from reflex.settings import Settings
+from reflex.hand import HandLogic, HandStatus
 
 ERROR_BITS = ("voltage", "angle limit", "overheating", "range", "checksum", "overload", "instruction")
 
 
-def status(hand: Hand, settings: Settings, wire_fault: str, now: float) -> tuple[str, str, dict[str, object]]:
+def status(hand: HandLogic, wire_fault: str, now: float) -> tuple[str, str, dict[str, object]]:
     """Returns level ("ok", "warning", "error"), one sentence, and the values.
 
     Args:
         hand: the hand.
-        settings: the driver's settings.
-        wire_fault: what is wrong with the sockets, or an empty text.
+        wire_fault: fault of the sockets, or an empty text.
         now: time [s].
     """
     state = hand.state(now)
     values: dict[str, object] = {
-        **asdict(hand.link.counters),
+        **asdict(hand.link.counts),
         "commands": hand.commands,
         "refused": hand.refused,
         "state": state.value,
         "calibration": hand.calibration_outcome,
-        "interface": settings.network_interface,
         "overloaded": ", ".join(hand.motion.guard.overloaded),
         "hot": ", ".join(hand.motion.guard.hot),
         "bounded": ", ".join(hand.motion.guard.bounded),
@@ -41,13 +38,13 @@ def status(hand: Hand, settings: Settings, wire_fault: str, now: float) -> tuple
             loads=", ".join(f"{load:.0f}" for load in reading.loads),
             temperatures=", ".join(map(str, packet.temperatures)),
             voltages=", ".join(f"{v / 10:.1f}" for v in packet.voltages),
-            dead_cells=", ".join(reading.dead_cells),
+            dead_cells=", ".join(reading.dead_taxels),
         )
         errors = [
             f"Servo {name} reports {', '.join(error_names(bits))}." for name, bits in zip(MOTORS, packet.errors) if bits
         ]
-    if state in (State.WAITING, State.SILENT):
-        sentence = "The hand has not been heard yet." if state is State.WAITING else "The hand is silent."
+    if state in (HandStatus.WAITING, HandStatus.SILENT):
+        sentence = "The hand has not been heard yet." if state is HandStatus.WAITING else "The hand is silent."
         return "error", f"{sentence} {wire_fault}".strip(), values
     if wire_fault or errors:
         return "error", " ".join([wire_fault, *errors]).strip(), values
@@ -56,9 +53,9 @@ def status(hand: Hand, settings: Settings, wire_fault: str, now: float) -> tuple
             return "warning", f"Motor {', '.join(motors)} is {what}.", values
     if hand.calibration_outcome.startswith("failed"):
         return "warning", f"The last finger calibration {hand.calibration_outcome}", values
-    if state is State.TORQUE_OFF:
+    if state is HandStatus.TORQUE_OFF:
         return "warning", "Torque is off.", values
-    if reading and reading.dead_cells:
+    if reading and reading.dead_taxels:
         return "warning", "Some tactile sensors do not answer.", values
     return "ok", f"The hand is {state.value}.", values
 

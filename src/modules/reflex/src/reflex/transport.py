@@ -1,6 +1,6 @@
 """The UDP multicast sockets between host and hand: both directions on one group and port, on one named interface.
 
-The host's own packets, which come back on `lo`, are dropped; nothing else is judged here.
+Drops the host's own packets, which come back on `lo`, and nothing else.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import fcntl
 import socket
 import struct
 
-from common.errors import DeviceError
 from reflex.codec import GROUP
+from reflex.errors import WireFault
 
 MAX_DATAGRAM_BYTES = 2048
 
@@ -20,7 +20,7 @@ _IP_MULTICAST_ALL = 49
 _INTERFACE_REQUEST = struct.Struct("256s")
 
 
-class Transport:
+class HandTransport:
     """Sends to and receives from the hand.
 
     Args:
@@ -28,7 +28,7 @@ class Transport:
         port: UDP port of hand and host.
 
     Raises:
-        DeviceError: there is no such interface, it has no IPv4 address, or the port is taken.
+        WireFault: there is no such interface, it has no IPv4 address, or the port is taken.
     """
 
     def __init__(self, interface: str, port: int) -> None:
@@ -51,14 +51,14 @@ class Transport:
             self._sender.setblocking(False)
         except OSError as error:
             self.close()
-            raise DeviceError(f"Cannot use the multicast group {self._name}: {error}.") from None
+            raise WireFault(f"Cannot use the multicast group {self._name}: {error}.") from None
         self._own = self._sender.getsockname()
 
     def receive(self, timeout: float) -> tuple[bytes, tuple[str, int]] | None:
         """Returns the next datagram and its sender, or None after `timeout` [s] or for a packet of our own.
 
         Raises:
-            DeviceError: the interface is gone.
+            WireFault: the interface is gone.
         """
         self._receiver.settimeout(timeout)
         try:
@@ -66,19 +66,19 @@ class Transport:
         except socket.timeout:
             return None
         except OSError as error:
-            raise DeviceError(f"Cannot receive from {self._name}: {error}.") from None
+            raise WireFault(f"Cannot receive from {self._name}: {error}.") from None
         return None if source == self._own else (data, source)
 
     def send(self, data: bytes) -> None:
         """Sends a packet to the hand.
 
         Raises:
-            DeviceError: the interface is down or gone.
+            WireFault: the interface is down or gone.
         """
         try:
             self._sender.sendto(data, self._to)
         except OSError as error:
-            raise DeviceError(f"Cannot send to {self._name}: {error}.") from None
+            raise WireFault(f"Cannot send to {self._name}: {error}.") from None
 
     def close(self) -> None:
         """Closes both sockets; may be called twice."""
@@ -90,14 +90,14 @@ def interface_address(name: str) -> str:
     """Returns the IPv4 address of an interface.
 
     Raises:
-        DeviceError: there is no such interface, or it has no IPv4 address; lists those that could be used.
+        WireFault: there is no such interface, or it has no IPv4 address; lists those that could be used.
     """
     addresses = _addresses()
     if addresses.get(name):
         return addresses[name]
     usable = ", ".join(sorted(other for other, address in addresses.items() if address)) or "none"
     what = "has no IPv4 address" if name in addresses else "does not exist"
-    raise DeviceError(f"The network interface {name!r} {what}; interfaces with an IPv4 address: {usable}.")
+    raise WireFault(f"The network interface {name!r} {what}; interfaces with an IPv4 address: {usable}.")
 
 
 def _addresses() -> dict[str, str]:

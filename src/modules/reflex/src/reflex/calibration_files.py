@@ -1,0 +1,95 @@
+"""The files in which a hand's calibration is kept, in a folder that the user may write."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+from typing import TypeVar
+
+from reflex.calibration import (
+    DEFAULT_OFFSETS,
+    DEFAULT_ZEROS,
+    FingerZeros,
+    TactileOffsets,
+    calibration_from_text,
+    offsets_text,
+    zeros_text,
+)
+from reflex.errors import CalibrationFileError
+
+FINGERS = "finger_calibrate.yaml"
+TACTILE = "tactile_calibrate.yaml"
+
+_Record = TypeVar("_Record")
+
+
+class CalibrationFiles:
+    """Reads and writes the two files.
+
+    Args:
+        folder: where they are kept; may begin with ~. Made when something is saved.
+        shipped: folder of the files that are read where none was saved; None: the values of this package.
+    """
+
+    def __init__(self, folder: str, shipped: Path | None = None) -> None:
+        self.folder = Path(os.path.expanduser(folder))
+        self._shipped = shipped
+
+    def load(self) -> tuple[FingerZeros, TactileOffsets, bool]:
+        """Returns both calibrations, and whether that of the fingers was saved for this hand.
+
+        Raises:
+            CalibrationFileError: a file cannot be read or holds something else.
+        """
+        zeros = self._read(FINGERS, FingerZeros, DEFAULT_ZEROS)
+        offsets = self._read(TACTILE, TactileOffsets, DEFAULT_OFFSETS)
+        return zeros, offsets, (self.folder / FINGERS).exists()
+
+    def save(self, calibration: FingerZeros | TactileOffsets) -> Path:
+        """Writes one calibration and returns its file.
+
+        Raises:
+            CalibrationFileError: the disk is full or the folder cannot be written; the old file is whole.
+        """
+        if isinstance(calibration, FingerZeros):
+            path, text = self.folder / FINGERS, zeros_text(calibration)
+        else:
+            path, text = self.folder / TACTILE, offsets_text(calibration)
+        try:
+            _write_whole(path, text)
+        except OSError as error:
+            raise CalibrationFileError(
+                f"Cannot write {path}: {error.strerror}; the calibration holds until the driver ends."
+            ) from None
+        return path
+
+    def _read(self, name: str, record: type[_Record], default: _Record) -> _Record:
+        path = self.folder / name
+        if not path.exists():
+            if self._shipped is None:
+                return default
+            path = self._shipped / name
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise CalibrationFileError(f"Cannot read {path}: {error}.") from None
+        return calibration_from_text(record, text, str(path))
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Writes a file in place of the old one, which stays whole if that fails; makes its folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}", dir=str(path.parent))
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+        raise

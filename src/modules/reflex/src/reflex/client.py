@@ -1,0 +1,343 @@
+"""The hand for a program: sockets, state machine and calibration files behind one object, with a receive thread.
+
+with ReflexHand(interface="eth0") as hand:
+    hand.close()
+    print(hand.state.joint_angles)
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from reflex.calibration_files import CalibrationFiles
+from reflex.errors import CalibrationFileError, CommandRefused, HandSilent, WireFault
+from reflex.hand import HandLogic, HandStatus, HandUpdate
+from reflex.motion import HandNote
+from reflex.reading import HandReading
+from reflex.settings import HandSettings
+from reflex.status import status
+from reflex.transport import HandTransport
+
+PORT = 11333
+RECEIVE_TIMEOUT_S = 0.005
+REOPEN_S = 2.0
+REMIND_S = 5.0
+SPEED_TIMEOUT_S = 2.0
+CLOSED_RAD = 2.5
+STILL_RAD = 0.01
+"""Motors that turn less than this between two packets stand still [rad]."""
+
+STILL_PACKETS = 4
+
+
+class ReflexHand:
+    """One hand; also a context manager, which connects at its beginning and lets the fingers go at its end.
+
+    Angles are turns of the tendon spools [rad], 0 open, of f1 (index), f2 (middle), f3 (thumb) and preshape (spread).
+    Any thread may call any method.
+
+    Args:
+        interface: network interface of the hand, such as eth0; lo for the simulated hand.
+        port: UDP port of hand and host.
+        settings: of the state machine.
+        files: calibration of this hand; None: in ~/.ros/reflex/<interface>, as for the ROS driver.
+        on_reading: called from the receive thread with every reading.
+        on_note: called with news, from any thread that calls a method; level "info", "warning" or "error".
+
+    Raises:
+        WireFault: there is no such interface, it has no IPv4 address, or the port is taken.
+        CalibrationFileError: a calibration file cannot be read or holds something else.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        port: int = PORT,
+        settings: HandSettings | None = None,
+        files: CalibrationFiles | None = None,
+        on_reading: Callable[[HandReading], None] = lambda reading: None,
+        on_note: Callable[[HandNote], None] = lambda note: None,
+    ) -> None:
+        self._interface, self._port = interface, port
+        self._settings = HandSettings() if settings is None else settings
+        self._transport = HandTransport(interface, port)
+        self._files = CalibrationFiles(f"~/.ros/reflex/{interface}") if files is None else files
+        self._on_reading, self._on_note = on_reading, on_note
+        try:
+            self._logic = HandLogic(self._settings, *self._files.load())
+        except CalibrationFileError:
+            self._transport.close()
+            raise
+        self._lock = threading.RLock()
+        self._news = threading.Condition()
+        self._packets = 0
+        self._stopped = threading.Event()
+        self._wire_fault = ""
+        self._made_at = time.monotonic()
+        self._reopen_at = self._made_at + REOPEN_S
+        self._reminded_at = -REMIND_S
+        self._thread = threading.Thread(target=self._run, name="reflex hand", daemon=True)
+
+    def __enter__(self) -> ReflexHand:
+        self.connect()
+        try:
+            self.wait_for_packet()
+        except HandSilent:
+            self.disconnect()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.disconnect()
+
+    def connect(self) -> None:
+        """Switches torque on and starts to listen."""
+        self._act(lambda now: self._logic.start())
+        self._thread.start()
+
+    def disconnect(self) -> None:
+        """Lets the fingers go and ends the thread; nothing is sent after that. May be called twice."""
+        self._let_go()
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join()
+        self._transport.close()
+
+    @property
+    def state(self) -> HandReading:
+        """The newest reading.
+
+        Raises:
+            HandSilent: no packet came for the silence time.
+        """
+        with self._lock:
+            now, reading = time.monotonic(), self._logic.reading
+            if reading is None or not self._logic.link.alive(now):
+                raise HandSilent(self._interface, min(self._logic.link.age(now), now - self._made_at))
+            return reading
+
+    @property
+    def status(self) -> HandStatus:
+        """What the hand does now."""
+        with self._lock:
+            return self._logic.state(time.monotonic())
+
+    @property
+    def listening(self) -> bool:
+        """Whether the receive thread runs."""
+        return self._thread.is_alive()
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether the zeros of the fingers are those of this hand."""
+        with self._lock:
+            return self._logic.calibrated
+
+    def diagnosis(self) -> tuple[str, str, dict[str, object]]:
+        """Returns level ("ok", "warning", "error"), one sentence and the values behind it."""
+        with self._lock:
+            level, sentence, values = status(self._logic, self._wire_fault, time.monotonic())
+        return level, sentence, {**values, "interface": self._interface}
+
+    def open(self, timeout: float = 5.0) -> None:
+        """Opens the fingers, keeps the spread and waits until they stand still; raises as `move` does."""
+        self.close(0.0, timeout)
+
+    def close(self, angle: float = CLOSED_RAD, timeout: float = 5.0) -> None:
+        """Closes the fingers to `angle` [rad], keeps the spread and waits until they stand still or hold an object.
+
+        Raises:
+            CommandRefused, HandSilent: as `move`.
+        """
+        self.move((angle, angle, angle, self.state.joint_angles[3]), timeout)
+
+    def move(self, angles: Sequence[float], timeout: float = 5.0) -> None:
+        """Moves the motors to four angles [rad], clamped to their travel, and waits until they stand still.
+
+        Raises:
+            CommandRefused: the hand is not ready or not calibrated, or an angle is not finite.
+            HandSilent: the hand fell silent.
+        """
+        self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, timeout)
+        self.command(angles)
+        self._wait_for_rest(timeout)
+
+    def command(self, angles: Sequence[float]) -> None:
+        """Sends the motors to four angles [rad], clamped to their travel, without waiting.
+
+        Raises:
+            CommandRefused: as `move`.
+        """
+        self._request(lambda now: self._logic.command(angles, now))
+
+    def command_raw(self, positions: Sequence[int]) -> None:
+        """Sends the servos to four positions [ticks] as they are; for tests of the hand.
+
+        Raises:
+            CommandRefused: the hand is silent, being calibrated or without torque.
+        """
+        self._request(lambda now: self._logic.command_raw(positions, now))
+
+    def set_speed(self, speeds: Sequence[float]) -> None:
+        """Sets the joint speeds [rad/s], switches torque on, and waits until that is done, about 0.1 s.
+
+        Raises:
+            CommandRefused: the hand is silent or being calibrated, a speed is not finite, or it was not set in time.
+        """
+        self._request(lambda now: self._logic.set_speed(speeds, now))
+        if not self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, SPEED_TIMEOUT_S):
+            raise CommandRefused(f"The speed was not set within {SPEED_TIMEOUT_S:g} s.")
+        now = self.status
+        if now not in (HandStatus.READY, HandStatus.CALIBRATING):
+            raise CommandRefused(f"The speed was not set: the hand is {now.value}.")
+
+    def disable_torque(self) -> None:
+        """Lets all motors go; `set_speed` switches torque on again."""
+        self._request(lambda now: self._logic.disable_torque())
+
+    def calibrate_fingers(self, wait: bool = True) -> None:
+        """Calibrates the fingers, which must be open and free, and saves the result.
+
+        Raises:
+            CommandRefused: torque is off, or with `wait` the calibration failed.
+            HandSilent: with `wait`, the hand fell silent.
+        """
+        self._request(self._logic.calibrate_fingers)
+        if not wait:
+            return
+        limit = self._settings.calibration_max_time + 2.0 * self._settings.request_time
+        self._wait_while(lambda: self._logic.calibrating, limit)
+        _ = self.state  # raises HandSilent
+        if self._logic.calibration_outcome != "succeeded":
+            raise CommandRefused(f"The finger calibration {self._logic.calibration_outcome}")
+
+    def calibrate_tactile(self) -> None:
+        """Zeroes the taxels over the next packets, while nothing touches them, and saves the result."""
+        self._request(self._logic.calibrate_tactile)
+
+    def zero_pose(self) -> None:
+        """Makes the pose of the next packet the open one, with the fingers' tendons let out.
+
+        Raises:
+            CommandRefused: the fingers are being calibrated.
+        """
+        self._request(self._logic.zero_pose)
+
+    def set_thresholds(self, thresholds: Sequence[Sequence[int]]) -> None:
+        """Sets the contact thresholds, three times nine counts."""
+        self._request(lambda now: self._logic.set_thresholds(thresholds))
+
+    def wait_for_packet(self, timeout: float = 3.0) -> None:
+        """Waits for the next packet.
+
+        Raises:
+            HandSilent: none came within `timeout` seconds.
+        """
+        before = self._packets
+        if not self._wait_while(lambda: self._packets == before, timeout):
+            raise HandSilent(self._interface, timeout)
+
+    def _let_go(self) -> None:
+        with self._lock:
+            if not self._stopped.is_set():
+                self._act(lambda now: self._logic.stop())
+                self._stopped.set()
+
+    def _wait_for_rest(self, timeout: float) -> None:
+        last, still, deadline = self.state.joint_angles, 0, time.monotonic() + timeout
+        while still < STILL_PACKETS and time.monotonic() < deadline:
+            self.wait_for_packet()
+            angles = self.state.joint_angles
+            still = still + 1 if max(abs(a - b) for a, b in zip(angles, last)) < STILL_RAD else 0
+            last = angles
+
+    def _wait_while(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Returns whether the condition ended within `timeout` seconds."""
+        deadline = time.monotonic() + timeout
+        while condition():
+            if time.monotonic() > deadline or self._stopped.is_set():
+                return False
+            with self._news:
+                self._news.wait(RECEIVE_TIMEOUT_S)
+        return True
+
+    def _request(self, step: Callable[[float], HandUpdate]) -> None:
+        refusal = self._act(step).refusal
+        if refusal:
+            raise CommandRefused(refusal)
+
+    def _run(self) -> None:
+        try:
+            while not self._stopped.is_set():
+                self._receive()
+                self._act(self._logic.tick)
+                self._watch_silence()
+        finally:
+            self._let_go()
+
+    def _receive(self) -> None:
+        try:
+            datagram = self._transport.receive(RECEIVE_TIMEOUT_S)
+        except WireFault as error:
+            self._wire_failed(error)
+            self._stopped.wait(RECEIVE_TIMEOUT_S)
+            return
+        if datagram is None:
+            return
+        data, source = datagram
+        update = self._act(lambda now: self._logic.receive(data, source, now))
+        if update.reading:
+            with self._news:
+                self._packets += 1
+                self._news.notify_all()
+            self._on_reading(update.reading)
+        for calibration in (update.zeros, update.offsets):
+            if calibration is not None:
+                self._save(calibration)
+
+    def _act(self, step: Callable[[float], HandUpdate]) -> HandUpdate:
+        """Lets the state machine do a step and sends its packets in order, whichever thread asks."""
+        with self._lock:
+            update = step(time.monotonic())
+            if self._stopped.is_set():
+                return update
+            for packet in update.send:
+                try:
+                    self._transport.send(packet)
+                    self._wire_fault = ""
+                except WireFault as error:
+                    self._wire_failed(error)
+        for note in update.notes:
+            self._on_note(note)
+        return update
+
+    def _wire_failed(self, error: WireFault) -> None:
+        if str(error) != self._wire_fault:
+            self._wire_fault = str(error)
+            self._on_note(HandNote("error", str(error)))
+
+    def _watch_silence(self) -> None:
+        """Opens the sockets again while the hand is silent: a cable or an address may have come after the start."""
+        now = time.monotonic()
+        if self._logic.link.age(now) < REOPEN_S or now < self._reopen_at:
+            return
+        self._reopen_at = now + REOPEN_S
+        if now - self._reminded_at >= REMIND_S:
+            self._reminded_at = now
+            text = f"No packet from the hand on {self._interface}: is it on and its cable in?"
+            self._on_note(HandNote("warning", text))
+        try:
+            fresh = HandTransport(self._interface, self._port)
+        except WireFault as error:
+            self._wire_failed(error)
+            return
+        with self._lock:
+            old, self._transport = self._transport, fresh
+        old.close()
+
+    def _save(self, calibration: object) -> None:
+        try:
+            self._on_note(HandNote("info", f"Calibration saved in {self._files.save(calibration)}."))
+        except CalibrationFileError as error:
+            self._on_note(HandNote("error", str(error)))

@@ -1,0 +1,79 @@
+"""kst, leap_motion and reflex install by pip without ROS and the rest of the tree, and their READMEs are right."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import websockets
+import yaml
+
+MODULES = Path(__file__).parents[1] / "src" / "modules"
+SIMULATORS = MODULES / "rig_simulation" / "scripts"
+ALONE = """
+import sys
+sys.path[:0] = {paths!r}
+{block}
+foreign = {{"common", "rospy", "pinocchio", "catkin_pkg"}} & set(sys.modules)
+assert not foreign, foreign
+"""
+
+
+@pytest.fixture
+def device(processes, free_port, wait_until):
+    """Starts a simulated device; returns its port."""
+
+    def start(program: str, kind: int = socket.SOCK_STREAM) -> int:
+        port = free_port(kind)
+        command = (sys.executable, str(SIMULATORS / program), "--port", str(port), "--control-port", "0")
+        process = processes.start(*command, env={"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)})
+        wait_until(lambda: "control port" in process.log_path.read_text(), 30.0, program)
+        return port
+
+    return start
+
+
+@pytest.mark.parametrize(
+    ("name", "simulator", "kind", "port", "prints"),
+    [
+        ("kst", "sunrise_controller.py", socket.SOCK_STREAM, "30001", r"joints \[rad\]: \[ *0\. +0\.2 "),
+        ("leap_motion", "leapd.py", socket.SOCK_STREAM, "6437", "Leap service"),
+        ("reflex", "reflex_hand.py", socket.SOCK_DGRAM, "11333", r"joints \[rad\]: \[2\.[45]"),
+    ],
+)
+def test_installs_alone_and_the_readme_runs(tmp_path, device, name, simulator, kind, port, prints):
+    source, target, without_catkin = (tmp_path / folder for folder in ("source", "target", "without_catkin"))
+    shutil.copytree(
+        MODULES / name, source, ignore=shutil.ignore_patterns("tests", "build", "*.egg-info", "__pycache__")
+    )
+    without_catkin.mkdir()
+    (without_catkin / "catkin_pkg.py").write_text("raise ImportError('there is no catkin here')")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run(
+        [*pip, "--target", target, source], check=True, env={**os.environ, "PYTHONPATH": str(without_catkin)}
+    )
+    assert not (target / name / "ros").exists()
+
+    block = re.search(r"```python\n(.*?)```", (source / "README.md").read_text(), re.DOTALL)[1]
+    assert port in block
+    block = block.replace(port, str(device(simulator, kind)))
+    packages = {str(Path(module.__file__).parents[1]) for module in (np, websockets, yaml)}
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", ALONE.format(paths=[str(target), *sorted(packages)], block=block)],
+        env={**environment, "HOME": str(tmp_path)},
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout
+    assert re.search(prints, done.stdout), done.stdout
