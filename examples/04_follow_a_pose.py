@@ -17,7 +17,7 @@ kinematics = Kinematics(robot_model("LBR7R800", "MF_elektrisch"))
 q = np.radians([0, 25, 0, -80, 0, 75, 0])
 T_centre = kinematics.forward(q)
 with KstClient.connect(options.host, options.port) as arm:
-    run_ptp(arm, q, velocity=0.3)
+    run_ptp(arm, q, velocity=0.15)
     arm.start_joint_servo()
     begin = time.monotonic()
     while (t := time.monotonic() - begin) < 4.0:

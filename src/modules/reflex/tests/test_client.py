@@ -93,6 +93,7 @@ def test_no_hand_and_no_interface(hand_of, free_port):
         ReflexHand("eth77")
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_fault_in_a_callback_lets_the_hand_go(simulated_hand, hand_of, wait_until):
     _, port, control = simulated_hand()
     hand = hand_of(port, on_reading=lambda reading: 1 / 0)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import rospy
 from sensor_msgs.msg import JointState
 
-from reflex.reading import JOINT_NAMES, Reading, joint_positions
+from reflex.reading import JOINT_NAMES, HandReading, joint_positions
 from reflex_msgs.msg import Finger, Hand, Motor
 
 
-def hand_message(reading: Reading) -> Hand:
+def hand_message(reading: HandReading) -> Hand:
     """Returns the message of /reflex_takktile/hand_state."""
     fingers = [
         Finger(
@@ -36,7 +36,7 @@ def hand_message(reading: Reading) -> Hand:
     return Hand(finger=fingers, motor=motors)
 
 
-def joint_state(reading: Reading, stamp: rospy.Time) -> JointState:
+def joint_state(reading: HandReading, stamp: rospy.Time) -> JointState:
     """Returns the hand's joints for robot_state_publisher."""
     message = JointState(name=list(JOINT_NAMES), position=list(joint_positions(reading)))
     message.header.stamp = stamp

@@ -1,0 +1,100 @@
+"""Every program of examples/ runs against the simulated devices."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+SIMULATORS = ROOT / "src" / "modules" / "rig_simulation" / "scripts"
+DEVICES = {
+    "arm": ("sunrise_controller.py", socket.SOCK_STREAM),
+    "hand": ("reflex_hand.py", socket.SOCK_DGRAM),
+    "leap": ("leapd.py", socket.SOCK_STREAM),
+}
+
+
+@pytest.fixture(scope="module")
+def port_of(tmp_path_factory):
+    """Starts each simulated device at its first use, once; returns its port."""
+    running: dict[str, tuple[subprocess.Popen, str]] = {}
+
+    def port(device: str) -> str:
+        if device not in running:
+            program, kind = DEVICES[device]
+            with socket.socket(socket.AF_INET, kind) as free:
+                free.bind(("127.0.0.1", 0))
+                number = str(free.getsockname()[1])
+            command = [sys.executable, str(SIMULATORS / program), "--port", number, "--control-port", "0"]
+            process = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True)
+            running[device] = process, number
+            assert "control port" in process.stdout.readline()
+        return running[device][1]
+
+    yield port
+    for process, _ in running.values():
+        process.terminate()
+        process.communicate(timeout=30.0)
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+
+
+def run(number: str, home: Path, *arguments: str) -> str:
+    (example,) = (path for path in EXAMPLES if path.name.startswith(number))
+    done = subprocess.run(
+        [sys.executable, str(example), *arguments],
+        env={**environment(), "HOME": str(home)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("number", "device", "arguments", "prints"),
+    [
+        ("01", "arm", (), r"joint 7 at +10\.00 deg\n(.*\n)*joint 7 at +-?0\.0\d deg"),
+        ("02", "arm", (), r"flange in the base \[m\]: \[-?0\. +-?0\. +1\.301\]"),
+        ("03", "arm", (), r"largest lag: \d\.\d+ deg"),
+        ("04", "arm", (), r"the flange is \d\.\d mm from its start"),
+        ("05", "hand", (), r"closed \[rad\]: \[2\.\d+(.*\n)open \[rad\]: \[-?0\.0"),
+        ("06", "hand", ("--seconds", "0.5"), "touched: nothing"),
+        ("07", "leap", ("--frames", "5"), "palm .* m, grab|sends"),
+        ("08", None, (), r"0\.0 m forward: joints \[[^\]]*-80[^\]]*\] deg\n.*\n1\.0 m forward: .*out of reach"),
+        ("09", None, (), r"position before the camera \[m\]: \[.* 0\.[67]\d*\]\nangle"),
+    ],
+)
+def test_runs(port_of, tmp_path, number, device, arguments, prints):
+    options = ("--port", port_of(device)) if device else ()
+    output = run(number, tmp_path, *options, *arguments)
+    assert re.search(prints, output), output
+
+
+@pytest.mark.ros
+def test_the_subscriber_hears_the_rig(ros, tmp_path):
+    import rospy
+    from sensor_msgs.msg import JointState
+
+    publisher = rospy.Publisher("joint_states", JointState, queue_size=1, latch=True)
+    publisher.publish(JointState(name=["A1"], position=[0.25]))
+    assert "A1 0.250" in run("10", tmp_path, "--seconds", "2")
+
+
+def test_all_are_listed_and_short():
+    table = (ROOT / "examples" / "README.md").read_text()
+    assert len(EXAMPLES) == 10
+    for example in EXAMPLES:
+        assert f"]({example.name})" in table
+        assert len(example.read_text().splitlines()) <= 36
