@@ -19,7 +19,7 @@ def rotation_x(degrees: int) -> np.ndarray:
 
 
 def upright(link: int) -> np.ndarray:
-    """Returns the attitude of link 0 to 7 in the base, shape (3, 3), when all joints are zero: the arm stands up."""
+    """Returns the orientation of link 0 to 7 in the base, shape (3, 3), when all joints are zero: the arm stands up."""
     return rotation_x(sum(ALPHA_DEG[:link]))
 
 

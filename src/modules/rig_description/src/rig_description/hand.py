@@ -23,7 +23,7 @@ CONNECTOR_LENGTH = 0.026
 
 CONNECTOR_YAW = np.pi
 """The hand is turned by half a turn about the flange's axis: in the calculated home position the tool's x axis points
-back to the base, and so the two fingers point away from it, as those of the person behind the Leap do."""
+back to the base, and so the two fingers point away from it, like those of the operator behind the Leap."""
 
 CONNECTOR_RADIUS = 0.043
 """Outer radius of the printed connectors (cad/dimensions.py)."""

@@ -1,6 +1,6 @@
-"""The printed ring of the marker panel, between flange and connector (cad/marker_connector), in the flange's frame.
+"""The printed ring of the marker board, between flange and connector (cad/marker_connector), in the flange's frame.
 
-Lengths in m. The pad beside the hand carries the panel's plate, which is not part of it. While the ring is on, the hand
+Lengths in m. The pad beside the hand carries the board's plate, which is not part of it. While the ring is on, the hand
 stands farther from the flange by its length.
 """
 

@@ -40,7 +40,7 @@ def box(mass: float, low: ArrayLike, high: ArrayLike) -> Body:
 
 
 def turned(body: Body, R: ArrayLike) -> Body:
-    """Returns the body in a frame with the same origin; R: attitude of the old frame in the new, shape (3, 3)."""
+    """Returns the body in a frame with the same origin; R: orientation of the old frame in the new, shape (3, 3)."""
     R = np.asarray(R, dtype=float)
     return Body(body.mass, R @ body.com, R @ body.inertia @ R.T)
 
@@ -57,7 +57,7 @@ def joined(bodies: list[Body]) -> Body:
 
 
 def fault(body: Body) -> str | None:
-    """Says why no mass distribution can have these numbers, or returns None.
+    """Returns why no mass distribution can have these numbers, or None.
 
     The principal moments of a real body are positive and none exceeds the sum of the others. Equality belongs to a
     body without thickness and is refused too.

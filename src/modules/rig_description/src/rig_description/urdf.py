@@ -39,7 +39,7 @@ class _Placed(NamedTuple):
 
 
 def file_name(robot: str, flange: str, ring: bool = False) -> str:
-    """Returns the path below urdf/ of the file of an arm and a media flange, without or with the panel's ring."""
+    """Returns the path below urdf/ of the file of an arm and a media flange; `ring`: with that of the marker board."""
     return f"{'with_ring/' if ring else ''}{robot.lower()}_{flange}.urdf"
 
 
@@ -48,7 +48,7 @@ def urdf(robot: str, flange: str, ring: bool = False) -> str:
 
     Args:
         robot, flange: names as in the parameters kuka/robot and kuka/flange.
-        ring: the ring of the marker panel is clamped between flange and connector.
+        ring: the ring of the marker board is clamped between flange and connector.
 
     Raises:
         KeyError: no such arm or media flange.

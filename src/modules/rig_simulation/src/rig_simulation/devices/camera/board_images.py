@@ -123,8 +123,8 @@ def _take(options: argparse.Namespace) -> int:
                         taken = camera.take(scene.data, colour=True, depth=True, registered=False)
                         files = [f"{len(entries):04d}_{name}.png" for name in ("colour", "depth")]
                         assert taken.colour is not None and taken.depth is not None  # both were requested
-                        for file, picture in zip(files, (taken.colour[..., ::-1], taken.depth)):
-                            if not cv2.imwrite(str(options.folder / file), picture):
+                        for file, image in zip(files, (taken.colour[..., ::-1], taken.depth)):
+                            if not cv2.imwrite(str(options.folder / file), image):
                                 raise DeviceError(f"Cannot write the image {options.folder / file}; is the disk full?")
                         entry = {"colour": files[0], "depth": files[1], "unit": number, "distance": distance}
                         entries.append({**entry, "tilt": tilt, "T_rgb_panel": T.tolist()})
