@@ -158,10 +158,10 @@ def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status
     state("approaching")
     wait_until(lambda: status()["frames_kept"] == "2", 15.0, "one of the approach, as the one before is dropped")
     rig.say("/grasping/outcome", GraspOutcome(reason="The operator gave it up."))
-    wait_until(lambda: "is no episode: The operator gave it up." in process.log_path.read_text(), 15.0, "the sentence")
+    wait_until(lambda: "no episode: The operator gave it up." in process.log_path.read_text(), 15.0, "the sentence")
     wrong = GraspOutcome(tool=stamped_pose(tool(GRASP_Z), "elsewhere", rospy.Time.now()))
     rig.say("/grasping/outcome", wrong)
-    wait_until(lambda: "is of no use" in process.log_path.read_text(), 15.0, "the sentence")
+    wait_until(lambda: "is invalid" in process.log_path.read_text(), 15.0, "the sentence")
     outcome = GraspOutcome(tool=stamped_pose(tool(GRASP_Z), "kuka/base_frame", rospy.Time.now()))
     outcome.header.stamp = rospy.Time.now()
     outcome.held, outcome.reason = True, "It was felt."

@@ -114,7 +114,7 @@ def test_episodes_whose_grasps_have_no_place_are_complained_of():
     blind = episode(2)
     blind = episode(2, depth=np.zeros_like(blind.depth))
     (sentence,) = summary.complaints([summary.entry("episode_1", 1, blind)])
-    assert sentence == "episode_1 has no frame in which both grasps have a place."
+    assert sentence == "episode_1 has no frame in which both grasps have a pose."
 
 
 def test_differences_name_what_differs_inside():

@@ -206,7 +206,7 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
     found = newest(lists, wait_until, lambda m: m.grasps, "a grasp before the camera")
     assert found.grasps[0].pose_base.header.frame_id == ""
     assert not found.grasps[0].reachable
-    assert "tf has no way from camera_depth_optical_frame to kuka/base_frame" in found.grasps[0].reason
+    assert "tf does not connect camera_depth_optical_frame and kuka/base_frame" in found.grasps[0].reason
     assert targets.wait(1)[-1].header.frame_id == DEPTH_OPTICAL
 
     camera.depth = np.uint16(np.nan_to_num(1000.0 * depth, posinf=0.0))

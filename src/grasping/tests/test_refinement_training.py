@@ -20,8 +20,8 @@ from grasping.lab.evaluation.attitude import (
     errors,
     expected,
     log_likelihoods,
-    persons,
-    with_constant_spread,
+    operators,
+    with_constant_scale,
 )
 from grasping.lab.evaluation.operator_errors import Neighbours, miss
 from grasping.lab.training.refinement_batches import batch, place_target
@@ -353,7 +353,7 @@ def test_training_learns_an_attitude_that_depends_on_the_place():
     for one, (turn, tilt) in zip(examples, ((0.6, 0.3), (0.0, 0.0))):
         seen, target = batch([one], NO_OFFSET)
         found = expected(seen, target, trainer.mean, NO_OFFSET)
-        did = persons(target, NO_OFFSET)
+        did = operators(target, NO_OFFSET)
         assert found.angle[0] - PEAK.angle == pytest.approx(turn, abs=0.1)
         assert found.tilt_x[0] == pytest.approx(tilt, abs=0.05)
         assert np.degrees(errors(found, did)[0]) < 6.0
@@ -378,7 +378,7 @@ def test_training_goes_on_where_it_was_left():
 
 
 def drawn(n: int, concentration: float, scale: float, seed: int = 0) -> tuple[Expected, Expected]:
-    """Returns n expected attitudes, and as many persons' about them."""
+    """Returns n expected attitudes, and as many operators' about them."""
     rng = np.random.default_rng(seed)
     nothing, flat = np.zeros(n), np.ones(n)
     found = Expected(rng.uniform(-3.0, 3.0, n), nothing, nothing, nothing, concentration * flat, scale * flat)
@@ -389,7 +389,7 @@ def drawn(n: int, concentration: float, scale: float, seed: int = 0) -> tuple[Ex
 
 def test_the_constant_spread_that_suits_best_is_the_true_one():
     found, did = drawn(20_000, 10.0, 0.1)
-    fitted = with_constant_spread(found, found, did)
+    fitted = with_constant_scale(found, found, did)
     assert fitted.concentration[0] == pytest.approx(10.0, rel=0.1)
     assert fitted.tilt_scale[0] == pytest.approx(0.1, rel=0.03)
     best = log_likelihoods(found, did).mean()

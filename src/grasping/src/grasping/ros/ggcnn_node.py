@@ -85,7 +85,7 @@ class GgcnnNode:
     def __init__(self, settings: GgcnnSettings, pipeline: GraspPipeline, about: dict[str, str]) -> None:
         self._settings, self._pipeline, self._about = settings, pipeline, about
         self._milliseconds: dict[str, float] = {}
-        self._grasps = self._images = self._normals_missing = 0
+        self._grasps = self._image_count = self._normals_missing = 0
         self._reasons = ReasonLog()
         self._images = {
             name: rospy.Publisher(f"ggcnn/img/{name}", Image, queue_size=1)
@@ -133,7 +133,7 @@ class GgcnnNode:
         self._times.done(header.stamp)
         published = time.perf_counter()
         self._draw(header, found, proposals, best)
-        self._images += 1
+        self._image_count += 1
         self._normals_missing += found.normals_missing
         latency = (rospy.Time.now() - header.stamp).to_sec()
         stages = {**found.seconds, "draw": time.perf_counter() - published, "all": published - started}
@@ -191,7 +191,7 @@ class GgcnnNode:
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         values = {
-            "pictures": self._images,
+            "pictures": self._image_count,
             "received": self._stream.received,
             "skipped": self._stream.skipped,
             "grasps": self._grasps,

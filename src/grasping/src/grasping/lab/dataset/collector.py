@@ -23,7 +23,7 @@ BACK_S = 0.5
 
 
 class Finished(NamedTuple):
-    """A grasp whose fate is known."""
+    """A grasp with its result."""
 
     grasp: ObservedGrasp  # where and when, and whether it held
     source: str  # EXECUTION or TELEOPERATION
@@ -54,7 +54,7 @@ class Collector:
         return len(self._buffer)
 
     def went_back(self, now: float) -> bool:
-        """Takes the time in [s]. Where it went back, as in a recording that begins anew, all is forgotten."""
+        """Takes the time [s]. Returns whether it went back, as in a recording that starts again: then all is lost."""
         back = now < self._now - BACK_S
         if back:
             self._buffer.clear()
@@ -91,16 +91,16 @@ class Collector:
         self._executing = active
 
     def hand(self, state: HandMeasurement, T_base_tool: np.ndarray, now: float) -> Finished | None:
-        """Takes a state of the hand in; while a proposal is executed its outcome counts instead."""
+        """Takes a state of the hand; while a proposal is executed, its outcome counts instead."""
         grasp = self._watch.step(state, T_base_tool, now)
         return None if grasp is None or self._executing else self._finish(grasp, TELEOPERATION)
 
     def outcome(self, grasp: ObservedGrasp) -> Finished | None:
-        """Takes the outcome of a proposal in; None if that grasp is finished already."""
+        """Takes the outcome of a proposal; returns None if that grasp is finished already."""
         return self._finish(grasp, EXECUTION)
 
     def _begin(self) -> None:
-        """Drops the frames of the time before, also one at which the network still looks."""
+        """Drops all earlier frames, including one that the network still processes."""
         self._buffer.clear()
         self._after = self._now
 

@@ -2,7 +2,7 @@
 
 Each episode is one closing of the fingers. Its frames end there, and all of them bear the same label, known only in
 hindsight: where the tool was when the fingers closed, and whether the hand then lifted something. Fixed in
-`kuka/base_frame` it is expressed anew in each frame's camera by `labels.relative_label`. Frames of one episode are near
+`kuka/base_frame` it is expressed in each frame's camera by `labels.relative_label`. Frames of one episode are near
 duplicates of each other: split training and test data by episode, never by frame.
 """
 
@@ -32,7 +32,7 @@ EXECUTION, TELEOPERATION = "execution", "teleoperation"
 
 @dataclass(frozen=True)
 class Metadata:
-    """What was known beside the images."""
+    """The description of an episode beside its images."""
 
     version: str  # of the package that wrote the file
     revision: str  # of its source, empty where that is unknown
@@ -45,8 +45,8 @@ class Metadata:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the rig's configuration, hexadecimal: equal where robot, tool, camera, its place and the network
-        were equal."""
+        """SHA-256 of the rig's configuration, hexadecimal: equal where robot, tool, camera, camera pose and
+        network are equal."""
         text = json.dumps(self.configuration, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -25,7 +25,7 @@ class FrameBufferConfig:
     """Which frames are kept."""
 
     rate: float = number("Hz", above=0.0, high=30.0, doc="most frames a second")
-    motion: float = number("m", low=0.0, high=1.0, doc="the tool has to move so far between frames")
+    motion: float = number("m", low=0.0, high=1.0, doc="least motion of the tool between frames")
     longest: float = number(
         "s", above=0.0, high=3600.0, doc="frames older than that when the fingers close are dropped"
     )

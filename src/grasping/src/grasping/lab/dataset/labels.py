@@ -44,8 +44,8 @@ class RelativeLabel(NamedTuple):
 def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
     """Returns the operator's grasp against GGCNN's own, in the pixels of the frame's maps.
 
-    None where GGCNN's has no place, for want of a reading near its pixel, or the operator's none in the image: behind
-    the camera, or approaching straight towards it.
+    None where GGCNN's grasp has no pose because no reading is near its pixel, or where the operator's grasp is behind
+    the camera or approaches straight towards it.
     """
     own = own_grasp(frame)
     T = frame.T_camera_grasp
@@ -75,11 +75,11 @@ def pose_from_label(frame: EpisodeFrame, label: RelativeLabel) -> np.ndarray:
     turn about the approach.
 
     Raises:
-        ValueError: GGCNN's own grasp has no place.
+        ValueError: GGCNN's own grasp has no pose.
     """
     own = own_grasp(frame)
     if own is None:
-        raise ValueError("GGCNN's own grasp has no place: the camera has no reading near its pixel")
+        raise ValueError("GGCNN's own grasp has no pose: the camera has no reading near its pixel")
     ray = frame.camera.rays(camera_pixel(label.row, label.column, frame.crop, frame.maps.shape[-1]))
     R = pin.exp3(np.append(label.tilt, 0.0)) @ rotation_about(2, -(own.angle + label.angle))
     return pose(R, (own.T_camera_grasp[2, 3] + label.depth) * ray)

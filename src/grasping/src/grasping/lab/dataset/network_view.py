@@ -1,4 +1,4 @@
-"""What is kept of a view: its depth in whole millimetres, the network's maps before smoothing, GGCNN's own grasp."""
+"""The recorded part of a view: depth in whole millimetres, the network's maps before smoothing, GGCNN's own grasp."""
 
 from __future__ import annotations
 

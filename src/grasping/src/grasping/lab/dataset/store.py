@@ -87,7 +87,7 @@ def encode(episode: Episode) -> bytes:
     """Returns the content of the file of an episode.
 
     Raises:
-        DatasetError: the episode is none; its arrays do not fit together or are not finite.
+        DatasetError: not a valid episode: its arrays do not fit together or are not finite.
     """
     camera = episode.camera
     meta = {

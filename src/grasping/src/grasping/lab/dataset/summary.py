@@ -1,4 +1,4 @@
-"""What is in a dataset, as tables and as sentences about what does not belong together."""
+"""Summarises a dataset in tables and warns of episodes that do not belong together."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def entry(name: str, size: int, episode: Episode) -> Entry:
 
 
 def offsets(episode: Episode) -> list[OffsetStatistics]:
-    """Returns how the operator's grasp lies to GGCNN's, for each frame where both have a place."""
+    """Returns the operator's grasp relative to GGCNN's for each frame in which both have a pose."""
     found = []
     for frame in episode.frames():
         label, own = relative_label(frame), own_grasp(frame)
@@ -127,8 +127,8 @@ def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
 
 
 def complaints(entries: list[Entry]) -> list[str]:
-    """Returns what speaks against training with all of these episodes, one sentence each."""
-    found = [f"{e.name} has no frame in which both grasps have a place." for e in entries if not e.offsets]
+    """Returns the warnings against training with all of these episodes, one sentence each."""
+    found = [f"{e.name} has no frame in which both grasps have a pose." for e in entries if not e.offsets]
     count = len({e.fingerprint for e in entries})
     if count > 1:
         found.append(f"The episodes are of {count} configurations of the rig.")

@@ -1,8 +1,8 @@
-"""How well the hand's attitude and opening are foretold where the operator grasped.
+"""How well the hand's orientation and opening are predicted where the operator grasped.
 
 Which of several grasps an operator takes is another question (`likelihood`), and would hide this one: so here it is
-taken as known. Asked is how far the expected attitude is from the operator's, and how probable the operator's was. What
-says no spread of its own gets the constant one that suits it best on episodes that are not tested.
+taken as known. Measured are the error of the expected orientation and the likelihood of the operator's. A method
+without a standard deviation of its own gets the constant one that fits best on episodes outside the test.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CONCENTRATIONS = np.geomspace(0.1, 100.0, 61)
 
 
 class Expected(NamedTuple):
-    """What is expected at the persons' n places, each shape (n,).
+    """The expected grasp at the operators' n pixels, each shape (n,).
 
     Attributes:
         angle: of the line through the fingers in the image [rad].
@@ -68,8 +68,8 @@ def expected(
     )
 
 
-def persons(target: RefinementTargets, offset: OperatorOffset) -> Expected:
-    """Returns what the persons did, without any spread."""
+def operators(target: RefinementTargets, offset: OperatorOffset) -> Expected:
+    """Returns what the operators did, without uncertainty."""
     cos, sin, x, y, opening = (
         value.double().numpy() for value in (target.cos, target.sin, target.tilt_x, target.tilt_y, target.opening)
     )
@@ -92,16 +92,16 @@ def log_likelihoods(found: Expected, did: Expected) -> np.ndarray:
     return k * np.cos(off) - scale - np.log(np.pi) - lean / b - np.log(2.0 * np.pi * b**2)
 
 
-def with_constant_spread(found: Expected, known: Expected, did: Expected) -> Expected:
-    """Returns what is expected with the constant spread that suits best what is known."""
+def with_constant_scale(found: Expected, known: Expected, did: Expected) -> Expected:
+    """Returns the expected grasps with the constant distribution that fits the known ones best."""
     b = 0.5 * float(np.hypot(did.tilt_x - known.tilt_x, did.tilt_y - known.tilt_y).mean())
 
-    def spread(one: Expected, k: float) -> Expected:
+    def scaled(one: Expected, k: float) -> Expected:
         n = len(one.angle)
         return one._replace(concentration=np.full(n, k), tilt_scale=np.full(n, b))
 
-    best = max(CONCENTRATIONS, key=lambda k: float(log_likelihoods(spread(known, k), did).mean()))
-    return spread(found, float(best))
+    best = max(CONCENTRATIONS, key=lambda k: float(log_likelihoods(scaled(known, k), did).mean()))
+    return scaled(found, float(best))
 
 
 def _rotations(of: Expected) -> list[np.ndarray]:

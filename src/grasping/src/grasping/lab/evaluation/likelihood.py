@@ -1,6 +1,6 @@
-"""How probable a quality map makes the place where an operator grasped.
+"""The likelihood of the pixel where an operator grasped under a quality map.
 
-Which of several equally good grasps an operator takes cannot be foretold: a distance punishes a map for the wrong one
+Which of several equally good grasps an operator takes cannot be predicted: a distance punishes a map for the wrong one
 of them, and cannot tell a map that saw the others coming from one that did not. So a map is taken as a distribution
 over its pixels, a softmax of the quality, as sharp and as smooth as suits it best on episodes that are not tested.
 """

@@ -18,7 +18,7 @@ from grasping.lab.dataset import store, summary
 
 
 def read(folder: Path) -> Iterator[summary.Entry | str]:
-    """Yields what is needed of each episode in a folder and those below it, or a sentence for a file that is none."""
+    """Yields the entry of each episode in and below a folder, or a sentence for a file that is not one."""
     for path in sorted(folder.rglob("*")):
         if store.unfinished(path.name):
             yield f"{path}: the process that wrote it died; the episode is lost."

@@ -18,7 +18,7 @@ from grasping.network.depth_image import VIEWS
 from grasping.network.refinement_file import Origin
 
 HELD_OUT = 5
-"""One in so many episodes is kept from training, to say when it is over."""
+"""One in this many episodes is held out of training and decides when it stops."""
 
 
 class Named(NamedTuple):
@@ -37,7 +37,7 @@ def read(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) ->
         only: things of which one was grasped or lay there; all where it is empty.
 
     Raises:
-        RigError: there is none, or a file is none.
+        RigError: the folder holds no such episode, or a file is not one.
     """
     found = []
     for path in tqdm(sorted(folder.rglob("*" + store.SUFFIX)), unit="episode", desc="read"):
@@ -82,5 +82,5 @@ def origin_of(named: list[Named], mixed: bool = False) -> Origin:
 
 
 def is_held_out(name: str) -> bool:
-    """Returns whether training keeps its hands off an episode; depends on its name alone."""
+    """Returns whether an episode is held out of training; depends on its name alone."""
     return zlib.crc32(name.encode()) % HELD_OUT == 0

@@ -8,7 +8,7 @@ lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines t
 from __future__ import annotations
 
 import argparse
-import csv
+import contextlib
 import json
 import multiprocessing
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,6 +28,7 @@ from common.errors import RigError
 from common.statistics import proportion
 from grasping.lab.evaluation import heuristics, trials
 from grasping.lab.programs.make_dataset import ignore_warning
+from grasping.lab.programs.results import ResultsFile, markdown_table
 from grasping.lab.synthetic.scene import world_xml
 from grasping.network import maps, weights
 from grasping.network.depth_image import NetworkImage
@@ -131,44 +132,34 @@ def chosen_grasps(
 
 def table(rows: list[dict], methods: Iterable[str]) -> str:
     """Returns the results as a Markdown table."""
-    lines = [
-        "| method | one object: lifted % | clutter: lifted % | one object: rectangle % | clutter: rectangle % |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    header = ("method", *(f"{n}: {field} %" for field in ("lifted", "rectangle") for n in ("one object", "clutter")))
+    lines = []
     for method in methods:
-        cells = []
+        cells = [method]
         for field in ("lifted", "rectangle"):
             for single in (True, False):
                 chosen = [r for r in rows if r["method"] == method and (int(r["objects"]) == 1) == single]
                 cells.append(_cell([str(r[field]) == "True" for r in chosen]))
-        lines.append(f"| {method} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+        lines.append(cells)
+    return markdown_table(header, lines)
 
 
 def calibration(rows: list[dict], methods: Iterable[str]) -> str:
     """Returns, as a Markdown table, how many grasps were lifted by the quality that the method gave them."""
     ranges = list(zip((-np.inf, *QUALITY_LIMITS), (*QUALITY_LIMITS, np.inf)))
     names = [f"< {QUALITY_LIMITS[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {QUALITY_LIMITS[-1]}"]
-    lines = [f"| lifted %, quality | {' | '.join(names)} |", "| --- |" + " --- |" * len(names)]
+    lines = []
     for method in methods:
-        cells = []
+        cells = [method]
         for low, high in ranges:
             chosen = [r for r in rows if r["method"] == method and low <= float(r["quality"]) < high]
             cells.append(_cell([str(r["lifted"]) == "True" for r in chosen]))
-        lines.append(f"| {method} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+        lines.append(cells)
+    return markdown_table(("lifted %, quality", *names), lines)
 
 
 def _cell(outcomes: list[bool]) -> str:
     return str(proportion(outcomes)) if outcomes else "-"
-
-
-def kept_rows(path: Path) -> list[dict]:
-    """Returns the rows of a file of results, none where it is not there."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
@@ -215,24 +206,18 @@ def main() -> None:
         every = [Task(arguments.split, number, methods, trained) for number in range(arguments.scenes)]
         export(arguments.export, every, arguments.processes)
         return
-    results = arguments.folder / "results.csv"
     try:
-        arguments.folder.mkdir(parents=True, exist_ok=True)
-        rows = kept_rows(results)
+        results = ResultsFile(arguments.folder / "results.csv", COLUMNS)
     except OSError as error:
         parser.error(f"{error.filename} cannot be used: {error.strerror}.")
-    done = {(int(r["scene"]), r["method"]) for r in rows}
+    done = {(int(r["scene"]), r["method"]) for r in results.rows}
     tasks = []
     for number in range(arguments.scenes):
         missing = [m for m in methods if (number, m) not in done]
         if missing:
             tasks.append(Task(arguments.split, number, missing, trained))
-    with results.open("a", newline="") as file, multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        if not rows:
-            writer.writeheader()
+    with contextlib.closing(results), multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
         for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
-            writer.writerows(new)
-            file.flush()
-            rows += new
-    (arguments.folder / "table.md").write_text(table(rows, methods) + "\n" + calibration(rows, trained))
+            results.add(new)
+    tables = table(results.rows, methods), calibration(results.rows, trained)
+    (arguments.folder / "table.md").write_text("\n".join(tables))

@@ -1,4 +1,4 @@
-"""Compares what predicts an operator's grasps, on episodes that no training saw; resumable.
+"""Compares predictors of an operator's grasps on episodes that no training saw; resumable.
 
 GGCNN alone, with the operator's constant offset, the nearest neighbour among the training episodes, and GGCNN with the
 refinement network: how far from the operator's grasp, in the last frame of each episode whose grasp held. GGCNN's maps
@@ -14,7 +14,7 @@ beside their files says, curve.png shows what more of them bring.
 from __future__ import annotations
 
 import argparse
-import csv
+import contextlib
 import json
 from pathlib import Path
 from typing import Callable, Dict, List, NamedTuple, Union
@@ -34,8 +34,9 @@ from grasping.lab.evaluation import attitude, learning_curve
 from grasping.lab.evaluation.likelihood import calibrated, log_likelihoods
 from grasping.lab.evaluation.operator_errors import NEAR_M, Neighbours, miss
 from grasping.lab.programs import episode_reading
-from grasping.lab.programs.evaluate import NETWORK_SMOOTHING, kept_rows
+from grasping.lab.programs.evaluate import NETWORK_SMOOTHING
 from grasping.lab.programs.make_dataset import ignore_warning
+from grasping.lab.programs.results import ResultsFile, markdown_table
 from grasping.lab.synthetic import episodes
 from grasping.lab.training.refinement_batches import RefinementTargets, batch
 from grasping.lab.training.refinement_examples import OperatorOffset, constant_offset, example, offset_label
@@ -167,23 +168,23 @@ def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
     """
     of = {name: {r["episode"]: r for r in rows if r["method"] == name} for name in (*names, *second)}
     measures = {k: v for k, v in MEASURES.items() if k != "lifted %" or any(r["lifted"] != "" for r in rows)}
-    lines = [_line("method", *measures), _line(*["---"] * (1 + len(measures)))]
+    lines = []
     for name in names:
-        cells = []
+        cells = [name]
         for statistic, value in measures.values():
             values = [value(r) for r in of[name].values()]
             cells.append(str(median(values) if statistic is np.median else proportion(np.array(values) > 0.0)))
-        lines.append(_line(name, *cells))
-    lines += ["", _line("difference", *measures), _line(*["---"] * (1 + len(measures)))]
+        lines.append(cells)
+    differences = []
     for name in second:
         for other in (ALONE, OFFSET):
             episodes_of = sorted(of[name].keys() & of[other].keys())
-            cells = []
+            cells = [f"{name} less {other}"]
             for statistic, value in measures.values():
                 one, less = ([value(of[method][e]) for e in episodes_of] for method in (name, other))
                 cells.append(str(paired_difference(one, less, statistic)))
-            lines.append(_line(f"{name} less {other}", *cells))
-    return "\n".join(lines) + "\n"
+            differences.append(cells)
+    return f"{markdown_table(('method', *measures), lines)}\n{markdown_table(('difference', *measures), differences)}"
 
 
 def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, MapRefiner]) -> str:
@@ -196,34 +197,30 @@ def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, M
         return log_likelihoods(now, places[1], calibrated(before, places[0]))
 
     plain = found(RefinementNetwork())
-    lines = [
-        _line("map", "log-likelihood of the operator's place [nats], mean", "more than GGCNN's"),
-        _line(*["---"] * 3),
-        _line(OFFSET, f"{plain.mean():.2f}", ""),
-    ]
+    lines = [(OFFSET, f"{plain.mean():.2f}", "")]
     for name, one in second.items():
         values = found(one.network)
-        lines.append(_line(name, f"{values.mean():.2f}", f"{paired_difference(values, plain):.2f}"))
-    return "\n".join(lines) + "\n"
+        lines.append((name, f"{values.mean():.2f}", f"{paired_difference(values, plain):.2f}"))
+    return markdown_table(("map", "log-likelihood of the operator's place [nats], mean", "more than GGCNN's"), lines)
 
 
 def attitudes(
     known: EvaluationData, test: EvaluationData, offset: OperatorOffset, second: dict[str, MapRefiner]
 ) -> str:
-    """Returns, as Markdown, how well attitude and opening of the hand are foretold at the operator's places.
+    """Returns, as Markdown, how well orientation and opening of the hand are predicted at the operator's pixels.
 
     Args:
-        known: images that say how spread the attitudes are where a method does not say it.
+        known: images that give the standard deviation of the orientation where a method has none.
     """
     untrained = RefinementNetwork()
-    did = attitude.persons(test.target, offset)
+    did = attitude.operators(test.target, offset)
     metres = WIDTH_SCALE_PX * test.pixel_size
 
     def measured(network: RefinementNetwork, added: OperatorOffset, own_spread: bool) -> list[np.ndarray]:
         found = attitude.expected(test.seen, test.target, network, added)
         if not own_spread:
             before = attitude.expected(known.seen, known.target, network, added)
-            found = attitude.with_constant_spread(found, before, attitude.persons(known.target, offset))
+            found = attitude.with_constant_scale(found, before, attitude.operators(known.target, offset))
         turned = np.degrees(attitude.errors(found, did))
         return [turned, attitude.log_likelihoods(found, did), 1000.0 * metres * np.abs(found.opening - did.opening)]
 
@@ -232,19 +229,19 @@ def attitudes(
     opens = np.isfinite(did.opening)
     names = ["rotation error at the operator's place deg, median", "log-likelihood of the rotation [nats], mean"]
     names += ["opening error mm, median"] * bool(opens.any())
-    lines = [_line("method", *names), _line(*["---"] * (1 + len(names)))]
+    lines = []
     for name, (turned, likely, opened) in of.items():
         cells = [str(median(turned)), f"{likely.mean():.2f}", *([str(median(opened[opens]))] * bool(opens.any()))]
-        lines.append(_line(name, *cells))
-    lines += ["", _line("difference", *names), _line(*["---"] * (1 + len(names)))]
+        lines.append([name, *cells])
+    differences = []
     for name in second:
         for other in (ALONE, OFFSET):
             one, less = of[name], of[other]
             cells = [str(paired_difference(one[0], less[0], np.median)), f"{paired_difference(one[1], less[1]):.2f}"]
             if opens.any():
                 cells.append(str(paired_difference(one[2][opens], less[2][opens], np.median)))
-            lines.append(_line(f"{name} less {other}", *cells))
-    return "\n".join(lines) + "\n"
+            differences.append([f"{name} less {other}", *cells])
+    return f"{markdown_table(('method', *names), lines)}\n{markdown_table(('difference', *names), differences)}"
 
 
 def seen_of(part: list[episode_reading.Named], offset: OperatorOffset) -> EvaluationData:
@@ -268,10 +265,6 @@ def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
     of = {name: [error(r) for r in rows if r["method"] == name] for name in (*counts.values(), ALONE, OFFSET, BOUND)}
     others = {name: of[name] for name in (ALONE, OFFSET, BOUND) if of[name]}
     learning_curve.draw(path, {n: of[name] for n, name in counts.items()}, others, 1000.0 * NEAR_M)
-
-
-def _line(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def main() -> None:
@@ -306,23 +299,16 @@ def main() -> None:
         parser.error(str(error))
     if all(episodes.scene_of(named.name) for named in test):
         found[BOUND] = None
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    results = arguments.folder / "results.csv"
-    rows = kept_rows(results)
+    results = ResultsFile(arguments.folder / "results.csv", COLUMNS)
+    rows = results.rows
     done = {(r["episode"], r["method"]) for r in rows}
-    with results.open("a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        if not rows:
-            writer.writeheader()
+    with contextlib.closing(results):
         for named in tqdm(test, unit="episode"):
             missing = [name for name in found if (named.name, name) not in done]
             at = episodes.scene_of(named.name)
             scene = episodes.situation(*at) if at and missing else None
             for name in missing:
-                line = row(named, scene, name, found[name], not arguments.no_lifting)
-                writer.writerow(line)
-                rows.append(line)
-            file.flush()
+                results.add([row(named, scene, name, found[name], not arguments.no_lifting)])
     text = tables(rows, list(found), [name for name, _ in arguments.refinement])
     if known:
         shown = seen_of(known, offset), seen_of(test, offset)

@@ -1,4 +1,4 @@
-"""Makes episodes of a simulated operator's grasps, files as `collect.launch` records them; goes on where it ended."""
+"""Makes episodes of a simulated operator's grasps, in the file format of `collect.launch`; resumable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of a training: what is in it belongs to one set of data and settings, and a later call goes on with it."""
+"""The folder of a training: it belongs to one set of data and settings, and a later call resumes it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ DEVICES = ("auto", "cpu", "cuda")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Adds what all trainings are told of their run."""
-    parser.add_argument("--anew", action="store_true", help="begin anew where RUN holds another one, which is kept")
+    """Adds the options that all trainings share."""
+    parser.add_argument(
+        "--anew", action="store_true", help="start again where RUN holds another training, which is kept"
+    )
     parser.add_argument("--device", choices=DEVICES, default="auto", help="default: cuda where there is one")
 
 
@@ -28,10 +30,10 @@ def identity(settings: dict[str, Any], *data: list[str]) -> str:
 
 
 def opened(folder: Path, wanted: str, anew: bool) -> dict[str, Any] | None:
-    """Returns the checkpoint of a run that has begun, None where there is none; makes the folder.
+    """Returns the checkpoint of an earlier run, None where there is none; creates the folder.
 
     Args:
-        anew: whether to begin anew where there is another training; its files are kept in a folder `before_` and a
+        anew: whether to start again where there is another training; its files are kept in a folder `before_` and a
             number.
 
     Raises:
@@ -46,7 +48,7 @@ def opened(folder: Path, wanted: str, anew: bool) -> dict[str, Any] | None:
         return saved
     if not anew:
         raise RigError(
-            f"{folder} holds a training on other data or with other settings: name another folder, or begin anew with "
+            f"{folder} holds a training on other data or with other settings: name another folder, or start again with "
             "--anew, which keeps the old files beside the new ones."
         )
     number = 1

@@ -1,4 +1,4 @@
-"""Trains the refinement network on episodes of an operator's grasps; ends and goes on at any time.
+"""Trains the refinement network on episodes of an operator's grasps; may be stopped and resumed at any time.
 
 The folder of the run holds checkpoint.pt (to go on, with the same episodes and settings), weights.pt (the best so far),
 taste.pt (the same without the constant offset and the lean about the view's axes, which are of this operator's hand and

@@ -1,12 +1,12 @@
-"""The node grasp_collection: records what the camera saw and where an operator then grasped, one file an episode.
+"""The node grasp_collection: records depth images and the grasp of the operator that followed, one file an episode.
 
 In: the depth images of the node ggcnn with their camera_info, tf, reflex_takktile/hand_state, leap_kuka/stream, and
 from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
 grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
 
-The network runs here, on the frames that are kept: its maps before smoothing, which the refinement network needs, are
-no topic, and a few frames a second cost less than four maps of 300 x 300 numbers on topics for every image. It sees
-what the network of the node ggcnn sees, as it has the same parameters.
+The network runs here, on the kept frames only. The refinement network needs its maps before smoothing, which have no
+topic: a few frames a second cost less than four published maps of 300 x 300 numbers for every image. Network and view
+have the parameters of the node ggcnn.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ PLAYER, PLAYER_S = "collection_bag/pause_playback", 30.0
 
 
 class GraspCollection:
-    """Hands messages to the collector, and what it finishes to the files."""
+    """Passes messages to the collector, and finished grasps to the files."""
 
     def __init__(self, setup: CollectionSetup) -> None:
         self._setup = setup
@@ -95,7 +95,7 @@ class GraspCollection:
         return False
 
     def close(self) -> None:
-        """Writes what is decided; says what is not."""
+        """Writes the decided episodes and reports the undecided frames."""
         with self._lock:
             if self._collector.waiting:
                 rospy.loginfo("%d frames that no grasp labelled are dropped.", self._collector.waiting)
@@ -111,10 +111,10 @@ class GraspCollection:
                 self._take_image(message)
             except (ValueError, NoView, tf2_ros.TransformException) as error:
                 self._waits_for = _clause(error)
-                rospy.logwarn_throttle(THROTTLE_S, f"An image was left out: {self._waits_for}.")
+                rospy.logwarn_throttle(THROTTLE_S, f"An image was skipped: {self._waits_for}.")
 
     def _take_image(self, message: Image) -> None:
-        """Raises ValueError, NoView or TransformException with what is missing for a frame."""
+        """Keeps a frame; raises ValueError, NoView or TransformException that names what is missing."""
         stamp, wait = message.header.stamp, self._setup.config.tf_wait
         if stamp.is_zero():
             raise ValueError("the image has no stamp")
@@ -126,8 +126,8 @@ class GraspCollection:
         if self._info is None:
             raise ValueError(f"nobody publishes {rospy.resolve_name(self._setup.ggcnn.input.info_topic)}")
         camera = camera_model_from_info(self._info)
-        T_base_camera = self._place(message.header.frame_id, stamp, wait)
-        T_base_tool = self._place(FLANGE_MEASURED, stamp, wait) @ self._T_flange_tool
+        T_base_camera = self._pose(message.header.frame_id, stamp, wait)
+        T_base_tool = self._pose(FLANGE_MEASURED, stamp, wait) @ self._T_flange_tool
         self._waits_for = ""
         with self._lock:
             if not self._collector.wants(stamp.to_sec(), T_base_tool):
@@ -155,13 +155,13 @@ class GraspCollection:
             if self._collector.add(frame, Optics(view.camera, view.image.crop, camera)):
                 rospy.logwarn("The camera changed: the frames before are dropped.")
 
-    def _place(self, frame: str, stamp: rospy.Time, wait: float) -> np.ndarray:
+    def _pose(self, frame: str, stamp: rospy.Time, wait: float) -> np.ndarray:
         found = self._tf.lookup_transform(BASE, frame, stamp, rospy.Duration(wait))
         return pose_from_transform(found.transform)
 
     def _desired(self, stamp: rospy.Time) -> np.ndarray:
         try:
-            return self._place(TOOL_DESIRED, stamp, 0.0)
+            return self._pose(TOOL_DESIRED, stamp, 0.0)
         except tf2_ros.TransformException:
             return NOWHERE
 
@@ -175,10 +175,10 @@ class GraspCollection:
             try:
                 found = self._tf.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
                 if abs((now - found.header.stamp).to_sec()) > STALE_S:
-                    raise ValueError(f"the place of the tool is older than {STALE_S:g} s")
+                    raise ValueError(f"the pose of the tool is older than {STALE_S:g} s")
                 T_base_tool = pose_from_transform(found.transform) @ self._T_flange_tool
             except (ValueError, tf2_ros.TransformException) as error:
-                rospy.logwarn_throttle(THROTTLE_S, f"The hand is watched without effect: {_clause(error)}.")
+                rospy.logwarn_throttle(THROTTLE_S, f"The state of the hand is ignored: {_clause(error)}.")
                 return
             with self._lock:
                 self._take_time(now)
@@ -197,12 +197,12 @@ class GraspCollection:
 
     def _on_outcome(self, message: GraspOutcome) -> None:
         if not message.tool.header.frame_id:
-            rospy.loginfo("The proposal %d is no episode: %s", message.proposal.id, message.reason)
+            rospy.loginfo("The proposal %d makes no episode: %s", message.proposal.id, message.reason)
             return
         try:
             T_base_tool = pose_in(BASE, message.tool)
         except ValueError as error:
-            rospy.logerr("An outcome on grasping/outcome is of no use: %s.", error)
+            rospy.logerr("An outcome on grasping/outcome is invalid: %s.", error)
             return
         with self._lock:
             finished = self._collector.outcome(
@@ -216,14 +216,14 @@ class GraspCollection:
             rospy.logwarn("Time went back: the frames before are dropped.")
 
     def _store(self, finished: Finished | None) -> None:
-        """Makes an episode of a grasp whose fate is known."""
+        """Makes an episode of a finished grasp."""
         if finished is None:
             return
         grasp, frames, setup = finished.grasp, finished.frames, self._setup
         if frames is None:
             rospy.logwarn(
-                "A grasp is no episode: no frame was kept since the operator began; in %d so far GGCNN took the robot "
-                "for an object.",
+                "A grasp makes no episode: no frame was kept since the operator began; in %d so far GGCNN took the "
+                "robot for an object.",
                 self._on_robot,
             )
             return
@@ -295,7 +295,7 @@ def _play() -> None:
     """Starts the recording that is paused until this node listens.
 
     Raises:
-        RigError: there is none.
+        RigError: no recording is there or it does not answer.
     """
     try:
         call(PLAYER, SetBool, False, timeout=PLAYER_S, wait=PLAYER_S)

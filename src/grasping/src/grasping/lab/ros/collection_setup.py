@@ -1,4 +1,4 @@
-"""The parameters of the node grasp_collection, and what is made of them before the first image."""
+"""The parameters of the node grasp_collection, and the objects made of them at start-up."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from grasping.ros.weight_files import load_network, own_yaml, package_folder
 
 SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
 GGCNN = "ggcnn"
-"""Section with the parameters of the node ggcnn, whose network and view are used here."""
+"""Section with the parameters of the node ggcnn for its network and view."""
 GIT_S = 5.0
 
 
@@ -36,7 +36,7 @@ class CollectionConfig:
     """The node's parameters beside the sections."""
 
     folder: str = path(doc="folder of the episodes; empty: leap_rig/grasps in ROS's home, ~/.ros")
-    object: str = text(doc="what is grasped; may be set anew while the node runs")
+    object: str = text(doc="name of the grasped object; may be changed while the node runs")
     operator: str = text(doc="who teleoperates")
     tf_wait: float = number("s", above=0.0, high=5.0, doc="longest wait for the poses at an image's time")
     from_bag: bool = flag(doc="start the recording that collection_bag is about to play")
@@ -44,7 +44,7 @@ class CollectionConfig:
 
 @dataclass(frozen=True)
 class KukaConfig(ToolConfig):
-    """What the parameters under kuka/ tell of the arm."""
+    """The arm's parameters under kuka/."""
 
     robot: str = text(doc="LBR7R800 or LBR14R820")
     flange: str = text(doc="media flange")

@@ -22,11 +22,11 @@ from grasping.lab.dataset.store import SUFFIX, DatasetError, encode, file_name, 
 WAITING = 2
 """Episodes that may wait to be packed; each is up to half a megabyte a frame."""
 WAITING_BYTES = 500_000_000
-"""Packed episodes that the disk did not take may need so much memory."""
+"""Most memory for packed episodes that the disk did not take."""
 RETRY_S = 2.0
-"""They are tried again after so long."""
+"""Time between two attempts."""
 FLUSH_S = 6.0
-"""Twice as long is less than the 15 s that roslaunch gives a node to end."""
+"""Twice this time is less than the 15 s that roslaunch gives a node to exit."""
 ASIDE = ".discarded"
 
 
@@ -56,10 +56,10 @@ class EpisodeFiles:
         self._lock = threading.Lock()
         self._packed: list[_Packed] = []
         self.lost = 0
-        self._loss = self._hindrance = ""
+        self._loss = self._write_fault = ""
         for file in sorted(folder.glob(".*")):
             if unfinished(file.name):
-                rospy.logwarn("The episode in %s is lost: the process that wrote it died; the file can go.", file)
+                rospy.logwarn("The episode in %s is lost: the process that wrote it died. Delete the file.", file)
         self._thread = threading.Thread(target=self._loop, name="episodes", daemon=True)
         self._thread.start()
 
@@ -69,7 +69,7 @@ class EpisodeFiles:
 
     @property
     def fault(self) -> str:
-        return " ".join(filter(None, (self._loss, self._hindrance)))
+        return " ".join(filter(None, (self._loss, self._write_fault)))
 
     def put(self, episode: Episode) -> None:
         """Hands an episode over; it is lost if the disk is too slow for those before it."""
@@ -127,7 +127,7 @@ class EpisodeFiles:
             self._lose(str(error))
             return
         if sum(len(p.content) for p in (*self._packed, packed)) > WAITING_BYTES:
-            self._lose(f"{self.waiting} before it wait for the disk and fill the memory that they may.")
+            self._lose(f"{self.waiting} episodes before it wait for the disk and fill the allowed memory. Make room.")
             return
         self._packed.append(packed)
 
@@ -140,13 +140,13 @@ class EpisodeFiles:
                     write_bytes_whole(file, content)
                     self._last, self._aside = file, False
             except OSError as error:
-                hindrance = f"An episode waits in memory: {file} cannot be written: {error.strerror}. Make room."
-                if hindrance != self._hindrance:
-                    rospy.logerr(hindrance)
-                self._hindrance = hindrance
+                write_fault = f"An episode waits in memory: {file} cannot be written: {error.strerror}. Make room."
+                if write_fault != self._write_fault:
+                    rospy.logerr(write_fault)
+                self._write_fault = write_fault
                 return
             del self._packed[0]
-            self._loss = self._hindrance = ""
+            self._loss = self._write_fault = ""
             self._on_written(episode, file, len(content))
 
     def _same_grasp(self, t_grasp: float) -> Path | None:

@@ -99,7 +99,7 @@ def episode(
     """Returns the episode of a scene, None where the operator finds nothing to grasp.
 
     Args:
-        frames: images, each with the camera's faults drawn anew.
+        frames: images, each with the camera's faults drawn again.
     """
     of = situation(split, number)
     rng = np.random.default_rng([97, number])

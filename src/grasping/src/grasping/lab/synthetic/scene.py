@@ -38,7 +38,7 @@ class SceneCamera(NamedTuple):
     """A depth camera above the table."""
 
     position: np.ndarray  # of the optical centre in the world, shape (3,) [m]
-    R: np.ndarray  # attitude of the camera's axes in the world, shape (3, 3)
+    R: np.ndarray  # orientation of the camera's axes in the world, shape (3, 3)
     focal: float  # focal length [px]
     side: int  # rows and columns of its square image [px]
 

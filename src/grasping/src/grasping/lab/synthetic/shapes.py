@@ -127,7 +127,7 @@ HELD_OUT = (mug, hammer, cross, prism)
 
 
 def random_quaternion(rng: np.random.Generator) -> tuple[float, float, float, float]:
-    """Returns a uniformly random attitude w, x, y, z."""
+    """Returns a uniformly random orientation w, x, y, z."""
     q = rng.standard_normal(4)
     return tuple(q / np.linalg.norm(q))
 
