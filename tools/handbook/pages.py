@@ -65,7 +65,13 @@ class Block:
 
 def pages() -> list[Path]:
     """Returns all pages: those at the root, docs, and the READMEs beside the sources."""
-    found = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("bench/*.md"), *ROOT.glob("cad/**/*.md")]
+    found = [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/**/*.md"),
+        *ROOT.glob("bench/*.md"),
+        *ROOT.glob("examples/*.md"),
+        *ROOT.glob("cad/**/*.md"),
+    ]
     found += ROOT.glob("src/**/*.md")
     return sorted(page for page in found if ".venv" not in page.parts)
 
