@@ -49,8 +49,10 @@ def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world
     launch = ros.launch("vision", "camera_apriltag.launch", **arguments)
     ros.record("tag_detections", AprilTagDetectionArray).wait(3, 60.0)
     rospy.set_param("camera_calibration/views/guess_position", [1.0, 0.0, 0.65])
-    rospy.set_param("camera_calibration/views/tries", 400)
-    options = ("--ip", "127.0.0.1", "--port", robot_port, "--velocity", "0.4", "--yes")
+    rospy.set_param("camera_calibration/views/tries", 300)
+    rospy.set_param("camera_calibration/views/count", 10)
+    rospy.set_param("camera_calibration/limits/pictures", 5)
+    options = ("--ip", "127.0.0.1", "--port", robot_port, "--velocity", "0.5", "--yes")
     program = processes.start("rosrun", "vision", "calibrate_camera.py", *options)
     assert program.wait(600.0) == 0, program.log_path.read_text()
     (file,) = tmp_path.glob("camera_place_*.yaml")
@@ -63,8 +65,8 @@ def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world
 
     again = ros.launch("vision", "camera_apriltag.launch", camera="false", **arguments)
     wait_for_frames = processes.start("rosrun", "vision", "camera_frames_node.py", *frames())
-    text = f"The camera's place is that of {file}"
-    wait_until(lambda: text in again.log_path.read_text(), 40.0, "the stored place")
+    text = f"The camera pose is that of {file}"
+    wait_until(lambda: text in again.log_path.read_text(), 40.0, "the stored pose")
     assert wait_for_frames.poll() is None
     import tf2_ros
 
