@@ -69,8 +69,6 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "leap_hand/config/leap_hand.yaml": (Part("leap_hand.config:HandConfig"),),
     "leap_hand/config/full_grip.yaml": (Part("leap_hand.config:HandConfig", above=True),),
     "reflex/config/reflex_takktile.yaml": (Part("reflex.ros.parameters:HandConfig", above=True),),
-    "reflex/config/finger_calibrate.yaml": (Part("reflex.calibration:FingerZeros"),),
-    "reflex/config/tactile_calibrate.yaml": (Part("reflex.calibration:TactileOffsets"),),
     "apriltag_ros/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings", above=True),),
     "vision/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings", above=True),),
     "vision/config/panel.yaml": (Part("vision.marker_board.board:MarkerBoardConfig"),),
@@ -101,6 +99,8 @@ Shown = Dict[Tuple[str, ...], Tuple[str, str, str]]
 AS_IT_IS = {
     "apriltag_ros/config/tags.yaml",
     "kuka_control/config/joint_configurations.yaml",
+    "reflex/config/finger_calibrate.yaml",
+    "reflex/config/tactile_calibrate.yaml",
     "rig_simulation/config/panels/bundle.yaml",
     "rig_simulation/config/panels/single.yaml",
     "rig_simulation/config/scenes/cup.yaml",
@@ -113,7 +113,7 @@ AS_IT_IS = {
     "vision/config/xtion_depth.yaml",
     "vision/config/xtion_rgb.yaml",
 }
-"""Files that are only linked: lists, third-party formats, and scenes with the keys of objects.yaml."""
+"""Files that are only linked: lists, calibrations, third-party formats, and scenes with the keys of objects.yaml."""
 
 
 def page() -> str:
