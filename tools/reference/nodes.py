@@ -55,7 +55,7 @@ NODES: dict[str, Node] = {
     "leap_hand/leap_hand_node.py": Node({"": "leap_hand.config:NodeConfig"}, {}),
     "leap_motion/leap_driver.py": Node({"": "leap_motion.ros.node_parameters:DriverConfig"}, {}),
     "reflex/reflex_takktile_driver.py": Node(
-        {"": "reflex.ros.parameters:HandConfig"}, {"": ("reflex/config/reflex_takktile.yaml",)}
+        {"": "reflex.ros.parameters:ReflexDriverConfig"}, {"": ("reflex/config/reflex_takktile.yaml",)}
     ),
     "rig_simulation/camera_node.py": Node(
         {"": "rig_simulation.node_parameters:CameraConfig"},

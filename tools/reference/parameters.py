@@ -68,7 +68,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "grasping/config/tool_pose.yaml": (Part("grasping.pipeline.tool_pose:ToolPoseConfig"),),
     "leap_hand/config/leap_hand.yaml": (Part("leap_hand.config:HandConfig"),),
     "leap_hand/config/full_grip.yaml": (Part("leap_hand.config:HandConfig", above=True),),
-    "reflex/config/reflex_takktile.yaml": (Part("reflex.ros.parameters:HandConfig", above=True),),
+    "reflex/config/reflex_takktile.yaml": (Part("reflex.ros.parameters:ReflexDriverConfig", above=True),),
     "apriltag_ros/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings", above=True),),
     "vision/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings", above=True),),
     "vision/config/panel.yaml": (Part("vision.marker_board.board:MarkerBoardConfig"),),

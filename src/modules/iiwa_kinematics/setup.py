@@ -1,4 +1,12 @@
-from catkin_pkg.python_setup import generate_distutils_setup
+"""Read by catkin and, with pyproject.toml, by pip; the wheel leaves the ros folder out."""
+
+import sys
+
 from setuptools import find_packages, setup
 
-setup(**generate_distutils_setup(packages=find_packages("src"), package_dir={"": "src"}))
+if "setuptools.build_meta" in sys.modules:
+    setup(packages=find_packages("src", exclude=["*.ros"]), package_dir={"": "src"})
+else:
+    from catkin_pkg.python_setup import generate_distutils_setup
+
+    setup(**generate_distutils_setup(packages=find_packages("src"), package_dir={"": "src"}))

@@ -10,7 +10,7 @@ import yaml
 from common.config import parse
 from reflex import CommandRefused, HandSettings, HandSilent, HandStatus, ReflexHand, WireFault
 from reflex.calibration_files import CalibrationFiles
-from reflex.ros.parameters import HandConfig
+from reflex.ros.parameters import ReflexDriverConfig
 
 
 def threads():
@@ -105,7 +105,7 @@ def test_a_fault_in_a_callback_lets_the_hand_go(simulated_hand, hand_of, wait_un
 
 def test_the_drivers_parameters_have_the_clients_defaults(shipped_parameters):
     values = {**shipped_parameters, "network_interface": "lo", "port": 1, "calibration_folder": "x"}
-    assert parse(HandConfig, values).settings() == HandSettings()
+    assert parse(ReflexDriverConfig, values).settings() == HandSettings()
 
 
 @pytest.fixture

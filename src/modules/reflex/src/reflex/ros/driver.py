@@ -22,7 +22,7 @@ from reflex.errors import CalibrationFileError, CommandRefused, ReflexError
 from reflex.motion import HandNote
 from reflex.reading import HandReading
 from reflex.ros.messages import hand_message, joint_state
-from reflex.ros.parameters import HandConfig
+from reflex.ros.parameters import ReflexDriverConfig
 from reflex_msgs.msg import Hand as HandMessage
 from reflex_msgs.msg import RadianServoCommands, RawServoCommands
 from reflex_msgs.srv import SetSpeed, SetSpeedResponse, SetTactileThreshold, SetTactileThresholdResponse
@@ -36,7 +36,7 @@ LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": 
 class HandDriver:
     """The hand on its topics and services."""
 
-    def __init__(self, config: HandConfig) -> None:
+    def __init__(self, config: ReflexDriverConfig) -> None:
         self._hand_state = rospy.Publisher("/reflex_takktile/hand_state", HandMessage, queue_size=10)
         self._joint_states = rospy.Publisher("joint_states", JointState, queue_size=10)
         shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
@@ -119,7 +119,7 @@ def main() -> None:
         DeviceError: the network interface or the port cannot be used.
     """
     try:
-        HandDriver(wait_for_config(HandConfig, rospy.get_name())).run()
+        HandDriver(wait_for_config(ReflexDriverConfig, rospy.get_name())).run()
     except CalibrationFileError as error:
         raise ConfigError(error.faults) from error
     except ReflexError as error:

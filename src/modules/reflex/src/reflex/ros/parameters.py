@@ -14,7 +14,7 @@ MAX_TRAVEL_RAD = HandSettings.travel
 
 
 @dataclass(frozen=True)
-class HandConfig:
+class ReflexDriverConfig:
     """Parameters of the driver; vectors of four are f1, f2, f3, preshape."""
 
     network_interface: str = text("interface on which the hand is, such as eth0; lo for the simulated hand")
