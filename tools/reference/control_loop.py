@@ -5,7 +5,6 @@ from __future__ import annotations
 from kuka_control.loop.transitions import (
     PTP_STATES,
     REAL_TIME_STATES,
-    TRANSITIONS,
     Action,
     State,
     transitions_among,
@@ -21,26 +20,15 @@ INTRO = (
 
 def page() -> str:
     """Returns the page."""
-    modes = [[_name(state), f"`{state.mode.value}`", _algorithms(state)] for state in State]
-    rows = [
-        [
-            ", ".join(map(_name, row.sources)),
-            markdown.text(row.trigger.value),
-            _name(row.target),
-            row.action.value,
-            markdown.text(row.because),
-        ]
-        for row in TRANSITIONS
-    ]
+    unlike = [f"`{_name(s)}` ({s.mode.value})" for s in State if _name(s) != s.mode.value]
     return "\n".join(
         [
             markdown.generated("States of the control loops", "kuka_control/loop/transitions.py", INTRO),
-            f"## Real time\n\n{diagram(REAL_TIME_STATES)}",
-            f"## PTP\n\n{diagram(PTP_STATES)}",
-            "## States\n",
-            markdown.table(["state", "published mode", "controller"], modes),
-            "## Transitions\n",
-            markdown.table(["from", "when", "to", "the arm is told", "because"], rows),
+            f"States with the mode of another one: {', '.join(unlike)}.\n",
+            diagram(REAL_TIME_STATES),
+            f"Only the PTP controller has {_only(PTP_STATES, REAL_TIME_STATES)}; "
+            f"only the real-time controller has {_only(REAL_TIME_STATES, PTP_STATES)}. "
+            "A motion or servo mode that the robot refuses leads to `stopped`; after `zero` to `ended`.\n",
         ]
     )
 
@@ -62,6 +50,5 @@ def _name(state: State) -> str:
     return state.name.lower()
 
 
-def _algorithms(state: State) -> str:
-    names = [name for name, states in (("real time", REAL_TIME_STATES), ("PTP", PTP_STATES)) if state in states]
-    return ", ".join(names)
+def _only(states: frozenset[State], others: frozenset[State]) -> str:
+    return ", ".join(f"`{_name(state)}`" for state in State if state in states and state not in others)
