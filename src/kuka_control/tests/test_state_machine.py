@@ -203,17 +203,28 @@ def test_every_transition_is_taken(schema, source, trigger):
 class AnyOrder(RuleBasedStateMachine):
     """Laws that hold in whatever order the events come. The fake arm asserts that a command comes in its mode only."""
 
-    @initialize(schema=st.sampled_from([RealTimeConfig, PtpConfig]), speed=st.sampled_from([0.3, 1.0]))
-    def start(self, schema, speed):
+    @initialize(
+        schema=st.sampled_from([RealTimeConfig, RealTimeConfig, PtpConfig]),
+        begin=st.sampled_from([State.SERVO, State.SERVO, State.PICK_UP, State.HOME, State.STARTING]),
+        speed=st.sampled_from([0.3, 1.0]),
+    )
+    def start(self, schema, begin, speed):
         self.world = World(schema)
-        self.world.arm.speed = speed
         self.stopped_under = None
         self.last_goal = None
-        self.tool = None
+        self.tool = None if begin is State.STARTING else FAR
+        reach(self.world, begin if begin in STATES[schema] else State.AT_POSE)
+        self.world.arm.speed = speed
 
-    @rule(on=st.booleans())
-    def switch(self, on):
-        self.world.control_on = on
+    @rule()
+    def switch_off(self):
+        disable(self.world)
+        self.live(0.1)
+
+    @rule()
+    def switch_on(self):
+        enable(self.world)
+        self.live(0.1)
 
     @rule()
     def switch_off_and_on_at_once(self):
@@ -242,6 +253,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.world.arm.fail = ReplyTimeout("late")
         self.live(DT)
         self.world.arm.fail = None
+        self.live(DT)
 
     @rule()
     def leave(self):
@@ -287,5 +299,5 @@ class AnyOrder(RuleBasedStateMachine):
             assert self.world.state is State.ENDED
 
 
-AnyOrder.TestCase.settings = settings(max_examples=40, stateful_step_count=12)
+AnyOrder.TestCase.settings = settings(max_examples=60, stateful_step_count=12)
 TestAnyOrder = AnyOrder.TestCase
