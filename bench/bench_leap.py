@@ -16,13 +16,12 @@ from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig
 from leap_hand import teleop as hand_teleop
 from leap_hand.config import HandConfig
-from leap_hand.ros import tracking as hand_tracking
 from leap_kuka import teleop as arm_teleop
-from leap_kuka.config import ArmConfig, LeapConfig
-from leap_kuka.ros import tracking as arm_tracking
+from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_motion.codec import read_message
 from leap_motion.msg import Human
 from leap_motion.ros.human import human_from_frame
+from leap_motion.ros.tracking import frame_from_human
 from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import ScriptedOperator
@@ -54,14 +53,12 @@ def rows(quick: bool) -> list[Row]:
     times, humans = timed(lambda data: Human().deserialize(data), [(data,) for data in packed])
     table.append(row("Human: deserialised", times, "us", "once in each node that listens"))
 
-    arm, hand = _arm_teleop(), hand_teleop.Teleop(_config(HandConfig, "leap_hand", "leap_hand", "leap_hand"), True)
-    times, results = timed(lambda h, s: arm.step(arm_tracking.frame_from_human(h, s), s.to_sec()), zip(humans, stamps))
-    running = sum(result.state == arm_teleop.RUNNING for result in results)
+    arm, hand = _arm_teleop(), hand_teleop.HandTeleop(_config(HandConfig, "leap_hand", "leap_hand", "leap_hand"), True)
+    times, results = timed(lambda h, s: arm.step(frame_from_human(h, s), s.to_sec()), zip(humans, stamps))
+    running = sum(result.state == arm_teleop.StreamState.RUNNING for result in results)
     table.append(row("leap_kuka: Human to desired tool", times, "us", f"the stream runs in {running} of them"))
-    times, results = timed(
-        lambda h, s: hand.step(hand_tracking.frame_from_human(h, s), s.to_sec()), zip(humans, stamps)
-    )
-    following = sum(result is not None and result.state == hand_teleop.FOLLOWING for result in results)
+    times, results = timed(lambda h, s: hand.step(frame_from_human(h, s), s.to_sec()), zip(humans, stamps))
+    following = sum(result is not None and result.state == hand_teleop.GripperState.FOLLOWING for result in results)
     table.append(row("leap_hand: Human to command", times, "us", f"a hand is followed in {following} of them"))
     return table
 
@@ -93,11 +90,11 @@ def _serialised(human: Human) -> bytes:
     return buffer.getvalue()
 
 
-def _arm_teleop() -> arm_teleop.Teleop:
+def _arm_teleop() -> arm_teleop.ArmTeleop:
     kuka = _config(RealTimeConfig, "kuka_control", "kuka_params_rt", "kuka")
     values = {**vars(kuka), "ws_center": Rig.of(kuka).home.centre}
-    arm = parse(ArmConfig, values, "kuka/", others=values)
-    return arm_teleop.Teleop(_config(LeapConfig, "leap_kuka", "leap_params", "leap"), arm)
+    arm = parse(ArmPlacement, values, "kuka/", others=values)
+    return arm_teleop.ArmTeleop(_config(LeapConfig, "leap_kuka", "leap_params", "leap"), arm)
 
 
 def _config(schema, package: str, file: str, prefix: str):

@@ -20,7 +20,7 @@ FIST = np.radians([115.0, 115.0, 100.0, 0.0])
 class Driver:
     """What the hand's driver offers, and the order in which its services were called.
 
-    It publishes the state of a hand that stands at 1 rad, with what presses on a cell of the index finger.
+    It publishes the state of a hand that stands at 1 rad, with what presses on a taxel of the index finger.
     """
 
     def __init__(self):
@@ -229,7 +229,7 @@ def test_a_finger_that_presses_stops_and_follows_again(ros, driver, tracker, wai
     driver.pressure = 90.0
     stopped = [1.0, *FIST[1:]]
     wait_until(lambda: is_near(driver, stopped), 10.0, "the index finger to stop where it stands")
-    wait_until(lambda: status().get("limited") == "index (cell 3: 90 counts)", 10.0, "diagnostics to name it")
+    wait_until(lambda: status().get("limited") == "index (taxel 3: 90 counts)", 10.0, "diagnostics to name it")
     driver.pressure = 45.0
     sent = len(driver.commands)
     wait_until(lambda: len(driver.commands) > sent + 20, 10.0, "more commands")
@@ -237,7 +237,7 @@ def test_a_finger_that_presses_stops_and_follows_again(ros, driver, tracker, wai
     driver.pressure = 0.0
     wait_until(lambda: is_near(driver, FIST), 10.0, "the fist again")
     wait_until(lambda: status().get("limited") == "" and status()["limit_trips"] == "1", 10.0, "diagnostics")
-    assert b"The index is not closed further (cell 3: 90 counts)." in process.log_path.read_bytes()
+    assert b"The index is not closed further (taxel 3: 90 counts)." in process.log_path.read_bytes()
 
 
 def test_a_pressing_finger_stops_without_a_new_tracking_frame(ros, driver, tracker, wait_until):

@@ -8,10 +8,9 @@ import pytest
 
 from common.config import parse
 from common.rotations import rotation_from_zyx
-from leap_kuka.config import ArmConfig, LeapConfig
+from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.desired_tool import R_LEAP_REFERENCE
-from leap_kuka.hand_frame import HandSample
-from leap_kuka.teleop import TrackingFrame
+from leap_motion.tracking import TrackedHand, TrackingFrame
 
 LEAP = {
     "z_clearance": 0.15,
@@ -42,7 +41,7 @@ def leap():
 @pytest.fixture(scope="session")
 def arm():
     """Makes the arm's parameters, with what differs from the defaults."""
-    return lambda **changes: parse(ArmConfig, {**ARM, **changes}, "kuka/")
+    return lambda **changes: parse(ArmPlacement, {**ARM, **changes}, "kuka/")
 
 
 @pytest.fixture(scope="session")
@@ -51,14 +50,14 @@ def sample():
 
     def make(yaw=0.0, pitch=0.0, roll=0.0, position=(0.0, BOX_HEIGHT, 0.0), id=12, is_left=False, confidence=1.0):
         R = R_LEAP_REFERENCE @ rotation_from_zyx(*np.radians([yaw, pitch, roll]))
-        return HandSample(id, is_left, position, R[:, 0], R[:, 2], confidence)
+        return TrackedHand(id, is_left, position, R[:, 0], R[:, 2], confidence)
 
     return make
 
 
 @pytest.fixture(scope="session")
 def player():
-    """Feeds hands to a Teleop as frames of a tracker at 100 Hz."""
+    """Feeds hands to a ArmTeleop as frames of a tracker at 100 Hz."""
 
     class Player:
         def __init__(self, teleop):
@@ -87,7 +86,7 @@ def recording(shared_data):
             for line in file:
                 frame = json.loads(line)
                 hands = tuple(
-                    HandSample(
+                    TrackedHand(
                         hand["id"],
                         hand["type"] == "left",
                         np.array(hand["palmPosition"]) / 1e3 + offset,

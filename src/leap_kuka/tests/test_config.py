@@ -8,7 +8,7 @@ import yaml
 
 from common.config import parse
 from common.errors import ConfigError
-from leap_kuka.config import ArmConfig, LeapConfig
+from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.start_gate import interaction_box
 
 SHIPPED = yaml.safe_load((Path(__file__).parents[1] / "config" / "leap_params.yaml").read_text())
@@ -52,9 +52,9 @@ def test_bad_parameters_are_named(change, word):
 )
 def test_bad_parameters_of_the_arm_are_named(change, word):
     good = {"center_line": [1, -1, 0], "z_lower_limit": 0.2, "tool_length": 0.106, "ws_center": [0.42, -0.42, 0.4]}
-    parse(ArmConfig, good, "kuka/")
+    parse(ArmPlacement, good, "kuka/")
     with pytest.raises(ConfigError, match=word):
-        parse(ArmConfig, {**good, **change}, "kuka/")
+        parse(ArmPlacement, {**good, **change}, "kuka/")
 
 
 def test_the_box_stands_over_the_leap_at_the_height_of_the_workspace_centre(leap, arm):

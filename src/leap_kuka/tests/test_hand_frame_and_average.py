@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from common.rotations import check_rotation, rotation_about
 from leap_kuka.hand_average import MAX_LEFT_OUT, HandAverage
-from leap_kuka.hand_frame import hand_rotation, sample_fault
+from leap_kuka.hand_frame import hand_fault, hand_rotation
 
 angles = st.floats(-180.0, 180.0)
 small = st.floats(-60.0, 60.0)
@@ -47,10 +47,10 @@ def test_a_level_hand_that_points_away_from_the_user(sample):
 @pytest.mark.parametrize(
     "change, word",
     [
-        ({"position": (np.nan, 0.3, 0.0)}, "finite"),
+        ({"palm": (np.nan, 0.3, 0.0)}, "finite"),
         ({"direction": (0.0, 0.0, -np.inf)}, "finite"),
         ({"confidence": float("nan")}, "finite"),
-        ({"position": (0.0, 350.0, 0.0)}, "350.0 m"),
+        ({"palm": (0.0, 350.0, 0.0)}, "350.0 m"),
         ({"direction": (0.0, 0.0, 0.0)}, "direction of the hand has length 0"),
         ({"direction": (0.0, 0.0, -1.01)}, "length 1.01"),
         ({"normal": (0.0, -0.9, 0.0)}, "normal of the hand has length 0.9"),
@@ -60,7 +60,7 @@ def test_a_level_hand_that_points_away_from_the_user(sample):
     ],
 )
 def test_numbers_that_are_no_hand_are_named(sample, change, word):
-    assert word in sample_fault(dataclasses.replace(sample(), **change))
+    assert word in hand_fault(dataclasses.replace(sample(), **change))
 
 
 def test_six_printed_digits_are_good_enough(sample):
@@ -68,12 +68,12 @@ def test_six_printed_digits_are_good_enough(sample):
     rounded = dataclasses.replace(
         hand, direction=np.float32(np.round(hand.direction, 5)), normal=np.float32(np.round(hand.normal, 5))
     )
-    assert sample_fault(rounded) is None
+    assert hand_fault(rounded) is None
 
 
 def test_records_cannot_be_written_to(sample):
     with pytest.raises(ValueError):
-        sample().position[0] = 1.0
+        sample().palm[0] = 1.0
 
 
 @given(st.integers(1, 20), st.integers(0, 40))
@@ -93,7 +93,7 @@ def test_the_mean_of_equal_samples_is_the_sample(sample, yaw, pitch, roll):
     for i in range(3):
         average.add(hand, 0.01 * i)
     mean = average.mean()
-    np.testing.assert_allclose(mean.palm, hand.position, atol=1e-12)
+    np.testing.assert_allclose(mean.palm, hand.palm, atol=1e-12)
     np.testing.assert_allclose(mean.T_leap_hand[:3, :3], hand_rotation(hand.direction, hand.normal), atol=1e-9)
     assert mean.confidence == pytest.approx(0.4)
 

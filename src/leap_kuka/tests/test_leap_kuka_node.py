@@ -86,7 +86,7 @@ def hand(sample):
         s = sample(**changes)
         message = Hand(lmc_hand_id=s.id, is_present=True, confidence=s.confidence)
         message.palm_center, message.direction, message.normal = (
-            Point(*s.position),
+            Point(*s.palm),
             Vector3(*s.direction),
             Vector3(*s.normal),
         )
@@ -232,7 +232,7 @@ def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, han
     wait_until(held, 20.0, "another hold")
     status.publish(KukaStatus(control_on=False))
     wait_until(lambda: node.holds()[-1] == "none", 20.0, "the end with control")
-    assert "the tool is held no longer: control of the arm is off" in [m.message for m in node.stream]
+    assert "the tool is no longer held: control of the arm is off" in [m.message for m in node.stream]
     assert hold(tool, 0.0).success
     status.unregister()
     listener.unregister()

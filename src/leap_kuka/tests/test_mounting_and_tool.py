@@ -11,7 +11,7 @@ from common.errors import ConfigError
 from common.mounting import mounting_frame, rotation_of_mounting
 from common.poses import pose
 from common.rotations import rotation_from_zyx
-from leap_kuka.teleop import RUNNING, Teleop
+from leap_kuka.teleop import ArmTeleop, StreamState
 
 degrees = st.floats(-180.0, 180.0)
 mountings = st.tuples(degrees, degrees, degrees)
@@ -22,7 +22,7 @@ BOX_HEIGHT = 0.35
 def teleop_of(leap, arm, line, mounting, **changes):
     c = 0.5 * np.array(line)
     settings = {"center_line": line, "ws_center": [c[0], c[1], 0.4], "z_upper_limit": 0.6, "mounting": list(mounting)}
-    return Teleop(leap(), arm(**{**settings, **changes}))
+    return ArmTeleop(leap(), arm(**{**settings, **changes}))
 
 
 @given(lines, mountings, st.floats(-60.0, 60.0))
@@ -30,7 +30,7 @@ def test_a_level_straight_hand_asks_for_the_home_tool_at_the_centre(leap, arm, p
     """Whatever the mounting, and wherever the hand pointed when the stream began."""
     teleop = teleop_of(leap, arm, line, mounting)
     result = player(teleop).steps(12, sample(yaw=yaw))[-1]
-    assert result.state == RUNNING, result.reason
+    assert result.state == StreamState.RUNNING, result.reason
     T = result.T_base_virtual @ result.T_virtual_tool
     np.testing.assert_allclose(T[:3, :3], mounting_frame(line, mounting).R_base_tool, atol=1e-7)
     np.testing.assert_allclose(T[:3, 3], [0.5 * line[0], 0.5 * line[1], 0.4], atol=1e-7)
@@ -66,7 +66,7 @@ def test_an_arm_that_hangs_needs_to_know_its_upper_limit(leap, arm):
 @given(*[st.floats(-3.0, 3.0)] * 3, *[st.floats(-0.3, 0.3)] * 3)
 def test_the_desired_flange_carries_the_tool(leap, arm, a, b, c, x, y, z):
     T = pose(rotation_from_zyx(a, b, c), (x, y, z))
-    teleop = Teleop(leap(), arm(use_tool_transform=True, tool_transform=T.ravel().tolist()))
+    teleop = ArmTeleop(leap(), arm(use_tool_transform=True, tool_transform=T.ravel().tolist()))
     np.testing.assert_allclose(teleop.T_tool_flange @ T, np.eye(4), atol=1e-12)
 
 

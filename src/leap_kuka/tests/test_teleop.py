@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from common.poses import inverse
 from common.rotations import rotation_about, rotation_angle
-from leap_kuka.hand_frame import HandSample
-from leap_kuka.teleop import RUNNING, WAITING, Teleop, TrackingFrame
+from leap_kuka.teleop import ArmTeleop, StreamState
+from leap_motion.tracking import TrackedHand, TrackingFrame
 
 LIFT = {"confidence-74fps": (0.0, 0.19, 0.0), "rollAndPitchWithEntry": (-0.05, 0.19, 0.0)}
 """Palms of the recordings are lower than the interaction box of the default parameters."""
@@ -19,8 +19,8 @@ LIFT = {"confidence-74fps": (0.0, 0.19, 0.0), "rollAndPitchWithEntry": (-0.05, 0
 
 @pytest.fixture
 def play(leap, arm, player):
-    """A Teleop with the default parameters, fed by frames at 100 Hz."""
-    return player(Teleop(leap(), arm()))
+    """A ArmTeleop with the default parameters, fed by frames at 100 Hz."""
+    return player(ArmTeleop(leap(), arm()))
 
 
 def tool_in_base(result):
@@ -29,7 +29,7 @@ def tool_in_base(result):
 
 def test_a_level_hand_in_the_box_starts_when_the_window_is_full(play, sample):
     results = play.steps(10, sample())
-    assert [r.state for r in results] == [WAITING] * 9 + [RUNNING]
+    assert [r.state for r in results] == [StreamState.WAITING] * 9 + [StreamState.RUNNING]
     assert all(r.T_virtual_hand is None for r in results[:9])
     assert results[0].reason == "right hand 12: 1 of 10 samples are in"
     assert results[-1].reason == "right hand 12 is followed"
@@ -40,20 +40,20 @@ def test_a_level_hand_in_the_box_starts_when_the_window_is_full(play, sample):
     "center_line, tool_x", [((1, -1, 0), (-1, 1, 0)), ((0, 1, 0), (0, -1, 0)), ((-1, 1, 0), (-1, 1, 0))]
 )
 def test_a_level_hand_asks_for_the_rotation_of_the_home_pose(leap, arm, player, sample, center_line, tool_x):
-    play = player(Teleop(leap(), arm(center_line=np.array(center_line, dtype=float))))
+    play = player(ArmTeleop(leap(), arm(center_line=np.array(center_line, dtype=float))))
     R = tool_in_base(play.steps(10, sample(yaw=30.0))[-1])[:3, :3]
     np.testing.assert_allclose(R[:, 0], np.array(tool_x) / np.linalg.norm(tool_x), atol=1e-9)
     np.testing.assert_allclose(R[:, 2], [0, 0, -1], atol=1e-9)
 
 
 def test_without_any_confidence_no_stream_starts(leap, arm, player, sample):
-    play = player(Teleop(leap(min_confidence=0.0), arm()))
-    assert play.steps(10, sample(confidence=0.0))[-1].state == WAITING
+    play = player(ArmTeleop(leap(min_confidence=0.0), arm()))
+    assert play.steps(10, sample(confidence=0.0))[-1].state == StreamState.WAITING
 
 
 def test_the_virtual_leap_is_there_from_the_first_frame_on(play):
     result = play.step()
-    assert result.state == WAITING and result.usable and result.reason == "no hand is seen"
+    assert result.state == StreamState.WAITING and result.usable and result.reason == "no hand is seen"
     np.testing.assert_allclose(result.T_base_virtual[:3, 3], [0.42, -0.42, 0.05])
 
 
@@ -77,7 +77,7 @@ def test_the_flange_is_behind_the_tool(play):
 )
 def test_each_start_condition_is_asked_and_named(play, sample, hand, reason):
     result = play.steps(30, sample(**hand))[-1]
-    assert (result.state, result.reason) == (WAITING, f"right hand 12: {reason}")
+    assert (result.state, result.reason) == (StreamState.WAITING, f"right hand 12: {reason}")
     assert result.T_virtual_hand is not None and result.T_virtual_tool is None
 
 
@@ -92,38 +92,38 @@ def test_all_start_conditions_that_fail_are_named(play, sample):
 def test_a_hand_that_flies_through_the_box_starts_nothing_until_it_rests_there(
     leap, arm, player, sample, speed, ahead, buffer_size
 ):
-    play = player(Teleop(leap(buffer_size=buffer_size), arm()))
+    play = player(ArmTeleop(leap(buffer_size=buffer_size), arm()))
     middle = np.array([0.0, 0.35, 0.0])
     results = [play.step(sample(position=middle + d * np.array(ahead))) for d in np.arange(-0.3, 0.3, 0.01 * speed)]
-    assert all(r.state == WAITING for r in results)
+    assert all(r.state == StreamState.WAITING for r in results)
     if buffer_size <= 10:
         said = f"the hand moves too fast for a start, at {speed:.2f} m/s, and must be below 0.3 m/s"
         assert any(said in r.reason for r in results)
     results = [play.step(sample(position=middle + d * np.array(ahead))) for d in np.arange(0.3, 0.0, -0.01 * speed)]
-    assert all(r.state == WAITING for r in results)
-    assert play.steps(max(buffer_size, 10), sample(position=middle))[-1].state == RUNNING
+    assert all(r.state == StreamState.WAITING for r in results)
+    assert play.steps(max(buffer_size, 10), sample(position=middle))[-1].state == StreamState.RUNNING
 
 
 def test_a_slow_hand_starts_and_a_fast_one_goes_on(play, sample):
     for step in range(9):
         play.step(sample(position=(-0.05 + 0.0025 * step, 0.35, 0.0)))
-    assert play.step(sample(position=(-0.0275, 0.35, 0.0))).state == RUNNING
+    assert play.step(sample(position=(-0.0275, 0.35, 0.0))).state == StreamState.RUNNING
     for step in range(10):
-        assert play.step(sample(position=(-0.0275 + 0.015 * step, 0.35, 0.0))).state == RUNNING
+        assert play.step(sample(position=(-0.0275 + 0.015 * step, 0.35, 0.0))).state == StreamState.RUNNING
 
 
 def test_frames_that_come_in_a_burst_tell_no_speed_that_lets_a_hand_start(play, sample):
     """What the tracker held up comes all at once; the hand moved while it did."""
     for step in range(10):
         result = play.step(sample(position=(0.01 * step - 0.05, 0.35, 0.0)), dt=1e-4)
-    assert result.state == WAITING and "too fast" in result.reason
+    assert result.state == StreamState.WAITING and "too fast" in result.reason
 
 
 @pytest.mark.parametrize("yaw", [0.0, 60.0, 90.0, -135.0, 180.0])
 def test_the_yaw_is_free_at_the_start(play, sample, yaw):
     """Also where the fingers point across the Leap, and atan2(y, -z) of the direction says nothing of the pitch."""
     result = play.steps(10, sample(yaw=yaw, pitch=10.0))[-1]
-    assert result.state == RUNNING
+    assert result.state == StreamState.RUNNING
     assert result.measured.yaw == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(result.T_base_virtual[:3, :3] @ result.T_virtual_hand[:3, 0] @ [1, -1, 0] > 0.9, True)
 
@@ -140,67 +140,67 @@ def test_the_start_conditions_do_not_end_a_stream(play, sample):
     play.steps(10, sample())
     for step in range(100):
         result = play.step(sample(pitch=0.6 * step, roll=0.3 * step, position=(0.003 * step, 0.35, 0.0)))
-        assert result.state == RUNNING
+        assert result.state == StreamState.RUNNING
     assert "pitch" in result.reason and "at the limit" in result.reason
 
 
 def test_low_confidence_ends_a_stream_with_its_reason(play, sample):
     play.steps(10, sample())
     results = play.steps(12, sample(confidence=0.01))
-    end = next(r for r in results if r.state == WAITING)
+    end = next(r for r in results if r.state == StreamState.WAITING)
     assert "confidence" in end.reason
     assert end.T_virtual_tool is None and end.T_virtual_hand is not None
-    assert play.steps(15, sample(position=(0.0, 0.35, 0.095)))[-1].state == RUNNING
+    assert play.steps(15, sample(position=(0.0, 0.35, 0.095)))[-1].state == StreamState.RUNNING
 
 
 def test_losing_the_hand_ends_the_stream_at_once(play, sample):
     play.steps(10, sample())
     result = play.step()
-    assert (result.state, result.reason) == (WAITING, "right hand 12 was lost")
+    assert (result.state, result.reason) == (StreamState.WAITING, "right hand 12 was lost")
     assert result.T_virtual_hand is None
     assert play.step().reason == "no hand is seen"
-    assert [r.state for r in play.steps(10, sample(id=13))] == [WAITING] * 9 + [RUNNING]
+    assert [r.state for r in play.steps(10, sample(id=13))] == [StreamState.WAITING] * 9 + [StreamState.RUNNING]
 
 
 @pytest.mark.parametrize("other", [{"id": 13}, {"is_left": True}])
 def test_another_hand_in_the_place_of_the_first_is_a_loss(play, sample, other):
     play.steps(10, sample())
     results = play.steps(10, sample(**other, position=(0.05, 0.35, 0.0)))
-    assert (results[0].state, results[0].reason) == (WAITING, "right hand 12 was lost")
-    assert [r.state for r in results] == [WAITING] * 9 + [RUNNING]
+    assert (results[0].state, results[0].reason) == (StreamState.WAITING, "right hand 12 was lost")
+    assert [r.state for r in results] == [StreamState.WAITING] * 9 + [StreamState.RUNNING]
 
 
 def test_a_second_hand_changes_nothing(play, sample):
     play.steps(10, sample())
     for i in range(20):
         result = play.step(sample(position=(0.001 * i, 0.35, 0.0)), sample(id=3, is_left=True, position=(-0.2, 0.3, 0)))
-        assert result.state == RUNNING and result.reason.startswith("right hand 12")
-    assert play.step(sample(id=3, is_left=True)).state == WAITING
+        assert result.state == StreamState.RUNNING and result.reason.startswith("right hand 12")
+    assert play.step(sample(id=3, is_left=True)).state == StreamState.WAITING
 
 
 def test_an_outlier_makes_no_step(play, sample):
     before = play.steps(10, sample())[-1]
     outlier = play.step(sample(position=(0.2, 0.35, 0.0)))
-    assert outlier.state == RUNNING and "200 mm" in outlier.reason
+    assert outlier.state == StreamState.RUNNING and "200 mm" in outlier.reason
     np.testing.assert_array_equal(outlier.T_virtual_tool, before.T_virtual_tool)
-    assert play.step(sample()).state == RUNNING
+    assert play.step(sample()).state == StreamState.RUNNING
     assert play.teleop.counts.samples_left_out == 1
 
 
 def test_a_jump_that_stays_ends_the_stream(play, sample):
     play.steps(10, sample())
     results = play.steps(5, sample(position=(0.2, 0.35, 0.0)))
-    assert [r.state for r in results] == [RUNNING] * 4 + [WAITING]
+    assert [r.state for r in results] == [StreamState.RUNNING] * 4 + [StreamState.WAITING]
     assert "was lost: the palm jumped" in results[-1].reason
 
 
-@pytest.mark.parametrize("field", ["position", "direction", "normal"])
+@pytest.mark.parametrize("field", ["palm", "direction", "normal"])
 def test_numbers_that_are_not_finite_never_go_on(play, sample, field):
     play.steps(10, sample())
     bad = dataclasses.replace(sample(), **{field: (0.0, float("nan"), 0.0)})
     results = play.steps(5, bad)
     assert all(r.T_virtual_tool is None or np.all(np.isfinite(r.T_virtual_tool)) for r in results)
-    assert results[-1].state == WAITING and "finite" in results[-1].reason
+    assert results[-1].state == StreamState.WAITING and "finite" in results[-1].reason
 
 
 def test_a_repeated_frame_is_no_frame(play, sample):
@@ -209,28 +209,28 @@ def test_a_repeated_frame_is_no_frame(play, sample):
     assert not play.teleop.step(frozen, play.now + 0.1).usable
     assert play.teleop.silence(play.now + 0.15) is None
     silent = play.teleop.silence(play.now + 0.25)
-    assert (silent.state, silent.reason, silent.usable) == (WAITING, "the tracker repeats frame 10", False)
-    assert [r.state for r in play.steps(10, sample())] == [WAITING] * 9 + [RUNNING]
+    assert (silent.state, silent.reason, silent.usable) == (StreamState.WAITING, "the tracker repeats frame 10", False)
+    assert [r.state for r in play.steps(10, sample())] == [StreamState.WAITING] * 9 + [StreamState.RUNNING]
 
 
 @pytest.mark.parametrize("age, word", [(3600.0, "3600.0 s old"), (-2.0, "in the future")])
 def test_a_stamp_far_from_now_ends_the_stream_and_is_not_published(play, sample, age, word):
     play.steps(10, sample())
     result = play.teleop.step(TrackingFrame(999, age, (sample(),)), play.now + 0.01)
-    assert result.state == WAITING and not result.usable and word in result.reason
+    assert result.state == StreamState.WAITING and not result.usable and word in result.reason
 
 
 def test_a_gap_in_the_stream_ends_it(play, sample):
     play.steps(10, sample())
     result = play.step(sample(), dt=0.3)
-    assert result.state == WAITING and "0.3 s" in result.reason and result.usable
+    assert result.state == StreamState.WAITING and "0.3 s" in result.reason and result.usable
 
 
 def test_a_tracker_that_started_again_ends_the_stream(play, sample):
     play.steps(10, sample())
     play.number = 2
     result = play.step(sample())
-    assert result.state == WAITING and "went back" in result.reason
+    assert result.state == StreamState.WAITING and "went back" in result.reason
 
 
 def test_no_frame_at_all_is_said(play):
@@ -240,7 +240,7 @@ def test_no_frame_at_all_is_said(play):
 def test_reset_ends_the_stream(play, sample):
     play.steps(10, sample())
     play.teleop.reset()
-    assert play.step(sample()).state == WAITING
+    assert play.step(sample()).state == StreamState.WAITING
 
 
 @settings(max_examples=30)
@@ -249,19 +249,19 @@ def test_turning_the_device_about_the_vertical_changes_nothing_in_the_base_frame
     leap, arm, player, sample, turn, attitudes
 ):
     """The palm stays on the axis of the turn, where the box is the same for both."""
-    still, turned = (player(Teleop(leap(), arm())) for _ in range(2))
+    still, turned = (player(ArmTeleop(leap(), arm())) for _ in range(2))
     R = rotation_about(1, turn)
     for angles in [(0.0, 0.0, 0.0)] * 10 + attitudes:
         hand = sample(*angles)
         results = still.step(hand), turned.step(rotated(hand, R))
-    assert results[0].state == results[1].state == RUNNING
+    assert results[0].state == results[1].state == StreamState.RUNNING
     np.testing.assert_allclose(tool_in_base(results[0]), tool_in_base(results[1]), atol=1e-9)
 
 
 @settings(max_examples=30)
 @given(st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(-0.04, 0.04))
 def test_a_left_hand_does_what_the_mirrored_right_hand_does(leap, arm, player, sample, yaw, pitch, roll, x):
-    right, left = (player(Teleop(leap(), arm())) for _ in range(2))
+    right, left = (player(ArmTeleop(leap(), arm())) for _ in range(2))
     right.steps(10, sample())
     left.steps(10, sample(is_left=True))
     r = right.steps(10, sample(yaw, pitch, roll, position=(x / 4, 0.35, 0.0)))[-1]
@@ -273,7 +273,7 @@ def test_a_left_hand_does_what_the_mirrored_right_hand_does(leap, arm, player, s
 
 
 def rotated(hand, R):
-    return HandSample(hand.id, hand.is_left, R @ hand.position, R @ hand.direction, R @ hand.normal, hand.confidence)
+    return TrackedHand(hand.id, hand.is_left, R @ hand.palm, R @ hand.direction, R @ hand.normal, hand.confidence)
 
 
 def run(teleop, frames):
@@ -283,7 +283,7 @@ def run(teleop, frames):
 
 def streams(results):
     """Returns the changes of the state as (time, result)."""
-    changes, state = [], WAITING
+    changes, state = [], StreamState.WAITING
     for t, result in results:
         if result.state != state:
             changes.append((t, result))
@@ -294,25 +294,25 @@ def streams(results):
 @pytest.mark.parametrize("name", LIFT)
 def test_on_recordings_the_tool_moves_smoothly_and_within_its_limits(recording, leap, arm, name):
     """Between two frames of one stream: less than a tenth of the window's longest way, 2 m/s for 10 samples."""
-    results = run(Teleop(leap(), arm()), recording(name, LIFT[name]))
-    assert any(r.state == RUNNING for _, r in results)
+    results = run(ArmTeleop(leap(), arm()), recording(name, LIFT[name]))
+    assert any(r.state == StreamState.RUNNING for _, r in results)
     for (t0, before), (t1, after) in zip(results, results[1:]):
-        if after.state == RUNNING:
+        if after.state == StreamState.RUNNING:
             assert all(abs(a) <= math.radians(25.0) for a in dataclasses.astuple(after.clipped))
-            if before.state == RUNNING:
+            if before.state == StreamState.RUNNING:
                 step = inverse(tool_in_base(before)) @ tool_in_base(after)
                 assert np.linalg.norm(step[:3, 3]) < 2.0 * (t1 - t0) + 0.005
                 assert rotation_angle(step[:3, :3]) < math.radians(5.0)
 
 
 def test_a_hand_that_enters_starts_level_in_the_box_and_is_clipped_at_25_deg_of_pitch(recording, leap, arm):
-    results = run(Teleop(leap(), arm()), recording("rollAndPitchWithEntry", LIFT["rollAndPitchWithEntry"]))
+    results = run(ArmTeleop(leap(), arm()), recording("rollAndPitchWithEntry", LIFT["rollAndPitchWithEntry"]))
     changes = streams(results)
-    assert changes and changes[0][1].state == RUNNING
+    assert changes and changes[0][1].state == StreamState.RUNNING
     start = changes[0][1]
     assert abs(start.measured.pitch) < math.radians(20.0) and abs(start.measured.roll) < math.radians(20.0)
     assert start.measured.yaw == pytest.approx(0.0, abs=1e-9)
-    steepest = max((r for _, r in results if r.state == RUNNING), key=lambda r: r.measured.pitch)
+    steepest = max((r for _, r in results if r.state == StreamState.RUNNING), key=lambda r: r.measured.pitch)
     assert math.degrees(steepest.measured.pitch) > 60.0
     assert math.degrees(steepest.clipped.pitch) == pytest.approx(25.0)
     assert "pitch" in steepest.reason
@@ -323,14 +323,14 @@ LEAVING = (-0.1, 0.2, 0.0)
 
 
 def test_a_hand_that_leaves_ends_its_stream_while_a_second_hand_is_in_view(recording, leap, arm):
-    changes = streams(run(Teleop(leap(start_tol_pitch=45.0), arm()), recording("confidence-74fps", LEAVING)))
-    assert [r.state for _, r in changes] == [RUNNING, WAITING]
+    changes = streams(run(ArmTeleop(leap(start_tol_pitch=45.0), arm()), recording("confidence-74fps", LEAVING)))
+    assert [r.state for _, r in changes] == [StreamState.RUNNING, StreamState.WAITING]
     assert changes[0][1].reason.startswith("right hand 28 is followed")
     assert changes[1][1].reason == "right hand 28 was lost"
 
 
 def test_a_hand_that_comes_level_while_it_hurries_away_starts_nothing(recording, leap, arm):
-    results = run(Teleop(leap(), arm()), recording("confidence-74fps", LEAVING))
+    results = run(ArmTeleop(leap(), arm()), recording("confidence-74fps", LEAVING))
     reasons = [r.reason for _, r in results if r.reason.startswith("right hand 28: the hand moves too fast")]
     assert reasons, "nothing else was wrong with it"
     assert streams(results) == []

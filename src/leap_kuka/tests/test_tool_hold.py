@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from common.mounting import mounting_frame
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle
-from leap_kuka.teleop import RUNNING, WAITING, Teleop, TrackingFrame
-from leap_kuka.tool_hold import FADE_S, HELD, NONE, TAKEN
+from leap_kuka.teleop import ArmTeleop, StreamState
+from leap_kuka.tool_hold import FADE_S, HoldState
+from leap_motion.tracking import TrackingFrame
 
 DOWN = mounting_frame((1.0, -1.0, 0.0)).R_base_tool
 BOX_HEIGHT = 0.35
@@ -35,7 +36,7 @@ def holding(leap, arm, player):
     """Makes a player whose tool is held."""
 
     def make(T=None, duration=30.0):
-        play = player(Teleop(leap(), arm()))
+        play = player(ArmTeleop(leap(), arm()))
         play.step()
         play.teleop.control(True)
         answer = play.teleop.hold(tool() if T is None else T, duration, play.now)
@@ -48,12 +49,12 @@ def holding(leap, arm, player):
 def test_the_tool_is_held_with_every_frame_until_the_time_is_over(holding):
     play = holding(duration=0.5)
     results = play.steps(49)
-    assert all((r.state, r.hold, r.usable) == (WAITING, HELD, True) for r in results)
+    assert all((r.state, r.hold, r.usable) == (StreamState.WAITING, HoldState.HELD, True) for r in results)
     for result in results:
         np.testing.assert_allclose(in_base(result), tool(), atol=1e-12)
     over = play.steps(2)[-1]
-    assert (over.hold, over.T_virtual_tool) == (NONE, None)
-    assert over.reason == "the tool is held no longer: no hand took it over in time"
+    assert (over.hold, over.T_virtual_tool) == (HoldState.NONE, None)
+    assert over.reason == "the tool is no longer held: no hand took it over in time"
     assert play.step().reason == "no hand is seen"
 
 
@@ -65,7 +66,7 @@ def test_a_hand_begins_exactly_where_the_tool_is_held(holding, sample, p, turn, 
     play = holding(T)
     hand = sample(yaw, pitch, roll, position=(x, BOX_HEIGHT, z))
     results = play.steps(10, hand)
-    assert [r.hold for r in results] == [HELD] * 9 + [TAKEN]
+    assert [r.hold for r in results] == [HoldState.HELD] * 9 + [HoldState.TAKEN]
     np.testing.assert_allclose(in_base(results[-1]), T, atol=1e-9)
     results += play.steps(round(100 * FADE_S) + 2, hand)
     for before, after in zip(results, results[1:]):
@@ -83,7 +84,7 @@ def test_the_tool_then_moves_as_without_a_hold_but_for_its_heading(
     leap, arm, player, holding, sample, turn, x, y, z, yaw, pitch, roll
 ):
     """What is ahead of the hand is ahead of the tool."""
-    held, free = holding(tool(turn=turn)), player(Teleop(leap(), arm()))
+    held, free = holding(tool(turn=turn)), player(ArmTeleop(leap(), arm()))
     hand = sample(yaw, pitch, roll, position=(x, BOX_HEIGHT + y, z))
     starts, ends = [], []
     for play in (held, free):
@@ -97,19 +98,19 @@ def test_the_tool_then_moves_as_without_a_hold_but_for_its_heading(
 
 def test_the_hand_that_took_over_steers_for_as_long_as_it_is_there(holding, sample):
     play = holding(duration=0.2)
-    assert [r.hold for r in play.steps(100, sample())][9:] == [TAKEN] * 91
+    assert [r.hold for r in play.steps(100, sample())][9:] == [HoldState.TAKEN] * 91
     assert play.teleop.end_hold().sentence == "The tool is not held."
-    assert play.step(sample()).state == RUNNING
+    assert play.step(sample()).state == StreamState.RUNNING
 
 
 def test_afterwards_a_stream_begins_where_it_always_does(leap, arm, player, holding, sample):
-    held, free = holding(), player(Teleop(leap(), arm()))
+    held, free = holding(), player(ArmTeleop(leap(), arm()))
     held.steps(20, sample())
     lost = held.step()
-    assert (lost.state, lost.hold, lost.T_virtual_tool) == (WAITING, NONE, None)
+    assert (lost.state, lost.hold, lost.T_virtual_tool) == (StreamState.WAITING, HoldState.NONE, None)
     hand = sample(yaw=20.0, position=(0.03, BOX_HEIGHT, 0.02))
     again, first = held.steps(10, hand)[-1], free.steps(10, hand)[-1]
-    assert (again.state, again.hold) == (RUNNING, NONE)
+    assert (again.state, again.hold) == (StreamState.RUNNING, HoldState.NONE)
     np.testing.assert_array_equal(again.T_base_virtual, first.T_base_virtual)
     np.testing.assert_array_equal(again.T_virtual_tool, first.T_virtual_tool)
 
@@ -117,16 +118,16 @@ def test_afterwards_a_stream_begins_where_it_always_does(leap, arm, player, hold
 def test_a_hand_that_only_passes_by_does_not_end_the_hold(holding, sample):
     play = holding()
     far = play.steps(20, sample(position=(0.3, BOX_HEIGHT, 0.0)))[-1]
-    assert far.hold == HELD and "right of the box" in far.reason
-    assert play.step().hold == HELD
-    assert [r.hold for r in play.steps(10, sample(id=13))] == [HELD] * 9 + [TAKEN]
+    assert far.hold == HoldState.HELD and "right of the box" in far.reason
+    assert play.step().hold == HoldState.HELD
+    assert [r.hold for r in play.steps(10, sample(id=13))] == [HoldState.HELD] * 9 + [HoldState.TAKEN]
 
 
 def test_the_start_gate_is_the_same(holding, sample):
     play = holding()
-    assert play.steps(30, sample(pitch=30.0))[-1].hold == HELD
+    assert play.steps(30, sample(pitch=30.0))[-1].hold == HoldState.HELD
     play.step()
-    assert play.steps(30, sample(confidence=0.01))[-1].hold == HELD
+    assert play.steps(30, sample(confidence=0.01))[-1].hold == HoldState.HELD
 
 
 def frozen(play):
@@ -147,20 +148,20 @@ def frozen(play):
 )
 def test_what_ends_a_hold(holding, happens, reason):
     play = holding()
-    assert play.step().hold == HELD
+    assert play.step().hold == HoldState.HELD
     said = happens(play)
     result = play.step()
-    assert (result.hold, result.T_virtual_tool) == (NONE, None)
-    assert f"the tool is held no longer: {reason}" in (result.reason, getattr(said, "reason", None))
+    assert (result.hold, result.T_virtual_tool) == (HoldState.NONE, None)
+    assert f"the tool is no longer held: {reason}" in (result.reason, getattr(said, "reason", None))
 
 
 def test_a_tracker_that_hangs_or_begins_anew_ends_a_hold(holding):
     hangs, anew, late = holding(), holding(), holding()
     frozen(hangs)
-    assert hangs.teleop.silence(hangs.now).hold == NONE
+    assert hangs.teleop.silence(hangs.now).hold == HoldState.NONE
     anew.steps(5)
     anew.number = 0
-    assert "the tool is held no longer: the tracker's frame number went back" in anew.step().reason
+    assert "the tool is no longer held: the tracker's frame number went back" in anew.step().reason
     assert "no tracking frame came for 0.3 s" in late.step(dt=0.3).reason
 
 
@@ -184,7 +185,7 @@ def test_a_hold_is_not_published_with_frames_that_are_left_aside(holding):
     ],
 )
 def test_what_cannot_be_held(leap, arm, player, T, duration, sentence):
-    play = player(Teleop(leap(), arm()))
+    play = player(ArmTeleop(leap(), arm()))
     play.teleop.control(True)
     play.step()
     answer = play.teleop.hold(T, duration, play.now)
@@ -193,7 +194,7 @@ def test_what_cannot_be_held(leap, arm, player, T, duration, sentence):
 
 
 def test_when_nothing_can_be_held(leap, arm, player, sample):
-    play = player(Teleop(leap(), arm()))
+    play = player(ArmTeleop(leap(), arm()))
 
     def refusal():
         answer = play.teleop.hold(tool(), 10.0, play.now)
@@ -216,12 +217,12 @@ def test_when_nothing_can_be_held(leap, arm, player, sample):
 def test_a_hold_that_is_over_leaves_no_trace(recording, leap, arm, name):
     """Bit for bit, on a recording of a real hand."""
     lift = {"confidence-74fps": (0.0, 0.19, 0.0), "rollAndPitchWithEntry": (-0.05, 0.19, 0.0)}[name]
-    held, free = Teleop(leap(), arm()), Teleop(leap(), arm())
+    held, free = ArmTeleop(leap(), arm()), ArmTeleop(leap(), arm())
     held.control(True)
     for i, (t, hands) in enumerate(recording(name, lift)):
         frame = TrackingFrame(i, 0.0, hands)
         ours, theirs = held.step(frame, t), free.step(frame, t)
-        assert ours.state == theirs.state and ours.hold == NONE
+        assert ours.state == theirs.state and ours.hold == HoldState.NONE
         for a, b in ((ours.T_base_virtual, theirs.T_base_virtual), (ours.T_virtual_tool, theirs.T_virtual_tool)):
             np.testing.assert_array_equal(a, b)
         if i % 50 == 0 and held.hold(tool(), 1.0, t).success:

@@ -20,11 +20,11 @@ from kuka_control.loop.controller import Controller, Inputs
 from kuka_control.loop.stream import Desired
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig as KukaRig
-from leap_kuka.config import ArmConfig, LeapConfig
+from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.desired_tool import R_LEAP_REFERENCE
-from leap_kuka.hand_frame import HandSample
-from leap_kuka.teleop import Teleop, TrackingFrame
-from leap_kuka.tool_hold import HELD, TAKEN
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.tool_hold import HoldState
+from leap_motion.tracking import TrackedHand, TrackingFrame
 
 SRC = Path(__file__).parents[2]
 DT = 0.004
@@ -83,7 +83,7 @@ class Rig:
         arm = {**values, "ws_center": self.rig.home.centre.tolist()}
         known = {key: arm[key] for key in ("center_line", "z_lower_limit", "tool_length", "ws_center")}
         leap = parse(LeapConfig, parameters("leap_kuka/config/leap_params.yaml"), "leap/")
-        self.teleop = Teleop(leap, parse(ArmConfig, known, "kuka/"))
+        self.teleop = ArmTeleop(leap, parse(ArmPlacement, known, "kuka/"))
         self.arm = StillArm()
         self.controller = Controller(self.arm, assembly.real_time_loop(config, self.rig))
         self.scale = 1.0
@@ -133,7 +133,7 @@ class Rig:
 
 def hand(yaw, pitch, roll, at=(0.0, 0.0, 0.0)):
     R = R_LEAP_REFERENCE @ rotation_from_zyx(*np.radians([yaw, pitch, roll]))
-    return HandSample(7, False, BOX + at, R[:, 0], R[:, 2], 1.0)
+    return TrackedHand(7, False, BOX + at, R[:, 0], R[:, 2], 1.0)
 
 
 def moved(a, b):
@@ -152,7 +152,7 @@ def test_the_hand_takes_over_without_a_jump_and_without_a_return_home(scale, tur
     np.testing.assert_allclose(rig.tools[-1], T, atol=1e-6)
     first = len(rig.tools)
     rig.run(2.0, hand(*angles, at=(0.05, -0.04, 0.03)))
-    assert rig.result.hold == TAKEN and rig.modes[-1] == "servo" and rig.modes.count("servo") == 1
+    assert rig.result.hold == HoldState.TAKEN and rig.modes[-1] == "servo" and rig.modes.count("servo") == 1
     for before, after in zip(rig.tools[first:], rig.tools[first + 1 :]):
         distance, angle = moved(before, after)
         assert distance < 5e-4 and angle < np.radians(0.5)
@@ -183,7 +183,7 @@ def test_a_recorded_hand_takes_over_without_a_jump(shared_data, name, lift):
     with gzip.open(shared_data / "leap" / f"{name}.jsonl.gz", "rt") as file:
         frames = [
             tuple(
-                HandSample(
+                TrackedHand(
                     h["id"],
                     h["type"] == "left",
                     np.array(h["palmPosition"]) / 1e3 + lift,
@@ -196,9 +196,9 @@ def test_a_recorded_hand_takes_over_without_a_jump(shared_data, name, lift):
             for line in file
         ]
     frames = iter(frames)
-    while rig.result.hold == HELD:
+    while rig.result.hold == HoldState.HELD:
         rig.play([next(frames)])
-    assert rig.result.hold == TAKEN
+    assert rig.result.hold == HoldState.TAKEN
     distance, angle = moved(rig.tools[-1], T)
     assert distance < 5e-4 and angle < np.radians(0.5)
     rig.play(itertools.islice(frames, 60))

@@ -1,1 +1,1 @@
-"""From the fingers over the Leap Motion to commands of the ReFlex hand."""
+"""Teleoperation of the ReFlex hand: from the tracked fingers of the operator to commands of the robot hand."""

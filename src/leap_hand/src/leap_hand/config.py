@@ -1,4 +1,4 @@
-"""What leap_hand.yaml holds: how the human hand stands for the robot hand, and how firmly that grips."""
+"""Configuration: the mapping from the human to the robot hand, and the force limit."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ class HandConfig:
     spread_robot: np.ndarray = vector(2, "deg", low=0.0, high=90.0, doc="command to the spread")
     force_limit: bool = flag(doc="stop fingers that press", absent=True)
     force_limit_pressure: float = number(
-        "counts", above=0.0, high=200.0, doc="of a tactile cell; above it the finger stops", absent=60.0
+        "counts", above=0.0, high=200.0, doc="of a taxel; above it the finger stops", absent=60.0
     )
     force_limit_load: float = number(
         "0.1 % of the largest torque", above=0.0, high=1000.0, doc="above it the finger stops", absent=230.0
     )
     force_limit_release: float = number(
-        above=0.0, below=1.0, doc="share of both limits below which the finger may close again", absent=0.5
+        above=0.0, below=1.0, doc="fraction of both limits below which the finger may close again", absent=0.5
     )
     force_limit_silence: float = number(
-        "s", low=0.1, high=5.0, doc="without a state of the hand for so long no finger closes", absent=0.5
+        "s", low=0.1, high=5.0, doc="without a state of the hand for this long no finger closes", absent=0.5
     )
 
     @property
@@ -59,7 +59,7 @@ class HandConfig:
         return np.radians([getattr(self, f"{finger}_robot") for finger in FINGERS])
 
     def faults(self) -> list[str]:
-        """Returns the limits of the human hand that cannot be told apart."""
+        """Returns what is wrong with the combination of the values."""
         return [
             f"{finger}_human is {getattr(self, f'{finger}_human').tolist()} deg, "
             "but open and closed must differ by 1 deg at least."

@@ -1,9 +1,8 @@
 """Stops a finger of the robot hand from closing further when it presses: gentle to a cup, firm enough to lift it.
 
-A finger is limited from the moment when one of its tactile cells or its motor's load exceeds the limit, until all of
-them have fallen below a share of it. Meanwhile it is not commanded to close further; opening is always allowed. While
-the state of the hand is not known, all fingers are held in this way. Angles are those of the commands [rad], 0 = open;
-the spread is not limited, it has no cells.
+A finger is limited once one of its taxels or its motor's load exceeds the limit, until all of them have fallen below a
+fraction of it. A limited finger may open but not close further. While the state of the robot hand is unknown, all
+fingers are limited. Angles are those of the commands [rad], 0 = open; the spread has no taxels and is not limited.
 """
 
 from __future__ import annotations
@@ -18,17 +17,16 @@ from common.poses import read_only
 from leap_hand.config import FINGERS, HandConfig
 
 FEELING = FINGERS[:3]
-"""Fingers with tactile cells, in the order of the commands and of the hand's state."""
-NEVER_HEARD = "no state of the robot hand came yet: no finger closes"
+"""Fingers with taxels, in the order of the commands and of the hand's state."""
 
 
 @dataclass(frozen=True)
-class HandState:
-    """What the robot hand felt.
+class FingerFeedback:
+    """What the robot hand measures at index, middle and thumb.
 
     Attributes:
-        angles: of index, middle, thumb [rad].
-        pressures: nine cells each [counts].
+        angles: of the fingers [rad].
+        pressures: nine taxels each [counts].
         loads: of their motors, closing positive [0.1 % of the largest torque].
     """
 
@@ -39,12 +37,12 @@ class HandState:
 
 @dataclass(frozen=True)
 class LimitedCommand:
-    """What may be sent.
+    """A command within the force limit.
 
     Attributes:
         command: angles of index, middle, thumb, spread, shape (4,) [rad].
-        limited: why a finger is limited, by its name.
-        silence: why all fingers are held, as a sentence, or empty.
+        limited: reason by name of the finger.
+        silence: why all fingers are limited, or empty.
     """
 
     command: np.ndarray
@@ -53,58 +51,50 @@ class LimitedCommand:
 
 
 class ForceLimit:
-    """The limit with its state.
-
-    Args:
-        config: limits.
-
-    Attributes:
-        trips: how often a finger was stopped.
-    """
+    """The limit with its state; `trips` counts how often a finger was stopped."""
 
     def __init__(self, config: HandConfig) -> None:
         self._config = config
-        self._heard: float | None = None
-        self._why: dict[str, str] = {}
-        self._most = [math.inf] * len(FEELING)
+        self._received: float | None = None
+        self._reasons: dict[str, str] = {}
+        self._largest = [math.inf] * len(FEELING)
         self._sent = [0.0] * len(FEELING)
         self.trips = 0
 
-    def feel(self, state: HandState, now: float) -> bool:
-        """Takes the state of the robot hand in.
+    def update(self, feedback: FingerFeedback, now: float) -> bool:
+        """Updates the limits; feedback with numbers that are not finite is ignored.
 
         Args:
-            state: the newest one; numbers that are not finite are no state.
-            now: time of its arrival, on a clock that never jumps [s].
+            feedback: the newest one.
+            now: time of its arrival on a monotonic clock [s].
 
         Returns:
-            Whether a finger was stopped that was free before.
+            Whether this stops a finger that was free before.
         """
         if not self._config.force_limit:
             return False
-        numbers = [*state.angles, *state.loads, *(count for cells in state.pressures for count in cells)]
-        if not all(math.isfinite(number) for number in numbers):
+        numbers = [*feedback.angles, *feedback.loads, *(count for taxels in feedback.pressures for count in taxels)]
+        if not all(map(math.isfinite, numbers)):
             return False
-        self._heard = now
+        self._received = now
         trips = self.trips
         for i, finger in enumerate(FEELING):
-            cells = state.pressures[i]
-            cell = max(range(len(cells)), key=cells.__getitem__)
-            shares = (cells[cell] / self._config.force_limit_pressure, state.loads[i] / self._config.force_limit_load)
-            if max(shares) > 1.0:
-                if finger not in self._why:
+            taxels, load = feedback.pressures[i], feedback.loads[i]
+            taxel = max(range(len(taxels)), key=taxels.__getitem__)
+            fractions = (taxels[taxel] / self._config.force_limit_pressure, load / self._config.force_limit_load)
+            if max(fractions) > 1.0:
+                if finger not in self._reasons:
                     self.trips += 1
-                    self._most[i] = min(self._sent[i], state.angles[i])
-                self._why[finger] = (
-                    f"cell {cell}: {cells[cell]:.0f} counts" if shares[0] > 1.0 else f"load {state.loads[i]:.0f}"
-                )
-            elif max(shares) < self._config.force_limit_release and finger in self._why:
-                del self._why[finger]
-                self._most[i] = math.inf
+                    self._largest[i] = min(self._sent[i], feedback.angles[i])
+                pressed = f"taxel {taxel}: {taxels[taxel]:.0f} counts"
+                self._reasons[finger] = pressed if fractions[0] > 1.0 else f"load {load:.0f}"
+            elif max(fractions) < self._config.force_limit_release and finger in self._reasons:
+                del self._reasons[finger]
+                self._largest[i] = math.inf
         return self.trips > trips
 
     def clip(self, command: Sequence[float], now: float) -> LimitedCommand:
-        """Returns what may be sent of a command: angles of index, middle, thumb, spread, shape (4,) [rad]."""
+        """Returns the part of a command that is allowed: angles of index, middle, thumb, spread, shape (4,) [rad]."""
         allowed = np.array(command, dtype=float)
         if not self._config.force_limit:
             return LimitedCommand(read_only(allowed), {}, "")
@@ -112,15 +102,15 @@ class ForceLimit:
         for i, finger in enumerate(FEELING):
             if silence:
                 allowed[i] = min(allowed[i], self._sent[i])
-            allowed[i] = min(allowed[i], self._most[i])
-            if finger in self._why:
-                self._most[i] = allowed[i]
+            allowed[i] = min(allowed[i], self._largest[i])
+            if finger in self._reasons:
+                self._largest[i] = allowed[i]
             self._sent[i] = float(allowed[i])
-        return LimitedCommand(read_only(allowed), dict(self._why), silence)
+        return LimitedCommand(read_only(allowed), dict(self._reasons), silence)
 
     def _silence(self, now: float) -> str:
-        if self._heard is None:
-            return NEVER_HEARD
-        if now - self._heard <= self._config.force_limit_silence:
+        if self._received is None:
+            return "no state of the robot hand came yet: no finger closes"
+        if now - self._received <= self._config.force_limit_silence:
             return ""
-        return "the state of the robot hand is not known: no finger closes further"
+        return "the state of the robot hand is unknown: no finger closes further"

@@ -1,13 +1,14 @@
 """From tracking frames to commands of the robot hand: choice of the hand, flexion, mapping, and when to open.
 
-No hand, a hand without five fingers, or the gripper's control switched off: the open pose. A frame with bad numbers is
-left out, so that the hand does not let go for one torn frame. When no usable frame came for half a second the hand is
-opened, once, as it would be without a hand in view.
+The hand opens when no hand is in view, when the hand in view lacks a finger, and when control of the gripper is off.
+A frame with invalid numbers is skipped, so that one bad frame does not drop the object. After MAX_SILENCE_S without a
+usable frame the hand opens once, as it would without a hand in view.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
@@ -15,70 +16,48 @@ from common.frame_watch import FrameWatch
 from common.hand_choice import HandChoice
 from common.poses import read_only
 from leap_hand.config import HandConfig
-from leap_hand.flexion import HandPoints, flexion
+from leap_hand.flexion import flexion
 from leap_hand.mapping import map_angles
+from leap_motion.tracking import FingerPoints, TrackedHand, TrackingFrame
 
-WAITING = "waiting"
-FOLLOWING = "following"
-OPEN = "open"
 GRIPPER_OFF = "the control of the gripper is off"
 
 MAX_SILENCE_S = 0.5
 MAX_BAD_FRAMES = 5
-"""After so many frames with bad numbers in a row the hand is opened."""
+"""The hand opens after this many frames with invalid numbers in a row."""
+
+
+class GripperState(Enum):
+    """What the robot hand does."""
+
+    WAITING = "waiting"
+    """for the first message on kuka/gripper_control."""
+    FOLLOWING = "following"
+    """the operator's hand."""
+    OPEN = "open"
 
 
 @dataclass(frozen=True)
-class TrackedHand:
-    """One hand of one tracking frame.
+class GripperResult:
+    """The result of a frame.
 
     Attributes:
-        id: the tracker's number of this hand.
-        is_left: whether it is a left hand.
-        points: where its joints are, or None unless it has five fingers.
-    """
-
-    id: int
-    is_left: bool
-    points: HandPoints | None
-
-
-@dataclass(frozen=True)
-class TrackingFrame:
-    """One frame of the tracker.
-
-    Attributes:
-        id: the tracker's number of the frame.
-        age: time of arrival less the frame's stamp [s].
-        hands: the hands in view.
-    """
-
-    id: int
-    age: float
-    hands: tuple[TrackedHand, ...]
-
-
-@dataclass(frozen=True)
-class HandResult:
-    """What became of a frame.
-
-    Attributes:
-        state: FOLLOWING a hand, OPEN, or WAITING for the gripper's control.
+        state: of the robot hand.
         reason: one sentence.
-        command: angles of index, middle, thumb, spread, shape (4,) [rad], or None where nothing is to be sent.
+        command: angles of index, middle, thumb, spread, shape (4,) [rad]; None if nothing is to be sent.
     """
 
-    state: str
+    state: GripperState
     reason: str
     command: np.ndarray | None
 
 
-class Teleop:
+class HandTeleop:
     """The chain of steps with its state.
 
     Args:
         config: limits of the human and the robot hand.
-        hand_only: start without being told that the gripper's control is on.
+        hand_only: start without a message on kuka/gripper_control.
 
     Attributes:
         open_pose: angles of the open robot hand, shape (4,) [rad].
@@ -93,35 +72,34 @@ class Teleop:
         self._opened_in_silence = False
         self._bad_frames = 0
 
-    def switch(self, gripper_on: bool) -> HandResult | None:
-        """Takes the gripper's flag in; returns the open pose if that switches the control off, else None."""
+    def switch(self, gripper_on: bool) -> GripperResult | None:
+        """Sets control of the gripper; returns the open pose if this switches it off, else None."""
         changed = gripper_on != self._gripper_on
         self._gripper_on = gripper_on
         return self._open(GRIPPER_OFF) if changed and not gripper_on else None
 
-    def step(self, frame: TrackingFrame, now: float) -> HandResult | None:
-        """Takes a frame in; returns what it asks for, or None if it is a repeated frame or not one of the present.
+    def step(self, frame: TrackingFrame, now: float) -> GripperResult | None:
+        """Processes a frame; returns None for a repeated frame and for one with an old or future stamp.
 
         Args:
             frame: the newest frame.
-            now: time of its arrival, on a clock that never jumps [s].
+            now: time of its arrival on a monotonic clock [s].
         """
-        arrival = self._watch.arrived(frame.id, frame.age, now)
-        if not arrival.usable:
+        if not self._watch.arrived(frame.id, frame.age, now).usable:
             return None
         self._opened_in_silence = False
         hand = self._choice.choose(frame.hands)
         if self._gripper_on is None:
-            return HandResult(WAITING, "waiting for kuka/gripper_control", None)
+            return GripperResult(GripperState.WAITING, "waiting for kuka/gripper_control", None)
         if not self._gripper_on:
             return self._open(GRIPPER_OFF)
         if hand is None:
             return self._open("no hand is seen")
-        if hand.points is None:
-            return self._open(f"{_name(hand)} has not five fingers")
-        return self._follow(hand, hand.points)
+        if hand.fingers is None:
+            return self._open(f"{hand.name} has not five fingers")
+        return self._follow(hand, hand.fingers)
 
-    def silence(self, now: float) -> HandResult | None:
+    def silence(self, now: float) -> GripperResult | None:
         """Returns the open pose, once, when no usable frame came for MAX_SILENCE_S, else None."""
         silence = self._watch.silence(now)
         if silence is None or self._opened_in_silence or self._gripper_on is None:
@@ -129,21 +107,17 @@ class Teleop:
         self._opened_in_silence = True
         return self._open(silence)
 
-    def _follow(self, hand: TrackedHand, points: HandPoints) -> HandResult:
+    def _follow(self, hand: TrackedHand, fingers: FingerPoints) -> GripperResult:
         try:
-            angles = flexion(points)
+            angles = flexion(hand.palm, hand.normal, fingers)
         except ValueError as error:
             self._bad_frames += 1
             if self._bad_frames >= MAX_BAD_FRAMES:
-                return self._open(f"{_name(hand)} has bad numbers: {error}")
-            return HandResult(FOLLOWING, f"one frame of {_name(hand)} was left out: {error}", None)
+                return self._open(f"{hand.name} has invalid numbers: {error}")
+            return GripperResult(GripperState.FOLLOWING, f"one frame of {hand.name} was skipped: {error}", None)
         self._bad_frames = 0
         command = map_angles(angles, self._human, self._robot)
-        return HandResult(FOLLOWING, f"{_name(hand)} is followed", read_only(command))
+        return GripperResult(GripperState.FOLLOWING, f"{hand.name} is followed", read_only(command))
 
-    def _open(self, reason: str) -> HandResult:
-        return HandResult(OPEN, reason, self.open_pose)
-
-
-def _name(hand: TrackedHand) -> str:
-    return f"{'left' if hand.is_left else 'right'} hand {hand.id}"
+    def _open(self, reason: str) -> GripperResult:
+        return GripperResult(GripperState.OPEN, reason, self.open_pose)

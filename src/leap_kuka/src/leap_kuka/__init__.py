@@ -1,1 +1,1 @@
-"""From the hand over the Leap Motion to the desired tool frame of the arm."""
+"""Teleoperation of the arm: from the tracked hand of the operator to the desired tool frame."""

@@ -1,4 +1,4 @@
-"""What leap_params.yaml holds, and what this package needs to know of the arm."""
+"""Configuration: the parameters under `leap/`, and those of the arm that leap_kuka needs."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class LeapConfig:
 
 
 @dataclass(frozen=True)
-class ArmConfig(ToolConfig):
-    """Those parameters under `kuka/` that place the virtual Leap and the flange."""
+class ArmPlacement(ToolConfig):
+    """The parameters under `kuka/` that place the virtual Leap and the flange."""
 
     center_line: np.ndarray = vector(3, doc="middle of the workspace seen from above")
     z_lower_limit: float = number("m", low=0.0, doc="lower limit of the workspace")
@@ -41,7 +41,7 @@ class ArmConfig(ToolConfig):
     ws_center: np.ndarray = vector(3, "m", doc="centre of the workspace, uploaded by the controller")
 
     def faults(self) -> list[str]:
-        """Returns what no single value shows."""
+        """Returns what is wrong with the combination of the values."""
         faults = self.tool_faults()
         if self.center_line[2] != 0.0:
             faults.append(f"center_line is {self.center_line.tolist()}, but its z must be zero.")
@@ -73,5 +73,5 @@ class ArmConfig(ToolConfig):
 
     @property
     def depth(self) -> float:
-        """How far the workspace reaches below its centre [m], along the base's z axis."""
+        """Distance from the centre of the workspace to its lower limit in the world [m]."""
         return self.z_upper_limit - self.ws_center[2] if self.hangs else self.ws_center[2] - self.z_lower_limit

@@ -1,11 +1,11 @@
-"""The desired rotation of the tool: the hand's attitude, with each angle clipped.
+"""The desired orientation of the tool: the attitude of the hand, with each angle clipped.
 
 The reference hand lies flat and points away from the user: x = -z_leap, z = -y_leap (down), hence y = x_leap (right).
 The attitude of a hand is R_reference_hand = Rz(yaw) Ry(pitch) Rx(roll): positive yaw points right, positive pitch up
-and positive roll lowers the right side. (The tracker's own roll has the other sign.)
+and positive roll lowers the right side. (The tracker's own roll has the opposite sign.)
 
-Yaw is counted from the heading that the hand had when the stream began, not from the Leap's -z axis: a hand that comes
-in at a large yaw must not start clipped. Pitch and roll do not depend on the heading.
+Yaw is relative to the heading of the hand at the start of the stream, not to the Leap's -z axis, so that a hand that
+comes in at a large yaw does not start clipped. Pitch and roll do not depend on the heading.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ class Attitude:
 
 
 def attitude(R_leap_hand: np.ndarray, heading: float) -> Attitude:
-    """Returns the attitude of the hand against the reference hand turned to `heading` [rad].
+    """Returns the attitude of the hand relative to the reference hand turned to `heading` [rad].
 
-    Every attitude has two triples of angles. Taken is the one with the smaller sum, so that a hand pitched beyond the
-    vertical has a pitch beyond 90 deg and not a yaw that flips over by 180 deg, from one limit to the other.
+    Two triples of angles describe each orientation; this returns the one with the smaller sum. So a hand pitched beyond
+    the vertical has a pitch above 90 deg, and its yaw does not flip by 180 deg from one limit to the other.
 
     Args:
         R_leap_hand: rotation of the hand frame, shape (3, 3).

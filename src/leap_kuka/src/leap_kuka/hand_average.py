@@ -1,8 +1,8 @@
-"""The mean of the newest samples of one hand, without single outliers.
+"""The mean of the newest samples of one hand, without outliers.
 
-A sample that moved more than 20 mm since the previous frame, or faster than 2 m/s over a longer gap, is an outlier of
-the tracker (docs/handbook/wire-protocols.md, "Tracker") and is skipped, like a sample with invalid numbers; the mean
-stays. After several skipped samples in a row the hand counts as lost: what jumps and stays is not the same motion.
+An outlier is a palm that moves more than 20 mm from one frame to the next, and faster than 2 m/s over a longer gap, or
+a hand with invalid numbers (docs/handbook/wire-protocols.md, "Tracker: Leap service"). The mean does not change while
+outliers come in. After MAX_LEFT_OUT of them in a row the hand counts as lost.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ import numpy as np
 
 from common.averaging import Window
 from common.poses import pose, read_only
-from leap_kuka.hand_frame import HandSample, hand_rotation, sample_fault
+from leap_kuka.hand_frame import hand_fault, hand_rotation
+from leap_motion.tracking import TrackedHand
 
 MAX_STEP_M = 0.02
 MAX_SPEED_M_S = 2.0
 MAX_LEFT_OUT = 5
 
 SPEED_SAMPLES = 10
-"""So many samples tell how fast the palm moves, however many make the mean."""
+"""Number of samples from which the speed of the palm is computed, whatever the size of the mean."""
 
 MIN_MEAN_LENGTH = 0.8
-"""Shortest mean of unit vectors that is taken for a direction. Above 1/sqrt(2) the means of direction and normal cannot
+"""Shortest mean of unit vectors that counts as a direction. Above 1/sqrt(2) the means of direction and normal cannot
 be parallel: the samples are orthogonal, so the cosine between the means is at most (1 - l^2) / l^2."""
 
 
@@ -36,7 +37,7 @@ class MeanHand:
     Attributes:
         T_leap_hand: pose of the hand frame in the Leap frame, shape (4, 4) [m].
         confidence: 0 to 1.
-        speed: of the palm over the newest samples [m/s]; infinite while it is not known.
+        speed: of the palm over the newest samples [m/s]; infinite while it is unknown.
     """
 
     T_leap_hand: np.ndarray
@@ -50,7 +51,7 @@ class MeanHand:
 
 
 class HandAverage:
-    """First-in, first-out mean over `size` samples of one hand."""
+    """First-in, first-out mean over `size` samples of one hand; `left_out` counts the newest outliers in a row."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -66,23 +67,23 @@ class HandAverage:
 
     @property
     def lost(self) -> bool:
-        """Whether so many samples in a row were left out that the hand counts as lost."""
+        """Whether the hand counts as lost after too many outliers in a row."""
         return self.left_out >= MAX_LEFT_OUT
 
-    def add(self, sample: HandSample, now: float) -> str | None:
-        """Takes a sample in, at the time `now` [s]; returns why it was left out, or None."""
-        fault = sample_fault(sample) or self._glitch(sample.position, now)
+    def add(self, hand: TrackedHand, now: float) -> str | None:
+        """Adds the sample of the time `now` [s]; returns why it was left out, or None."""
+        fault = hand_fault(hand) or self._outlier(hand.palm, now)
         if fault:
             self.left_out += 1
             return fault
         self.left_out = 0
-        self._newest.append((sample.position, now))
-        self._window.add(np.concatenate([sample.position, sample.direction, sample.normal, [sample.confidence]]))
+        self._newest.append((hand.palm, now))
+        self._window.add(np.concatenate([hand.palm, hand.direction, hand.normal, [hand.confidence]]))
         self.count = min(self.count + 1, self.size)
         return None
 
     def mean(self) -> MeanHand | None:
-        """Returns the mean hand, or None before the window is full or while the hand turns too fast for a mean."""
+        """Returns the mean hand, or None while the window fills or the hand turns too fast for a mean."""
         mean = self._window.mean()
         if mean is None or min(np.linalg.norm(mean[3:6]), np.linalg.norm(mean[6:9])) < MIN_MEAN_LENGTH:
             return None
@@ -90,13 +91,13 @@ class HandAverage:
 
     def _speed(self) -> float:
         elapsed = self._newest[-1][1] - self._newest[0][1]
-        steps = np.diff([position for position, _ in self._newest], axis=0)
+        steps = np.diff([palm for palm, _ in self._newest], axis=0)
         return float(np.sum(np.linalg.norm(steps, axis=1))) / elapsed if elapsed > 0.0 else math.inf
 
-    def _glitch(self, position: np.ndarray, now: float) -> str | None:
+    def _outlier(self, palm: np.ndarray, now: float) -> str | None:
         if not self._newest:
             return None
-        step = float(np.linalg.norm(position - self._newest[-1][0]))
+        step = float(np.linalg.norm(palm - self._newest[-1][0]))
         elapsed = now - self._newest[-1][1]
         if step <= max(MAX_STEP_M, MAX_SPEED_M_S * elapsed):
             return None

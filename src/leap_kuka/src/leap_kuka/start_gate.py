@@ -1,6 +1,7 @@
-"""Whether the hand steers the arm: it starts in the interaction box, level, slow and well seen, and ends on bad sight.
+"""The start gate: a hand starts a stream in the interaction box, level, slow and tracked with confidence.
 
-The interaction box stands upright on the Leap's y axis; its axes are the Leap's.
+A running stream ends only on low confidence. The interaction box is centred on the Leap's y axis; its axes are the
+Leap's.
 """
 
 from __future__ import annotations
@@ -12,21 +13,21 @@ import numpy as np
 
 from common.errors import ConfigError
 from common.poses import read_only
-from leap_kuka.config import ArmConfig, LeapConfig
+from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.desired_tool import attitude
 from leap_kuka.hand_average import MeanHand
 from leap_kuka.virtual_leap import heading
 
 START_SPEED_M_S = 0.3
-"""A palm as fast as this is on its way to somewhere else and starts nothing."""
+"""A faster palm passes through the box and starts no stream."""
 
 SIDES = (("left of", "right of"), ("below", "above"), ("behind", "in front of"))
-"""How a palm lies beyond the box, per axis and sign, as its user sees it: -z points away from the user."""
+"""Position of a palm relative to the box, by axis and sign, as the user sees it: -z points away from the user."""
 
 
 @dataclass(frozen=True)
-class Box:
-    """A box with the Leap's axes.
+class InteractionBox:
+    """The box in which a stream starts; its axes are the Leap's.
 
     Attributes:
         center: in the Leap frame, shape (3,) [m].
@@ -37,13 +38,13 @@ class Box:
     size: np.ndarray
 
     def outside(self, point: np.ndarray) -> np.ndarray:
-        """Returns how far the point, shape (3,) [m], is beyond the box along each axis, with sign; zero inside."""
+        """Returns the signed distance of a point, shape (3,) [m], beyond the box along each axis; zero inside."""
         offset = point - self.center
         return np.sign(offset) * np.maximum(np.abs(offset) - self.size / 2.0, 0.0)
 
 
-def interaction_box(leap: LeapConfig, arm: ArmConfig) -> Box:
-    """Returns the box whose centre falls on the centre of the workspace.
+def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
+    """Returns the box whose centre maps to the centre of the workspace.
 
     Raises:
         ConfigError: it would reach into the Leap.
@@ -56,13 +57,13 @@ def interaction_box(leap: LeapConfig, arm: ArmConfig) -> Box:
                 f"{leap.box_dimensions[1]:g} m high, would reach into it: enlarge leap/z_clearance."
             ]
         )
-    return Box(read_only([0.0, height, 0.0]), leap.box_dimensions)
+    return InteractionBox(read_only([0.0, height, 0.0]), leap.box_dimensions)
 
 
 class StartGate:
-    """Decides with hysteresis: more is asked of a hand to start than to go on."""
+    """Decides whether the stream runs, with hysteresis: its start has more conditions than its continuation."""
 
-    def __init__(self, leap: LeapConfig, box: Box) -> None:
+    def __init__(self, leap: LeapConfig, box: InteractionBox) -> None:
         self._leap = leap
         self._box = box
         self.running = False
@@ -72,18 +73,14 @@ class StartGate:
         self.running = False
 
     def step(self, hand: MeanHand) -> list[str]:
-        """Takes the averaged hand in; `running` is the answer.
-
-        Returns:
-            What is not as it has to be for the stream to start, or to go on; empty while it runs.
-        """
-        faults = self._poor_sight(hand)
+        """Updates `running` from the averaged hand; returns the unmet conditions, none while the stream runs."""
+        faults = self._low_confidence(hand)
         if not self.running:
             faults = self._outside(hand) + self._tilted(hand) + self._fast(hand) + faults
         self.running = not faults
         return faults
 
-    def _poor_sight(self, hand: MeanHand) -> list[str]:
+    def _low_confidence(self, hand: MeanHand) -> list[str]:
         if hand.confidence > self._leap.min_confidence:
             return []
         return [f"the confidence is {hand.confidence:.2f} and must be above {self._leap.min_confidence:g}"]

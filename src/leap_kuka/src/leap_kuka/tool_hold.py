@@ -1,51 +1,59 @@
-"""A pose at which the tool waits for a hand, and how that hand takes the tool over from there without a jump.
+"""Holding the tool at a pose for a hand, and the hand-over to that hand without a jump.
 
-The hand that comes in stands somewhere in the interaction box, level within the start tolerances. The virtual Leap is
-shifted and turned about the vertical such that palm and heading of the hand are those of the tool that is held. What is
-left, the tilt of the hand at its start, fades in: the tool begins exactly as it was held, and FADE_S later a level hand
-means a tool that points down, as ever.
+The hand that comes in is in the interaction box, level within the start tolerances. The virtual Leap is shifted and
+turned about the vertical such that palm and heading of the hand match the held tool. The remaining rotation, the tilt
+of the hand at its start, fades out: the stream starts with the tool as it was held, and FADE_S later a level hand means
+a tool that points down, as in any stream.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
 from common.poses import check_pose, pose, read_only
 from common.rotations import rotation_about, scaled_rotation
 
-NONE, HELD, TAKEN = "none", "held", "taken"
-"""No hold; the tool is held for a hand; a hand has taken it over."""
-
 MAX_DURATION_S = 120.0
 MAX_DISTANCE_M = 5.0
-"""A tool further from the base than this was not meant in metres [m]."""
+"""A larger distance from the base is probably not in metres [m]."""
 
 MAX_TILT_DEG = 10.0
-"""A hold starts a stream with the tool pointing down, so it has to point down within this [deg]."""
+"""A stream starts with the tool pointing down, so a held tool points down within this [deg]."""
 
 FADE_S = 1.0
-"""The tilt of the hand at its start gets its full effect in this time [s]."""
+"""Time in which the tilt of the hand at its start takes full effect [s]."""
+
+
+class HoldState(Enum):
+    """Whether the tool is held."""
+
+    NONE = "none"
+    HELD = "held"
+    """for a hand."""
+    TAKEN = "taken"
+    """over by the hand that steers now."""
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Whether a request was carried out, and one sentence about it."""
+class HoldAnswer:
+    """The answer to a request: success, and one sentence about it."""
 
     success: bool
     sentence: str
 
 
 class ToolHold:
-    """The pose that is held, and why no longer.
+    """The held pose, and the reason of its end.
 
     Args:
         up: the world's vertical in the base frame, shape (3,).
 
     Attributes:
-        T_base_tool: the pose that is held, shape (4, 4) [m]; None if none is.
+        T_base_tool: the held pose, shape (4, 4) [m], or None.
     """
 
     def __init__(self, up: np.ndarray) -> None:
@@ -55,27 +63,27 @@ class ToolHold:
         self._ended: str | None = None
         self.T_base_tool: np.ndarray | None = None
 
-    def ask(self, T_base_tool: np.ndarray, duration: float, now: float, hindrance: str | None) -> Answer:
-        """Begins to hold a pose.
+    def start(self, T_base_tool: np.ndarray, duration: float, now: float, inhibit_reason: str | None) -> HoldAnswer:
+        """Starts to hold a pose, unless a condition is not met.
 
         Args:
             T_base_tool: shape (4, 4) [m].
-            duration: how long it is held without a hand [s].
-            now: on any clock that never jumps [s].
-            hindrance: why the stream allows no hold, or None.
+            duration: longest time to wait for a hand [s].
+            now: on a monotonic clock [s].
+            inhibit_reason: why the stream allows no hold, or None.
         """
-        fault = hold_fault(T_base_tool, duration, self._up) or hindrance
+        fault = hold_fault(T_base_tool, duration, self._up) or inhibit_reason
         if fault is None and self.T_base_tool is not None:
-            fault = "it is held already; end that hold first, by a duration of 0"
+            fault = "it is held already; end that hold first with a duration of 0"
         if fault is None and not self._control_on:
             fault = "control of the arm is off"
         if fault:
-            return Answer(False, f"The tool is not held: {fault}.")
+            return HoldAnswer(False, f"The tool is not held: {fault}.")
         self.T_base_tool, self._until, self._ended = read_only(T_base_tool), now + duration, None
-        return Answer(True, f"The tool is held for a hand, for {duration:g} s at most.")
+        return HoldAnswer(True, f"The tool is held for a hand, for {duration:g} s at most.")
 
     def control(self, on: bool) -> None:
-        """Tells whether control of the arm is on; a hold ends with it."""
+        """Sets whether control of the arm is on; switching it off ends the hold."""
         self._control_on = on
         if not on:
             self.end("control of the arm is off")
@@ -88,25 +96,25 @@ class ToolHold:
     def end(self, why: str) -> None:
         """Ends the hold if there is one."""
         if self.T_base_tool is not None:
-            self.T_base_tool, self._ended = None, f"the tool is held no longer: {why}"
+            self.T_base_tool, self._ended = None, f"the tool is no longer held: {why}"
 
     def take(self) -> np.ndarray | None:
         """Ends the hold because a hand takes the tool over; returns the pose, if there was one."""
         T_base_tool, self.T_base_tool = self.T_base_tool, None
         return T_base_tool
 
-    def news(self) -> str | None:
-        """Returns once why the hold ended."""
+    def end_reason(self) -> str | None:
+        """Returns, once, why the hold ended."""
         ended, self._ended = self._ended, None
         return ended
 
 
 def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray) -> str | None:
-    """Returns why a pose cannot be held, the end of a sentence, or None.
+    """Returns why a pose cannot be held, or None.
 
     Args:
         T_base_tool: shape (4, 4) [m].
-        duration: for so long [s].
+        duration: of the hold [s].
         up: the world's vertical in the base frame, shape (3,).
     """
     if not 0.0 < duration <= MAX_DURATION_S:
@@ -126,12 +134,12 @@ def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray) -> str 
 
 @dataclass(frozen=True)
 class HandOver:
-    """How the tool of a stream differs from that of a hand that came in without a hold.
+    """The difference between a stream that took over a held tool and any other stream.
 
     Attributes:
-        T_base_virtual: the virtual Leap, shape (4, 4) [m].
-        R_rest: what the tool is turned by at the start, besides what the hand asks for; it fades; shape (3, 3).
-        start: when the stream started [s].
+        T_base_virtual: pose of the virtual Leap, shape (4, 4) [m].
+        R_rest: additional rotation of the tool at the start, shape (3, 3); it fades out.
+        start: start of the stream [s].
     """
 
     T_base_virtual: np.ndarray
@@ -139,10 +147,9 @@ class HandOver:
     start: float
 
     def rotation(self, R_virtual_tool: np.ndarray, now: float) -> np.ndarray:
-        """Returns the attitude of the tool, shape (3, 3), where the hand alone would ask for the given one."""
+        """Returns the orientation of the tool, shape (3, 3), from the one that the hand alone asks for."""
         s = min(max((now - self.start) / FADE_S, 0.0), 1.0)
-        share = 1.0 - s * s * (3.0 - 2.0 * s)
-        return R_virtual_tool @ scaled_rotation(self.R_rest, share)
+        return R_virtual_tool @ scaled_rotation(self.R_rest, 1.0 - s * s * (3.0 - 2.0 * s))
 
 
 def hand_over(
@@ -152,13 +159,13 @@ def hand_over(
     R_virtual_level: np.ndarray,
     now: float,
 ) -> HandOver:
-    """Returns how a hand takes the tool over.
+    """Returns the hand-over of a held tool to a hand.
 
     Args:
-        T_base_held: where the tool was held, shape (4, 4) [m].
-        T_base_virtual: the virtual Leap as it would be without a hold, shape (4, 4) [m].
-        T_virtual_tool: the tool that the hand asks for at its start, shape (4, 4) [m].
-        R_virtual_level: the tool's attitude for a level hand of the same heading, shape (3, 3).
+        T_base_held: pose of the held tool, shape (4, 4) [m].
+        T_base_virtual: pose of the virtual Leap without a hold, shape (4, 4) [m].
+        T_virtual_tool: tool pose that the hand asks for at its start, shape (4, 4) [m].
+        R_virtual_level: tool orientation for a level hand of the same heading, shape (3, 3).
         now: start of the stream [s].
     """
     R_base_level, R_base_held = T_base_virtual[:3, :3] @ R_virtual_level, T_base_held[:3, :3]

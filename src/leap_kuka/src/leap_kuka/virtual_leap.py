@@ -1,4 +1,4 @@
-"""Where the Leap stands in the robot's world.
+"""The pose of the virtual Leap in the robot's base frame.
 
 The virtual Leap stands upright in the world, below the centre of the workspace. It is turned about its vertical axis so
 that one horizontal direction of the real Leap frame, the heading, points forward: along the centre line.

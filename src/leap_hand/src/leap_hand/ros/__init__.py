@@ -1,1 +1,1 @@
-"""The ROS edge of leap_hand."""
+"""The node leap_hand_node."""

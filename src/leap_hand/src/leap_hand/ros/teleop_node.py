@@ -15,52 +15,42 @@ from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_config
 from common.ros.stage_times import StageTimes
 from leap_hand.config import HandConfig, NodeConfig
-from leap_hand.force_limit import ForceLimit, LimitedCommand
+from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.ros.calibration import calibrate
-from leap_hand.ros.hand_state import state_from_hand
-from leap_hand.ros.tracking import frame_from_human
-from leap_hand.teleop import FOLLOWING, WAITING, HandResult, Teleop
-from leap_motion.msg import Human
+from leap_hand.teleop import GripperResult, GripperState, HandTeleop
+from leap_motion.ros.tracking import subscribe
+from leap_motion.tracking import TrackingFrame
 from reflex_msgs.msg import Hand, RadianServoCommands
 
 WATCH_PERIOD_S = 0.1
-HUMAN_BUFFER_BYTES = 2**20
-"""Room for many messages: rospy drops all but the newest only among those that it has read."""
 FIRST_STATE_S = 2.0
-"""The hand's state comes so soon after the node has subscribed to it."""
+"""Longest wait for the first state of the robot hand [s]."""
 
 
-class TeleopNode:
-    """Runs the chain on each message, stops fingers that press, and watches for the stream falling silent."""
+class HandTeleopNode:
+    """Runs the chain on each frame, limits the fingers' force, and watches for the stream falling silent."""
 
-    def __init__(self, teleop: Teleop, force_limit: ForceLimit) -> None:
+    def __init__(self, teleop: HandTeleop, force_limit: ForceLimit) -> None:
         self._teleop = teleop
         self._force_limit = force_limit
         self._wanted: np.ndarray | None = None
         self._limited = LimitedCommand(teleop.open_pose, {}, "")
         self._lock = threading.Lock()
-        self._result = HandResult(WAITING, "no tracking frames came yet", None)
+        self._result = GripperResult(GripperState.WAITING, "no tracking frames came yet", None)
         self._commands_sent = 0
         self._commands = rospy.Publisher(
             "reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1, tcp_nodelay=True
         )
         self._stage_times = StageTimes("leap_hand")
         Diagnostics("leap_hand", self._diagnostics)
-        self._felt = threading.Event()
+        self._state_received = threading.Event()
         rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
 
     def run(self) -> None:
-        """Follows the person's hand as soon as the robot hand is felt, and watches the stream until ROS shuts down."""
-        self._felt.wait(FIRST_STATE_S)
+        """Follows the operator's hand once the state of the robot hand is known, until ROS shuts down."""
+        self._state_received.wait(FIRST_STATE_S)
         rospy.Subscriber("kuka/gripper_control", Bool, self._on_gripper, queue_size=1)
-        rospy.Subscriber(
-            "leap_motion/leap_device",
-            Human,
-            self._on_human,
-            queue_size=1,
-            buff_size=HUMAN_BUFFER_BYTES,
-            tcp_nodelay=True,
-        )
+        subscribe(self._on_frame)
         while not rospy.is_shutdown():
             with self._lock:
                 self._carry_out(self._teleop.silence(time.monotonic()))
@@ -70,31 +60,32 @@ class TeleopNode:
         with self._lock:
             self._carry_out(self._teleop.switch(message.data))
 
-    def _on_human(self, human: Human) -> None:
-        with while_running(), self._lock:
-            result = self._teleop.step(frame_from_human(human, rospy.Time.now()), time.monotonic())
+    def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
+        with self._lock:
+            result = self._teleop.step(frame, time.monotonic())
             self._carry_out(result)
             if result is not None and result.command is not None:
-                self._stage_times.done(human.header.stamp)
+                self._stage_times.done(stamp)
 
     def _on_hand_state(self, hand: Hand) -> None:
         with while_running(), self._lock:
-            if self._force_limit.feel(state_from_hand(hand), time.monotonic()) and self._wanted is not None:
+            stopped = self._force_limit.update(finger_feedback(hand), time.monotonic())
+            if stopped and self._wanted is not None:
                 self._send(self._wanted)
-            self._felt.set()
+            self._state_received.set()
 
-    def _carry_out(self, result: HandResult | None) -> None:
-        """Sends the command of a result, and says what changed."""
+    def _carry_out(self, result: GripperResult | None) -> None:
+        """Sends the command of a result and logs a change of the state."""
         if result is None:
             return
         if result.command is not None:
             self._send(result.command)
         if (result.state, result.reason) != (self._result.state, self._result.reason):
-            rospy.loginfo("Hand %s: %s.", result.state, result.reason)
+            rospy.loginfo("Hand %s: %s.", result.state.value, result.reason)
         self._result = result
 
     def _send(self, wanted: np.ndarray) -> None:
-        """Sends as much of a command as the force limit allows, and says what that limit changed."""
+        """Sends the part of a command that the force limit allows, and logs changes of the limit."""
         before, allowed = self._limited, self._force_limit.clip(wanted, time.monotonic())
         self._commands.publish(RadianServoCommands(allowed.command.tolist()))
         self._commands_sent += 1
@@ -109,22 +100,32 @@ class TeleopNode:
     def _diagnostics(self):
         limited, silence = self._limited.limited, self._limited.silence
         values = {
-            "state": self._result.state,
+            "state": self._result.state.value,
             "commands_sent": self._commands_sent,
             "limited": ", ".join(f"{finger} ({why})" for finger, why in limited.items()),
             "limit_trips": self._force_limit.trips,
         }
         if silence:
             return DiagnosticStatus.WARN, f"{self._result.reason}; {silence}", values
-        level = DiagnosticStatus.OK if self._result.state == FOLLOWING else DiagnosticStatus.WARN
+        level = DiagnosticStatus.OK if self._result.state is GripperState.FOLLOWING else DiagnosticStatus.WARN
         return level, self._result.reason, values
+
+
+def finger_feedback(hand: Hand) -> FingerFeedback:
+    """Returns the feedback in a message of the robot hand."""
+    motors = hand.motor[: len(FEELING)]
+    return FingerFeedback(
+        angles=tuple(motor.joint_angle for motor in motors),
+        pressures=tuple(tuple(finger.pressure) for finger in hand.finger),
+        loads=tuple(motor.load for motor in motors),
+    )
 
 
 def _run() -> None:
     node = private_config(NodeConfig)
     config = wait_for_config(HandConfig, "leap_hand")
     calibrate(node.service_timeout)
-    TeleopNode(Teleop(config, node.hand_only), ForceLimit(config)).run()
+    HandTeleopNode(HandTeleop(config, node.hand_only), ForceLimit(config)).run()
 
 
 def main() -> None:

@@ -1,1 +1,1 @@
-"""The ROS edge of leap_kuka."""
+"""The node leap_kuka_node."""

@@ -1,4 +1,4 @@
-"""The service leap_kuka/hold_tool, and what a hold needs to know of the arm's controller."""
+"""The service leap_kuka/hold_tool."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import rospy
 
 from common.frames import BASE
 from common.ros.conversions import pose_in
-from leap_kuka.teleop import Teleop
+from leap_kuka.teleop import ArmTeleop
 from rig_msgs.msg import KukaStatus
 from rig_msgs.srv import HoldTool, HoldToolRequest
 
 
 class HoldService:
-    """Hands requests on to the chain.
+    """Passes requests and the state of the arm's control to the chain.
 
     Args:
         teleop: the chain.
-        lock: of the chain, which other threads use too.
+        lock: protects the chain, which other threads use too.
     """
 
-    def __init__(self, teleop: Teleop, lock: threading.Lock) -> None:
+    def __init__(self, teleop: ArmTeleop, lock: threading.Lock) -> None:
         self._teleop = teleop
         self._lock = lock
         rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)

@@ -1,4 +1,4 @@
-"""What the operator sees of the stream: its state with the reason, and the interaction box in RViz."""
+"""The state of the stream for the operator: on leap_kuka/stream, and beside the interaction box in RViz."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from geometry_msgs.msg import Point, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from leap_kuka.start_gate import Box
-from leap_kuka.teleop import RUNNING, TeleopResult
-from leap_kuka.tool_hold import HELD
+from leap_kuka.start_gate import InteractionBox
+from leap_kuka.teleop import StreamState, TeleopResult
+from leap_kuka.tool_hold import HoldState
 
 GREEN = (0.2, 0.8, 0.3)
 AMBER = (1.0, 0.7, 0.1)
@@ -23,31 +23,31 @@ TEXT_HEIGHT_M = 0.025
 
 
 class StreamStatus:
-    """Publishes a change of the state or of the hold at once, and one of the reason alone when `flush` is called.
+    """Publishes a change of the state or of the hold at once, and a new reason at the next `flush`.
 
-    The reason may change with every frame (how far the palm is outside), which nobody can read.
+    The reason may change with every frame (the distance to the box), faster than anybody can read.
     """
 
-    def __init__(self, box: Box, frame_id: str) -> None:
+    def __init__(self, box: InteractionBox, frame_id: str) -> None:
         self._box = box
         self._frame_id = frame_id
         self._status = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
         self._markers = rospy.Publisher("leap_kuka/interaction_box", MarkerArray, queue_size=10, latch=True)
         self._lock = threading.Lock()
         self._newest: TeleopResult | None = None
-        self._published: tuple[str, str, str] | None = None
+        self._published: tuple[StreamState, HoldState, str] | None = None
 
     def update(self, result: TeleopResult) -> None:
-        """Takes the newest result; publishes if the state changed."""
+        """Sets the newest result; publishes it if the state changed."""
         with self._lock:
             self._newest = result
             if self._published is None or self._published[:2] != (result.state, result.hold):
-                held = ", the tool is held" if result.hold == HELD else ""
-                rospy.loginfo("Stream %s%s: %s.", result.state, held, result.reason)
+                held = ", the tool is held" if result.hold is HoldState.HELD else ""
+                rospy.loginfo("Stream %s%s: %s.", result.state.value, held, result.reason)
                 self._publish(result)
 
     def flush(self) -> None:
-        """Publishes the newest result if its reason is not the one that was published last."""
+        """Publishes the newest result if its reason differs from the published one."""
         with self._lock:
             result = self._newest
             if result is not None and self._published != _key(result):
@@ -58,8 +58,8 @@ class StreamStatus:
         """Level, reason and state for diagnostics."""
         result = self._newest
         if result is None:
-            return DiagnosticStatus.WARN, "starting", "waiting"
-        return _level(result), result.reason, result.state
+            return DiagnosticStatus.WARN, "starting", StreamState.WAITING.value
+        return _level(result), result.reason, result.state.value
 
     def _publish(self, result: TeleopResult) -> None:
         self._published = _key(result)
@@ -68,10 +68,10 @@ class StreamStatus:
                 level=_level(result),
                 name="leap_kuka",
                 message=result.reason,
-                values=[KeyValue("state", result.state), KeyValue("hold", result.hold)],
+                values=[KeyValue("state", result.state.value), KeyValue("hold", result.hold.value)],
             )
         )
-        colour = GREEN if result.state == RUNNING else AMBER
+        colour = GREEN if result.state is StreamState.RUNNING else AMBER
         self._markers.publish(MarkerArray([self._box_marker(colour), self._text_marker(colour, result.reason)]))
 
     def _box_marker(self, colour: tuple[float, float, float]) -> Marker:
@@ -105,9 +105,9 @@ class StreamStatus:
         return marker
 
 
-def _key(result: TeleopResult) -> tuple[str, str, str]:
+def _key(result: TeleopResult) -> tuple[StreamState, HoldState, str]:
     return result.state, result.hold, result.reason
 
 
 def _level(result: TeleopResult) -> int:
-    return DiagnosticStatus.OK if result.state == RUNNING else DiagnosticStatus.WARN
+    return DiagnosticStatus.OK if result.state is StreamState.RUNNING else DiagnosticStatus.WARN
