@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -190,6 +191,27 @@ class TestPython38:
 
 def test_every_package_has_a_layer():
     assert {p.parent.name for p in ROOT.glob("src/**/package.xml")} <= LAYER.keys()
+
+
+SHARED_CLASS_NAMES = {"Counters", "Frame", "Link", "SpeedChange", "Step", "Target"}
+"""Names that two classes still have; none may be added."""
+
+
+def test_a_class_name_means_one_thing():
+    places = defaultdict(list)
+    for path in FILES:
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(str(path.relative_to(ROOT)))
+    shared = {name: files for name, files in places.items() if len(files) > 1}
+    assert not {name: files for name, files in shared.items() if name not in SHARED_CLASS_NAMES}
+
+
+def test_every_folder_says_what_is_in_it():
+    folders = {path.parent for path in FILES}
+    assert not [str(folder.relative_to(ROOT)) for folder in folders if not (folder / "__init__.py").is_file()]
+    silent = {str(folder.relative_to(ROOT)) for folder in folders if not (folder / "__init__.py").read_text().strip()}
+    assert silent <= {"src/modules/reflex/src/reflex", "src/modules/reflex/src/reflex/ros"}
 
 
 def test_scripts_are_short_and_not_named_like_packages():

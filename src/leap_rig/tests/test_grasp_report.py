@@ -31,11 +31,11 @@ def summary_of(*told, put_down=True):
     recorder = Recorder()
     recorder.start(0.0)
     for values in told:
-        recorder.tell(values)
-    recorder.seen_object("box", translation(0.0, 0.0, 0.1), 0.0, ("table",), 1.0)
-    recorder.seen_object("box", translation(0.0, 0.0, 0.3), 0.2, ("reflex/distal_1",), 2.0)
+        recorder.set_scenario(values)
+    recorder.add_object("box", translation(0.0, 0.0, 0.1), 0.0, ("table",), 1.0)
+    recorder.add_object("box", translation(0.0, 0.0, 0.3), 0.2, ("reflex/distal_1",), 2.0)
     if put_down:
-        recorder.seen_object("box", translation(0.0, 0.0, 0.1), 0.0, ("table",), 3.0)
+        recorder.add_object("box", translation(0.0, 0.0, 0.1), 0.0, ("table",), 3.0)
     return summarise(recorder, 10.0)
 
 

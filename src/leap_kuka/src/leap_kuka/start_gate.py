@@ -51,12 +51,8 @@ def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
     """
     height = arm.depth + leap.z_clearance
     if height < leap.box_dimensions[1] / 2.0:
-        raise ConfigError(
-            [
-                f"The centre of the interaction box would be {height:g} m above the Leap, and the box, "
-                f"{leap.box_dimensions[1]:g} m high, would reach into it: enlarge leap/z_clearance."
-            ]
-        )
+        where = f"{leap.box_dimensions[1]:g} m high at {height:g} m"
+        raise ConfigError([f"The interaction box, {where}, would reach into the Leap: enlarge leap/z_clearance."])
     return InteractionBox(read_only([0.0, height, 0.0]), leap.box_dimensions)
 
 

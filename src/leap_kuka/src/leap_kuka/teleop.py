@@ -116,13 +116,7 @@ class ArmTeleop:
         self._break(NO_FRAMES)
 
     def hold(self, T_base_tool: np.ndarray, duration: float, now: float) -> HoldAnswer:
-        """Holds the tool at a pose until a hand takes it over there, and then steers as in any other stream.
-
-        Args:
-            T_base_tool: shape (4, 4) [m].
-            duration: longest time to wait for a hand [s].
-            now: on the clock of `step` [s].
-        """
+        """Holds the tool at a pose, shape (4, 4) [m], for at most `duration` [s], until a hand takes it over there."""
         inhibit_reason = "a hand is followed" if self._gate.running else self._watch.silence(now)
         answer = self._hold.start(T_base_tool, duration, now, inhibit_reason)
         self.counts.holds += answer.success
@@ -139,12 +133,7 @@ class ArmTeleop:
         self._hold.control(on)
 
     def step(self, frame: TrackingFrame, now: float) -> TeleopResult:
-        """Processes a frame.
-
-        Args:
-            frame: the newest frame.
-            now: time of its arrival on a monotonic clock [s].
-        """
+        """Processes the newest frame; `now` is its time of arrival on a monotonic clock [s]."""
         ran = self._gate.running
         arrival = self._watch.arrived(frame.id, frame.age, now)
         end = arrival.broken

@@ -64,14 +64,7 @@ class ToolHold:
         self.T_base_tool: np.ndarray | None = None
 
     def start(self, T_base_tool: np.ndarray, duration: float, now: float, inhibit_reason: str | None) -> HoldAnswer:
-        """Starts to hold a pose, unless a condition is not met.
-
-        Args:
-            T_base_tool: shape (4, 4) [m].
-            duration: longest time to wait for a hand [s].
-            now: on a monotonic clock [s].
-            inhibit_reason: why the stream allows no hold, or None.
-        """
+        """Holds a pose, shape (4, 4) [m], for at most `duration` [s], unless it is invalid or inhibited."""
         fault = hold_fault(T_base_tool, duration, self._up) or inhibit_reason
         if fault is None and self.T_base_tool is not None:
             fault = "it is held already; end that hold first with a duration of 0"
@@ -110,13 +103,7 @@ class ToolHold:
 
 
 def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray) -> str | None:
-    """Returns why a pose cannot be held, or None.
-
-    Args:
-        T_base_tool: shape (4, 4) [m].
-        duration: of the hold [s].
-        up: the world's vertical in the base frame, shape (3,).
-    """
+    """Returns why a pose, shape (4, 4) [m], cannot be held for `duration` [s], or None; `up` as in ToolHold."""
     if not 0.0 < duration <= MAX_DURATION_S:
         return f"the duration is {duration:g} s and must be above 0 and at most {MAX_DURATION_S:g} s"
     try:

@@ -1,4 +1,4 @@
-"""What became of an object of the simulated world: whether it left the table, how high, and whether it stands again."""
+"""The track of an object of the simulated world: whether it left the table, how high, and whether it stands again."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class ObjectTrack:
     """One object during a run; times in seconds, lengths in metres, angles in radians.
 
     Attributes:
-        lifted: when it left the table first, None if it never did.
+        lifted: time at which it first left the table, or None.
         highest: greatest height of its lowest point above the table.
-        put_down: when it stood on the table again after it was lifted, let go by the hand; None while it does not.
-        moved: level distance from where it was first seen.
-        tilt: angle between its axis and the vertical, against how it was first seen.
+        put_down: time at which the hand released it on the table after the lift; None while it is not there.
+        moved: horizontal distance from its first position.
+        tilt: angle between its vertical axis now and at first.
         fell: whether it fell off the table.
     """
 
@@ -40,12 +40,12 @@ class ObjectTrack:
         """Whether it left the table and stands on it again, upright."""
         return self.lifted is not None and self.put_down is not None and self.tilt < UPRIGHT_RAD and not self.fell
 
-    def see(self, T_world_object: np.ndarray, clearance: float, on_table: bool, held: bool, now: float) -> None:
-        """Takes what is seen of the object.
+    def observe(self, T_world_object: np.ndarray, clearance: float, on_table: bool, held: bool, now: float) -> None:
+        """Adds an observation.
 
         Args:
-            T_world_object: its pose, shape (4, 4).
-            clearance: height of its lowest point above the table [m].
+            T_world_object: pose, shape (4, 4).
+            clearance: height of the lowest point above the table [m].
             on_table: whether it touches the table.
             held: whether the robot touches it.
             now: time [s].

@@ -1,6 +1,6 @@
-"""Collects what happens during a run of the rig; times in seconds, lengths in metres, angles in radians.
+"""Records a run of the rig from plain values; times in seconds, lengths in metres, angles in radians.
 
-Knows nothing of ROS: the edge hands it plain values. `report.py` makes the summary of what stands here.
+`report.py` summarises the record.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from common.rotations import rotation_angle
 from leap_rig.object_track import ObjectTrack
 
 STAGES = ("leap_motion", "leap_kuka", "kuka_control", "leap_hand")
-"""Stages of the way from a received frame to the wires of arm and hand, as the nodes name them."""
+"""Stages between a received frame and the wires of arm and hand, by the names of their nodes."""
 
 
 @dataclass
-class Stream:
-    """One stretch of time in which the hand steered the arm; `stopped` is None while it lasts."""
+class RecordedStream:
+    """A period in which the hand steered the arm; `stopped` is None while it lasts."""
 
     started: float
     stopped: float | None = None
@@ -28,24 +28,24 @@ class Stream:
 
 @dataclass
 class TrackingErrors:
-    """Distance and angle between where the tool should be and where it is, sample by sample."""
+    """Distances and angles between target pose and measured pose of the tool."""
 
     distance: list[float] = field(default_factory=list)
     angle: list[float] = field(default_factory=list)
 
     def add(self, T_base_target: np.ndarray, T_base_tool: np.ndarray) -> None:
-        """Takes a pair of poses, each of shape (4, 4)."""
+        """Adds a pair of poses, each of shape (4, 4)."""
         self.distance.append(float(np.linalg.norm(T_base_target[:3, 3] - T_base_tool[:3, 3])))
         self.angle.append(rotation_angle(T_base_target[:3, :3].T @ T_base_tool[:3, :3]))
 
 
 class Recorder:
-    """What was seen during one run. `start(now)` begins it; what came before does not count."""
+    """The record of one run, which begins with `start`."""
 
     def __init__(self) -> None:
         self.started: float | None = None
         self.frames = 0
-        self.streams: list[Stream] = []
+        self.streams: list[RecordedStream] = []
         self.desired = TrackingErrors()
         self.commanded = TrackingErrors()
         self.tool_path = 0.0
@@ -62,7 +62,7 @@ class Recorder:
         self._last_tool: np.ndarray | None = None
 
     def start(self, now: float) -> None:
-        """Begins the run: forgets what was seen so far, keeps a stream that runs already."""
+        """Begins the run: clears the record, except for a stream that runs already."""
         running = self.streaming
         counters, scenario = self.counters, self.scenario
         Recorder.__init__(self)
@@ -70,7 +70,7 @@ class Recorder:
         self.counters, self.scenario = counters, scenario
         self._base_counters = {name: dict(values) for name, values in counters.items()}
         if running:
-            self.streams.append(Stream(now))
+            self.streams.append(RecordedStream(now))
 
     @property
     def streaming(self) -> bool:
@@ -79,11 +79,11 @@ class Recorder:
 
     @property
     def scenario_over(self) -> bool:
-        """Whether the simulated person's scenario is done or was given up."""
+        """Whether the simulated operator has finished the scenario or given it up."""
         return self.scenario is not None and (self.scenario["step"] == "done" or bool(self.scenario["failure"]))
 
     def stage(self, stage: str, frame_stamp: float, done: float) -> None:
-        """A stage has handed on, at `done`, what it made of the frame received at `frame_stamp`."""
+        """Adds the time at which a stage published its result for the frame received at `frame_stamp`."""
         if stage == "leap_motion":
             self.frames += 1
         if stage in self.stage_times:
@@ -92,36 +92,33 @@ class Recorder:
             self.stage_times[stage].setdefault(frame, done)
 
     def stream(self, running: bool, reason: str, now: float) -> None:
-        """The stream of hand poses started or stopped."""
+        """Sets whether the stream of hand poses runs."""
         if running and not self.streaming:
-            self.streams.append(Stream(now))
+            self.streams.append(RecordedStream(now))
         elif not running and self.streaming:
             self.streams[-1].stopped = now
             self.streams[-1].reason = reason
 
     def status(self, name: str, values: dict[str, str]) -> None:
-        """Counters of a node or device, as they stand now."""
+        """Sets the counters of a node or device."""
         self.counters[name] = dict(values)
         if "peak_tcp_speed" in values:
             self.largest_tcp_speed = max(self.largest_tcp_speed or 0.0, float(values["peak_tcp_speed"]))
 
     def count(self, name: str, key: str) -> float | None:
-        """Returns how much a counter grew since the run began; None if nobody counted."""
+        """Returns the increase of a counter since the start of the run, or None without this counter."""
         if key not in self.counters.get(name, {}):
             return None
         return float(self.counters[name][key]) - float(self._base_counters.get(name, {}).get(key, 0.0))
 
-    def tell(self, scenario: dict[str, str]) -> None:
-        """Takes what the simulated person tells of the scenario, and of the present grasp if there is one."""
+    def set_scenario(self, scenario: dict[str, str]) -> None:
+        """Sets the state of the scenario, which includes the current grasp if there is one."""
         self.scenario = scenario
         if "round" in scenario:
             self.grasps[scenario["round"]] = scenario
 
     def tool(self, T_base_tool: np.ndarray, desired: np.ndarray | None, commanded: np.ndarray | None) -> None:
-        """Takes where the tool is and, while the arm follows a hand, where hand and controller want it.
-
-        All poses have shape (4, 4).
-        """
+        """Adds the tool pose and, while the arm follows a hand, its desired and commanded pose; each shape (4, 4)."""
         if self._last_tool is not None and commanded is not None:
             self.tool_path += float(np.linalg.norm(T_base_tool[:3, 3] - self._last_tool))
         self._last_tool = T_base_tool[:3, 3].copy()
@@ -130,15 +127,15 @@ class Recorder:
         if commanded is not None:
             self.commanded.add(commanded, T_base_tool)
 
-    def seen_object(
+    def add_object(
         self, name: str, T_world_object: np.ndarray, clearance: float, touches: Iterable[str], now: float
     ) -> None:
-        """Takes where an object of the simulated world is, how high above the table [m], and what it touches."""
+        """Adds pose, clearance above the table [m] and contacts of an object of the simulated world."""
         touched = set(touches)
         held = any(body.startswith(("reflex/", "kuka/")) for body in touched)
-        self.objects.setdefault(name, ObjectTrack()).see(T_world_object, clearance, "table" in touched, held, now)
+        self.objects.setdefault(name, ObjectTrack()).observe(T_world_object, clearance, "table" in touched, held, now)
 
     def hand(self, angles: np.ndarray) -> None:
-        """Takes the four motor angles of the hand, shape (4,) [rad]."""
+        """Adds the four motor angles of the hand, shape (4,) [rad]."""
         self.hand_low = angles if self.hand_low is None else np.minimum(self.hand_low, angles)
         self.hand_high = angles if self.hand_high is None else np.maximum(self.hand_high, angles)

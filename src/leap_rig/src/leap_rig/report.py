@@ -1,4 +1,4 @@
-"""The summary of a run: plain numbers for a JSON file, one screen of text, and whether the rig did its job."""
+"""The summary of a run: plain numbers for a JSON file, one screen of text, and the faults."""
 
 from __future__ import annotations
 
@@ -10,27 +10,39 @@ from leap_rig.object_track import ObjectTrack
 from leap_rig.recorder import Recorder, TrackingErrors
 
 ARM_FOLLOWED_M = 0.005
-"""The tool must have moved at least so far while a hand steered it."""
+"""Least path of the tool while a hand steers it."""
 HAND_MOVED_RAD = 0.1
-"""Some finger must have moved at least so far."""
+"""Least travel of some finger."""
 FOLLOWING_ERROR_M = 0.05
-"""With a larger typical distance to the commanded tool the arm does not follow."""
+"""Largest median distance to the commanded tool."""
 SLOW_WORLD = 0.95
-"""A simulated world with a smaller share of its wanted speed says that the machine is too slow."""
+"""Below this fraction of the requested speed of the world, the machine is too slow."""
 LEAST_LIFT_MM = {"pick_cup": 195.0}
-"""A scenario that is to lift an object by 20 cm; the person is content with the tool 4 mm from where it should be."""
+"""The scenario lifts an object by 20 cm; the simulated operator tolerates an error of 4 mm."""
+
+
+COUNTERS = {
+    "servo_goals_sent": ("kuka_control", "goals_sent"),
+    "pickups": ("kuka_control", "pickups"),
+    "returns_home": ("kuka_control", "homes"),
+    "workspace_clips": ("kuka_control", "workspace_clips"),
+    "ik_failures": ("kuka_control", "ik_failures"),
+    "safety_stops": ("simulation", "stops"),
+    "hand_commands": ("leap_hand", "commands_sent"),
+}
+"""Counters in the summary: their source and its name for them."""
 
 
 def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remarks: Iterable[str] = ()) -> dict:
     """Returns the summary as a mapping that JSON can hold.
 
-    `faults` lists why the run failed, empty if it did not; `warnings` what did not make it fail.
+    `faults` lists why the run failed; `warnings` do not make it fail.
 
     Args:
-        recorder: what was seen.
-        now: time at which the run ended [s].
+        recorder: the record.
+        now: end of the run [s].
         deaths: a clause for each node that died.
-        remarks: sentences on what else went wrong.
+        remarks: further warnings.
     """
     began = recorder.started if recorder.started is not None else now
     summary = {
@@ -44,18 +56,12 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
             }
             for stream in recorder.streams
         ],
-        "servo_goals_sent": _whole(recorder.count("kuka_control", "goals_sent")),
-        "pickups": _whole(recorder.count("kuka_control", "pickups")),
-        "returns_home": _whole(recorder.count("kuka_control", "homes")),
-        "workspace_clips": _whole(recorder.count("kuka_control", "workspace_clips")),
-        "ik_failures": _whole(recorder.count("kuka_control", "ik_failures")),
-        "safety_stops": _whole(recorder.count("simulation", "stops")),
+        **{name: _whole(recorder.count(*counter)) for name, counter in COUNTERS.items()},
         "largest_tcp_speed_mm_s": None
         if recorder.largest_tcp_speed is None
         else round(1e3 * recorder.largest_tcp_speed, 1),
         "tool_path_m": round(recorder.tool_path, 3),
         "tracking_error": {"desired": _errors(recorder.desired), "commanded": _errors(recorder.commanded)},
-        "hand_commands": _whole(recorder.count("leap_hand", "commands_sent")),
         "hand_travel_rad": []
         if recorder.hand_low is None
         else np.round(recorder.hand_high - recorder.hand_low, 3).tolist(),
@@ -77,13 +83,13 @@ def _faults(summary: dict) -> list[str]:
     if not summary["servo_goals_sent"] or summary["tool_path_m"] < ARM_FOLLOWED_M:
         faults.append("The arm never followed a hand.")
     elif error["median_mm"] is not None and error["median_mm"] > 1e3 * FOLLOWING_ERROR_M:
-        faults.append(f"The arm did not follow: half of the time it was {error['median_mm']:.0f} mm or more away.")
+        faults.append(f"The arm did not follow: its median distance was {error['median_mm']:.0f} mm.")
     scenario = summary["scenario"]
     if scenario is not None and scenario["step"] != "done":
         why = scenario["failure"] or f"it ended at step {scenario['step']!r}"
         faults.append(f"The scenario {scenario['scenario']} was not finished: {why}.")
     elif scenario is not None:
-        faults += _faults_of_lift(scenario["scenario"], summary["objects"])
+        faults += _lift_faults(scenario["scenario"], summary["objects"])
     for grasp in summary["grasps"]:
         seen = summary["objects"].get(grasp["object"])
         if grasp["held"] and not (seen and seen["picked_and_placed"]):
@@ -93,18 +99,18 @@ def _faults(summary: dict) -> list[str]:
     return faults
 
 
-def _faults_of_lift(scenario: str, objects: dict[str, dict]) -> list[str]:
+def _lift_faults(scenario: str, objects: dict[str, dict]) -> list[str]:
     lifts = [seen["lifted_mm"] for seen in objects.values() if seen["picked_and_placed"]]
     least = LEAST_LIFT_MM.get(scenario, 0.0)
     if not lifts:
-        return [f"The scenario {scenario} picked nothing up and put it down."]
+        return [f"The scenario {scenario} picked up and put down nothing."]
     if max(lifts) < least:
-        return [f"The scenario {scenario} lifted by {max(lifts):.0f} mm only, and {least:.0f} mm are wanted."]
+        return [f"The scenario {scenario} lifted by only {max(lifts):.0f} mm instead of {least:.0f} mm."]
     return []
 
 
 def _grasp(values: dict[str, str]) -> dict:
-    """Returns what the person told of a grasp, in numbers."""
+    """Returns the operator's account of a grasp, in numbers."""
 
     def number(key: str, factor: float) -> float | None:
         return round(factor * float(values[key]), 1) if values[key] else None
@@ -172,7 +178,7 @@ def _whole(count: float | None) -> int | None:
 
 
 def _real_time_factor(recorder: Recorder) -> float | None:
-    """Returns the seconds of the simulated world in a second of the run; None if nobody told them."""
+    """Returns the seconds of the simulated world in a second of the run, or None without a world."""
     world, wall = (recorder.count("simulated_world", name) for name in ("world_s", "wall_s"))
     return round(world / wall, 3) if world is not None and wall else None
 
@@ -202,15 +208,15 @@ def _errors(errors: TrackingErrors) -> dict:
 
 
 def _delays(received: dict[float, float], times: dict[str, dict[float, float]]) -> dict:
-    """Percentiles of the time each stage took, and of the whole ways from the received frame to the two wires."""
-    ways = {
+    """Returns percentiles of the delay of each stage, and of the two wires after the received frame."""
+    spans = {
         "leap_motion: received to published": (received, times["leap_motion"]),
         "leap_kuka: published to desired tool": (times["leap_motion"], times["leap_kuka"]),
         "kuka_control: desired tool to goal sent": (times["leap_kuka"], times["kuka_control"]),
         "frame received to goal on the arm's wire": (received, times["kuka_control"]),
         "frame received to command of the hand": (received, times["leap_hand"]),
     }
-    return {name: _percentiles([end[s] - begin[s] for s in end if s in begin]) for name, (begin, end) in ways.items()}
+    return {name: _percentiles([end[s] - begin[s] for s in end if s in begin]) for name, (begin, end) in spans.items()}
 
 
 def _percentiles(seconds: list[float]) -> dict:

@@ -1,6 +1,6 @@
-"""`make demo`: starts the rig, shows live what it does, ends it in order, and reports.
+"""`make demo`: starts the rig, shows its state, stops it in order, and prints a report.
 
-The exit code is 0 if the arm followed, the hand moved and no node died; 1 if not; 2 if the rig could not be started.
+The exit code is 0 if the arm followed, the hand moved and no node died; 1 if not; 2 if the rig did not start.
 """
 
 from __future__ import annotations
@@ -41,11 +41,13 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     """Returns the arguments of the command line; what follows `--` goes to the launch file."""
     parser = argparse.ArgumentParser(prog="demo.py", description="The whole simulated rig.")
     parser.add_argument("--headless", action="store_true", help="start nothing that needs a screen")
-    parser.add_argument("--duration", type=float, metavar="S", help="end by itself so long after the arm is at home")
+    parser.add_argument("--duration", type=float, metavar="S", help="exit this long after the arm is at home")
     parser.add_argument("--recording", type=Path, metavar="FILE", help="play this recording of Leap frames")
     parser.add_argument("--offset", type=float, nargs=3, metavar=("X", "Y", "Z"), help="shift the recording, mm")
     parser.add_argument("--record", type=Path, metavar="FILE", help="film the simulated world: .mp4, or .png")
-    parser.add_argument("--scenario", metavar="NAME", help=f"what the simulated person does: {' or '.join(SCENARIOS)}")
+    parser.add_argument(
+        "--scenario", metavar="NAME", help=f"what the simulated operator does: {' or '.join(SCENARIOS)}"
+    )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the summary there as JSON")
     parser.add_argument("launch", nargs="*", metavar="NAME:=VALUE", help="arguments of demo.launch")
     arguments = parser.parse_args(argv)
@@ -55,7 +57,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         parser.error(f"the film {arguments.record} must end with .mp4, or with .png for a sheet of pictures")
     for file in (arguments.record, arguments.report):
         if file is not None and not file.resolve().parent.is_dir():
-            parser.error(f"{file} cannot be written: there is no folder {file.resolve().parent}")
+            parser.error(f"{file} cannot be written: the folder {file.resolve().parent} does not exist")
     if arguments.duration is not None and not 0.0 < arguments.duration < 1e6:
         parser.error(f"the duration {arguments.duration} must be a positive number of seconds")
     for item in arguments.launch:
@@ -68,19 +70,19 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     if scenario and scenario not in SCENARIOS:
         parser.error(f"there is no scenario {scenario!r}; known are {' and '.join(SCENARIOS)}")
     if scenario and given.get("recording"):
-        parser.error(f"the scenario {scenario} and a recording exclude each other: either is what the hand does")
+        parser.error(f"the scenario {scenario} and a recording exclude each other: each of them moves the hand")
     if scene.suffix == YAML and not scene.is_file():
         parser.error(f"the scene {scene} is not a file")
     return arguments
 
 
 def _given(arguments: argparse.Namespace) -> dict[str, str]:
-    """Returns what the arguments mean for the launch file; a later one wins, as there."""
+    """Returns the launch arguments as a mapping; a later one wins, as in roslaunch."""
     return dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False))
 
 
 def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
-    """Returns what demo.launch is given."""
+    """Returns the arguments of demo.launch."""
     launch = [f"rviz:={str(screen).lower()}", f"gui:={str(screen).lower()}"]
     if arguments.recording is not None:
         launch.append(f"recording:={arguments.recording.resolve()}")
@@ -90,23 +92,23 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
         launch.append(f"record:={arguments.record.resolve()}")
     if arguments.scenario is not None:
         launch.append(f"scenario:={arguments.scenario}")
-    return launch + [_with_whole_path(item) for item in arguments.launch]
+    return launch + [_with_absolute_path(item) for item in arguments.launch]
 
 
-def _with_whole_path(item: str) -> str:
-    """Returns an argument of the launch file; a scene's file by its absolute path, as nodes run in another folder."""
+def _with_absolute_path(item: str) -> str:
+    """Returns a launch argument, with the absolute path of a scene's file, as nodes run in another folder."""
     name, _, value = item.partition(":=")
     return f"{name}:={Path(value).resolve()}" if name == SCENE and value.endswith(YAML) else item
 
 
 class Deaths(ProcessListener):
-    """Names the processes that ended without being asked to.
+    """Records the processes that exit during the run.
 
     Attributes:
-        sentences: of those that the rig needs.
-        remarks: of those that it can do without.
-        expected: names of those whose end is nothing to speak of.
-        ended: names of all.
+        sentences: about the nodes that the rig needs.
+        remarks: about the nodes that it does not need.
+        expected: nodes that may exit.
+        ended: all nodes that exited.
     """
 
     def __init__(self) -> None:
@@ -116,45 +118,37 @@ class Deaths(ProcessListener):
         self.ended: set[str] = set()
 
     def take_early(self, monitor) -> None:
-        """Takes the processes that ended before roslaunch told its listeners."""
+        """Adds the processes that exited before roslaunch had its listeners."""
         for name, _ in monitor.get_process_names_with_spawn_count()[1]:
             self.process_died(name, None)
 
     def process_died(self, process_name: str, exit_code: int | None) -> None:
-        """Called by roslaunch: a process ended."""
+        """Adds a process; called by roslaunch."""
         node = process_name.rsplit("-", 1)[0]
         self.ended.add(node)
         if node in self.expected:
             return
         how = "while the rig started" if exit_code is None else f"with exit code {exit_code}"
         if node == RECORDER:
-            self.remarks.append(f"The film was not taken to the end: {node} ended {how}.")
+            self.remarks.append(f"The film is incomplete: {node} ended {how}.")
         elif node.startswith(CAMERA):
-            self.remarks.append(f"The rig went on without its camera: {node} ended {how}.")
+            self.remarks.append(f"The rig continued without its camera: {node} ended {how}.")
         else:
             self.sentences.append(f"{node} ended {how}")
 
 
 def refuse_second_rig() -> None:
-    """Refuses to start where a rig runs already: nodes of the same name would end each other.
-
-    Raises:
-        RigError: the master knows a controller.
-    """
+    """Raises RigError if a rig runs on this master: nodes of the same name would end each other."""
     if not rosgraph.is_master_online():
         return
     publishers, subscribers, services = rosgraph.Master("/demo").getSystemState()
     nodes = {node for _, names in publishers + subscribers + services for node in names}
     if f"/{CONTROLLER}" in nodes:
-        raise RigError(f"A rig runs already on {os.environ['ROS_MASTER_URI']}: end it first (Ctrl-C in its terminal).")
+        raise RigError(f"A rig already runs on {os.environ['ROS_MASTER_URI']}. Stop it first: Ctrl-C in its terminal.")
 
 
 def wait_until_ready(listener: RigListener, deaths: Deaths, show: LiveStatus) -> bool:
-    """Waits until the arm is at home; returns False if a node died instead.
-
-    Raises:
-        RigError: it took too long.
-    """
+    """Waits until the arm is at home; returns False if a node died. Raises RigError after READY_TIMEOUT_S."""
     deadline = time.monotonic() + READY_TIMEOUT_S
     while listener.mode not in AT_HOME_OR_LATER:
         if deaths.sentences:
@@ -172,7 +166,7 @@ def end_in_order(deaths: Deaths) -> None:
     try:
         call("kuka/exit_app", exitApp, timeout=EXIT_TIMEOUT_S)
     except ServiceFailed as error:
-        print(f"The controller did not take the request to exit: {error}.")
+        print(f"The controller did not accept the request to exit: {error}.")
         return
     deadline = time.monotonic() + EXIT_TIMEOUT_S
     while CONTROLLER not in deaths.ended and time.monotonic() < deadline:
@@ -182,11 +176,11 @@ def end_in_order(deaths: Deaths) -> None:
 
 
 class Interrupts:
-    """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt, but not while nodes are started or ended.
+    """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt, but not while nodes start or stop.
 
-    Left to itself roslaunch would end the nodes and swallow the interrupt, and the demo would go on without a rig; and
-    Python raises none in the background, where a shell has SIGINT ignored. One between the start of a process and
-    roslaunch's note of it would leave that process behind, so until `heed` is called it only waits.
+    Without this, roslaunch would stop the nodes and swallow the interrupt, and the demo would continue without a rig.
+    In the background, where a shell ignores SIGINT, Python would raise nothing. An interrupt between the start of a
+    process and roslaunch's record of it would leave the process behind, so interrupts wait until `heed` is called.
     """
 
     def __init__(self) -> None:
@@ -201,13 +195,13 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def heed(self) -> None:
-        """Raises KeyboardInterrupt if there was one already, and from now on at once."""
+        """Raises KeyboardInterrupt if an interrupt waits; later ones are raised at once."""
         self._waits = False
         if self._came:
             raise KeyboardInterrupt
 
     def ignore(self) -> None:
-        """Lets no further one disturb: a second Ctrl-C while the nodes end would leave some of them behind."""
+        """Ignores further interrupts: a second Ctrl-C while the nodes stop would leave some of them behind."""
         self._waits = True
 
 
@@ -216,7 +210,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_second_rig()
     screen = not arguments.headless and bool(os.environ.get("DISPLAY"))
     if not arguments.headless and not screen:
-        print("No screen found (DISPLAY is not set), so RViz and the panel are left out.")
+        print("DISPLAY is not set: RViz and the control panel are not started.")
     launch_file = Path(rospkg.RosPack().get_path("leap_rig")) / "launch" / "demo.launch"
     deaths = Deaths()
     os.environ["ROSCONSOLE_FORMAT"] = (CLEAR_LINE if sys.stdout.isatty() else "") + COMPLAINT
@@ -232,9 +226,7 @@ def run(arguments: argparse.Namespace) -> int:
     interrupts = Interrupts()
     recorder = Recorder()
     status = LiveStatus()
-    print(
-        "Starting the rig. Ctrl-C ends it; in a second terminal, after `source devel/setup.bash`, all ROS tools work."
-    )
+    print("Starting the rig. Ctrl-C stops it. ROS tools work in a second terminal after `source devel/setup.bash`.")
     try:
         parent.start(auto_terminate=False)
         interrupts.heed()
@@ -264,10 +256,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, duration: float | None) -> str:
-    """Shows the rig until it ends; returns why.
-
-    That is "duration", "scenario" (over, or given up), "death" of a node, or "person" (Ctrl-C).
-    """
+    """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt"."""
     try:
         if not wait_until_ready(listener, deaths, status):
             return "death"
@@ -283,18 +272,16 @@ def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, dura
             time.sleep(0.1)
         return "death"
     except KeyboardInterrupt:
-        return "person"
+        return "interrupt"
 
 
 def main() -> None:
     """Runs the demo with the arguments of the command line."""
     arguments = parse_arguments(sys.argv[1:])
     try:
-        code = run(arguments)
+        sys.exit(run(arguments))
     except KeyboardInterrupt:
         print("demo: interrupted", file=sys.stderr)
-        code = 2
     except (RigError, roslaunch.RLException, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
-        code = 2
-    sys.exit(code)
+    sys.exit(2)

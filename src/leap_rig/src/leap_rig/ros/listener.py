@@ -1,4 +1,4 @@
-"""Listens to the rig's topics and tf and hands what it hears to a Recorder."""
+"""Records the rig's topics and tf."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates
 
 FRESH_S = 0.2
-"""A frame older than this does not steer the arm any more."""
+"""An older frame no longer steers the arm."""
 
 
 class RigListener:
@@ -41,53 +41,47 @@ class RigListener:
             (STAGE_TIMES, TimeReference, self._stage, 500),
             ("leap_kuka/stream", DiagnosticStatus, self._stream, 50),
             ("/diagnostics", DiagnosticArray, self._diagnostics, 50),
-            ("simulation/status", DiagnosticStatus, self._simulation, 10),
+            ("simulation/status", DiagnosticStatus, lambda m: recorder.status("simulation", _values(m)), 10),
             ("simulation/flange", PoseStamped, self._flange, 1),
             ("simulation/object_states", ObjectStates, self._objects, 10),
-            ("simulation/scenario", DiagnosticStatus, self._scenario, 10),
+            ("simulation/scenario", DiagnosticStatus, lambda m: recorder.set_scenario(_values(m)), 10),
             ("kuka/mode", String, self._mode, 50),
             ("reflex_takktile/hand_state", Hand, self._hand, 1),
         ):
-            self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=queue))
+            self._subscribers.append(rospy.Subscriber(topic, kind, self._locked(callback), queue_size=queue))
 
     def stop(self) -> None:
-        """Ends the listening: what comes now is not part of the run."""
+        """Stops recording."""
         for subscriber in self._subscribers:
             subscriber.unregister()
 
+    def _locked(self, callback):
+        def run(message) -> None:
+            with self._lock:
+                callback(message)
+
+        return run
+
     def _stage(self, message: TimeReference) -> None:
-        with self._lock:
-            self.recorder.stage(message.source, message.header.stamp.to_sec(), message.time_ref.to_sec())
+        self.recorder.stage(message.source, message.header.stamp.to_sec(), message.time_ref.to_sec())
 
     def _stream(self, message: DiagnosticStatus) -> None:
-        with self._lock:
-            self.recorder.stream(message.level == DiagnosticStatus.OK, message.message, time.monotonic())
+        self.recorder.stream(message.level == DiagnosticStatus.OK, message.message, time.monotonic())
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
-        with self._lock:
-            for status in message.status:
-                self.recorder.status(status.name, {v.key: v.value for v in status.values})
-
-    def _simulation(self, message: DiagnosticStatus) -> None:
-        with self._lock:
-            self.recorder.status("simulation", {v.key: v.value for v in message.values})
+        for status in message.status:
+            self.recorder.status(status.name, _values(status))
 
     def _objects(self, message: ObjectStates) -> None:
-        with self._lock:
-            for seen in message.objects:
-                T_world_object = pose_from_message(seen.pose)
-                self.recorder.seen_object(seen.name, T_world_object, seen.clearance, seen.touches, time.monotonic())
-
-    def _scenario(self, message: DiagnosticStatus) -> None:
-        with self._lock:
-            self.recorder.tell({v.key: v.value for v in message.values})
+        for state in message.objects:
+            T_world_object = pose_from_message(state.pose)
+            self.recorder.add_object(state.name, T_world_object, state.clearance, state.touches, time.monotonic())
 
     def _mode(self, message: String) -> None:
         self.mode = message.data
 
     def _hand(self, message: Hand) -> None:
-        with self._lock:
-            self.recorder.hand(np.array([motor.joint_angle for motor in message.motor]))
+        self.recorder.hand(np.array([motor.joint_angle for motor in message.motor]))
 
     def _flange(self, message: PoseStamped) -> None:
         if self._T_flange_tool is None:
@@ -97,8 +91,7 @@ class RigListener:
         T_base_tool = T_base_flange @ self._T_flange_tool
         following = self.mode == "servo" and self.recorder.streaming
         targets = [self._fresh(frame) if following else None for frame in (TOOL_DESIRED, TOOL_COMMANDED)]
-        with self._lock:
-            self.recorder.tool(T_base_tool, *targets)
+        self.recorder.tool(T_base_tool, *targets)
 
     def _fresh(self, frame: str):
         """Returns the pose of the frame in the base, shape (4, 4), or None where it is missing or old."""
@@ -109,3 +102,7 @@ class RigListener:
         if (rospy.Time.now() - message.header.stamp).to_sec() > FRESH_S:
             return None
         return pose_from_transform(message.transform)
+
+
+def _values(status: DiagnosticStatus) -> dict[str, str]:
+    return {v.key: v.value for v in status.values}

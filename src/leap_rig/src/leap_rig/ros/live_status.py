@@ -1,4 +1,4 @@
-"""What a person sees in the terminal while the demo runs."""
+"""The state of the rig in the terminal while the demo runs."""
 
 from __future__ import annotations
 
@@ -13,10 +13,7 @@ COMPLAINT = "[${severity}] ${node}: ${message}"
 
 
 class LiveStatus:
-    """One live line on a terminal, a line every five seconds elsewhere.
-
-    Warnings of the nodes come from the nodes themselves; `COMPLAINT` is the form that fits between the live lines.
-    """
+    """One live line on a terminal, a line every five seconds elsewhere; nodes print their own warnings as COMPLAINT."""
 
     def __init__(self) -> None:
         self._terminal = sys.stdout.isatty()
@@ -26,7 +23,7 @@ class LiveStatus:
         self._time = time.monotonic()
 
     def update(self, listener: RigListener, phase: str) -> None:
-        """Prints what is new, if it is time."""
+        """Prints the state, at most once a period."""
         now = time.monotonic()
         recorder = listener.recorder
         if now < self._next:
