@@ -47,14 +47,7 @@ class HoldAnswer:
 
 
 class ToolHold:
-    """The held pose, and the reason of its end.
-
-    Args:
-        up: the world's vertical in the base frame, shape (3,).
-
-    Attributes:
-        T_base_tool: the held pose, shape (4, 4) [m], or None.
-    """
+    """The held pose `T_base_tool`, shape (4, 4) [m], or None; `up` is the vertical in the base frame, shape (3,)."""
 
     def __init__(self, up: np.ndarray) -> None:
         self._up = up

@@ -57,9 +57,7 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
             for stream in recorder.streams
         ],
         **{name: _whole(recorder.count(*counter)) for name, counter in COUNTERS.items()},
-        "largest_tcp_speed_mm_s": None
-        if recorder.largest_tcp_speed is None
-        else round(1e3 * recorder.largest_tcp_speed, 1),
+        "largest_tcp_speed_mm_s": recorder.largest_tcp_speed and round(1e3 * recorder.largest_tcp_speed, 1),
         "tool_path_m": round(recorder.tool_path, 3),
         "tracking_error": {"desired": _errors(recorder.desired), "commanded": _errors(recorder.commanded)},
         "hand_travel_rad": []

@@ -15,12 +15,7 @@ from rig_msgs.srv import HoldTool, HoldToolRequest
 
 
 class HoldService:
-    """Passes requests and the state of the arm's control to the chain.
-
-    Args:
-        teleop: the chain.
-        lock: protects the chain, which other threads use too.
-    """
+    """Passes requests and the state of the arm's control to the chain, which `lock` protects."""
 
     def __init__(self, teleop: ArmTeleop, lock: threading.Lock) -> None:
         self._teleop = teleop
