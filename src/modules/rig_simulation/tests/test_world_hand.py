@@ -10,7 +10,7 @@ import pytest
 
 from common.frames import BASE
 from common.poses import pose
-from leap_hand.force_limit import ForceLimit, HandState
+from leap_hand.force_limit import FingerFeedback, ForceLimit
 from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.devices.reflex.servo import OVERLOAD_BIT
 from rig_simulation.devices.reflex.wire import POSITION, ModeCommand, TargetCommand
@@ -273,8 +273,8 @@ def gripped(force_limit):
     for step in range(160):
         state = bench.hand.state()
         loads = tuple(CLOSING[i] * state["efforts"][i] for i in range(3))
-        felt = HandState(tuple(state["angles"][:3]), tuple(map(tuple, bench.counts())), loads)
-        limit.feel(felt, PERIOD_S * step)
+        felt = FingerFeedback(tuple(state["angles"][:3]), tuple(map(tuple, bench.counts())), loads)
+        limit.update(felt, PERIOD_S * step)
         bench.close(*limit.clip((2.7, 2.7, 2.5, 0.0), PERIOD_S * step).command)
         bench.run(PERIOD_S)
         if step == 100:
