@@ -10,10 +10,11 @@ from common.config import parse
 from common.poses import pose, read_only
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
-from kuka_control.loop.commands import Servo
-from kuka_control.loop.controller import Controller, Inputs
-from kuka_control.loop.stream import Desired
+from kuka_control.loop.commands import Inputs, Servo
+from kuka_control.loop.controller import Controller
+from kuka_control.loop.switches import SwitchState
 from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
 
 CLOCK_S = 1.7e9
@@ -95,8 +96,8 @@ def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings
     for i in range(GOALS_PER_FRAME * len(circle)):
         now = 100.0 + i * GOAL_S
         frame = i // GOALS_PER_FRAME
-        desired = Desired(circle[frame], CLOCK_S + 100.0 + frame * FRAME_S)
-        inputs.append((Inputs(desired, CLOCK_S + now, control_on=True, enable_count=1), now))
+        desired = DesiredFrame(circle[frame], CLOCK_S + 100.0 + frame * FRAME_S)
+        inputs.append((Inputs(desired, CLOCK_S + now, SwitchState(control_on=True, enable_count=1)), now))
     times, steps = timed(controller.cycle, inputs)
     servo = np.array([isinstance(step.command, Servo) for step in steps])
     fresh = np.array([isinstance(step.command, Servo) and step.command.stamp is not None for step in steps])

@@ -13,11 +13,12 @@ from common.config import parse
 from common.poses import read_only
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
-from kuka_control.loop.commands import End, Servo
-from kuka_control.loop.controller import Controller, Inputs
-from kuka_control.loop.stream import Desired
+from kuka_control.loop.commands import End, Inputs, Servo
+from kuka_control.loop.controller import Controller
+from kuka_control.loop.switches import SwitchState
 from kuka_control.model.calibration_file import DhDeviations
 from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
 from rig_simulation.devices.sunrise.arm import ArmSettings
 from rig_simulation.devices.sunrise.arm import SimulatedArm as Joints
@@ -103,7 +104,7 @@ class SimulatedRig:
         self.loop = assembly.real_time_loop(self.config, self.rig)
         self.controller = Controller(self.arm, self.loop)
         self.now = 100.0
-        self.newest: Desired | None = None
+        self.newest: DesiredFrame | None = None
         self.step = None
         self.events: list[str] = []
         self._clear()
@@ -136,7 +137,7 @@ class SimulatedRig:
         while self.now - self.start < seconds:
             while frames and frames[0][0] <= self.now - self.start + 1e-9:
                 stamp = frames.pop(0)[1]
-                self.newest = Desired(tool(stamp), CLOCK_S + self.start + stamp)
+                self.newest = DesiredFrame(tool(stamp), CLOCK_S + self.start + stamp)
             self._cycle(control_on=True)
         self.times, self.goals, self.sent, self.q, self.v = (
             np.array(column) for column in (self.times, self.goals, self.sent, self.q, self.v)
@@ -144,7 +145,7 @@ class SimulatedRig:
         return self
 
     def _cycle(self, control_on: bool) -> None:
-        inputs = Inputs(self.newest, CLOCK_S + self.now, control_on, int(control_on))
+        inputs = Inputs(self.newest, CLOCK_S + self.now, SwitchState(control_on, int(control_on)))
         self.step = self.controller.cycle(inputs, self.now)
         self.events += [event.sentence for event in self.step.events]
         if isinstance(self.step.command, Servo) and self.step.mode == "servo":

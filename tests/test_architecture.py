@@ -250,3 +250,13 @@ def test_live_grasping_does_not_import_the_laboratory(room):
 
 def test_grasping_has_no_other_rooms():
     assert {p.parent.name for p in GRASPING.glob("*/*.py")} == {*LIVE_ROOMS, "lab"}
+
+
+KUKA_CONTROL = ROOT / "src/kuka_control/src/kuka_control"
+
+
+@pytest.mark.parametrize("room, above", [("model", {"limits", "loop", "gui"}), ("limits", {"loop", "gui"})])
+def test_kuka_control_imports_run_from_loop_to_limits_to_model(room, above):
+    for path in (KUKA_CONTROL / room).rglob("*.py"):
+        rooms = {name.split(".")[1] for name in imports(path) if name.startswith("kuka_control.")}
+        assert not rooms & above, f"{path}: {room} must not import {rooms & above}"

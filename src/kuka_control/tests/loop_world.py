@@ -14,11 +14,12 @@ from common.rotations import rotation_about
 from kst import MotionRefused
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
-from kuka_control.loop.commands import End
-from kuka_control.loop.controller import Controller, Inputs
-from kuka_control.loop.stream import Desired
+from kuka_control.loop.commands import End, Inputs
+from kuka_control.loop.controller import Controller
+from kuka_control.loop.switches import SwitchState
 from kuka_control.loop.transitions import State, transitions_among
 from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -146,10 +147,11 @@ class World:
         for i in range(max(1, round(seconds / DT))):
             if tool is not None and i % 3 == 0:
                 T = tool(self.now - start) if callable(tool) else tool
-                self.newest = Desired(T, CLOCK + self.now + self.skew, self.conflict)
-            inputs = Inputs(
-                self.newest, CLOCK + self.now, self.control_on, self.enable_count, self.scale, self.exit_requested
+                self.newest = DesiredFrame(T, CLOCK + self.now + self.skew, self.conflict)
+            switches = SwitchState(
+                self.control_on, self.enable_count, scale=self.scale, exit_requested=self.exit_requested
             )
+            inputs = Inputs(self.newest, CLOCK + self.now, switches)
             step = self.controller.cycle(inputs, self.now)
             self.events += [e.sentence for e in step.events]
             if not self.modes or self.modes[-1] != step.mode:

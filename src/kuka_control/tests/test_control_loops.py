@@ -13,8 +13,8 @@ from common.rotations import rotation_from_zyx
 from kst import ConnectionLost, ReplyTimeout
 from kuka_control.loop.commands import End
 from kuka_control.loop.controller import MAX_MISSED
-from kuka_control.loop.stream import Desired
 from kuka_control.model.config import PtpConfig, RealTimeConfig
+from kuka_control.model.desired_frame import DesiredFrame
 
 both = pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
 
@@ -132,7 +132,7 @@ def test_the_same_stamp_again_is_silence():
     world = World().following()
     frozen = world.newest
     for _ in range(200):
-        world.newest = Desired(frozen.T_base_tool, frozen.stamp)
+        world.newest = DesiredFrame(frozen.T_base_tool, frozen.stamp)
         world.run(DT)
     assert ("stop_servo",) in world.arm.told
 

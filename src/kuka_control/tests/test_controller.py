@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kst import MotionRefused, ReplyTimeout, UnexpectedReply
-from kuka_control.loop.commands import Servo, StartPtp, Step, StopServo, Wait
-from kuka_control.loop.controller import MAX_MISSED, WARN_EVERY_S, Controller, Inputs
+from kuka_control.loop.commands import Inputs, Servo, StartPtp, Step, StopServo, Wait
+from kuka_control.loop.controller import MAX_MISSED, WARN_EVERY_S, Controller
 
 Q = np.zeros(7)
 GOAL, PTP = Servo(Q), StartPtp(Q, 0.1)

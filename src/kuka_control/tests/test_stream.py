@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from common.poses import pose
-from kuka_control.loop.stream import Desired, DesiredStream
+from kuka_control.loop.stream import DesiredStream
+from kuka_control.model.desired_frame import DesiredFrame
 
 CLOCK = 1.7e9
 
 
 def desired(stamp, p=(0.5, 0.0, 0.4), R=None):
-    return Desired(pose(R, p), stamp)
+    return DesiredFrame(pose(R, p), stamp)
 
 
 def test_only_another_stamp_is_new():

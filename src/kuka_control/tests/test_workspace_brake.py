@@ -13,7 +13,7 @@ from bench.simulated import SimulatedRig
 from iiwa_kinematics import Kinematics
 from iiwa_kinematics.robot_model import robot_model
 from kuka_control.limits.motion_limits import MotionLimits, SpeedLimits
-from kuka_control.limits.speed_change import Moved, ShapeLimits, SpeedChange
+from kuka_control.limits.speed_change import JointState, ShapeLimits, SpeedChange
 from kuka_control.limits.workspace_brake import SLACK_M, WorkspaceBrake
 from kuka_control.model.workspace import Workspace
 
@@ -69,7 +69,7 @@ def run(follower, targets):
 def test_no_wish_of_joint_speeds_carries_the_tool_out(wishes):
     brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
     change = SpeedChange(ShapeLimits(ACCELERATION, JERK), MODEL.lower, MODEL.upper)
-    now = Moved(HOME, REST, REST)
+    now = JointState(HOME, REST, REST)
     for wish, steps in wishes:
         for _ in range(steps):
             now, _ = brake.step(change, now, wish, DT)
@@ -81,7 +81,7 @@ def test_no_wish_of_joint_speeds_carries_the_tool_out(wishes):
 def test_what_stays_inside_is_untouched_bit_by_bit(wish, steps):
     brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
     change = SpeedChange(ShapeLimits(ACCELERATION, JERK), MODEL.lower, MODEL.upper)
-    now = Moved(HOME, REST, REST)
+    now = JointState(HOME, REST, REST)
     for _ in range(steps):
         free = change.step(now, wish, DT)
         now, held = brake.step(change, now, wish, DT)

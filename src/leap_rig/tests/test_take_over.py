@@ -16,9 +16,11 @@ from common.poses import read_only
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
-from kuka_control.loop.controller import Controller, Inputs
-from kuka_control.loop.stream import Desired
+from kuka_control.loop.commands import Inputs
+from kuka_control.loop.controller import Controller
+from kuka_control.loop.switches import SwitchState
 from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig as KukaRig
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.desired_tool import R_LEAP_REFERENCE
@@ -101,9 +103,11 @@ class Rig:
             self.result = self.teleop.step(TrackingFrame(self.cycles, 0.0, hands), self.now)
             if self.result.T_virtual_tool is not None:
                 T = self.result.T_base_virtual @ self.result.T_virtual_tool
-                self.desired = Desired(T, CLOCK + self.now)
+                self.desired = DesiredFrame(T, CLOCK + self.now)
             for _ in range(FRAME_CYCLES):
-                inputs = Inputs(self.desired, CLOCK + self.now, self.control_on, int(self.control_on), self.scale)
+                inputs = Inputs(
+                    self.desired, CLOCK + self.now, SwitchState(self.control_on, int(self.control_on), scale=self.scale)
+                )
                 step = self.controller.cycle(inputs, self.now)
                 if self.modes[-1:] != [step.mode]:
                     self.modes.append(step.mode)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from common.rotations import rotation_angle
-from kuka_control.loop.stream import Desired
+from kuka_control.model.desired_frame import DesiredFrame
 
 TOLERANCE_RAD = float(np.radians(2.0))
 """What a joint may differ by and still be servoed to from rest, and what a jump is beyond the joint speed limits."""
@@ -50,10 +50,10 @@ class FrameSteps:
     def __init__(self, tool_speed: float, turn_speed: float) -> None:
         self._tool_speed = tool_speed
         self._turn_speed = turn_speed
-        self._last: Desired | None = None
+        self._last: DesiredFrame | None = None
         self.jumped = False
 
-    def take(self, frame: Desired) -> None:
+    def take(self, frame: DesiredFrame) -> None:
         """Takes a new frame in."""
         last, self._last = self._last, frame
         if last is None:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.limits.speed_change import Moved, ShapeLimits, SpeedChange
+from kuka_control.limits.speed_change import JointState, ShapeLimits, SpeedChange
 from kuka_control.limits.workspace_brake import WorkspaceBrake
 
 GAIN_PER_S = 40.0
@@ -61,7 +61,7 @@ class SpeedLimits:
 
 
 @dataclass(frozen=True)
-class Limited:
+class LimitedGoal:
     """A servo goal.
 
     Attributes:
@@ -107,7 +107,7 @@ class MotionLimits:
 
     def reset(self, q: np.ndarray) -> None:
         """Starts from the joints q, at rest."""
-        self._now = Moved(read_only(q), np.zeros(7), np.zeros(7))
+        self._now = JointState(read_only(q), np.zeros(7), np.zeros(7))
 
     @property
     def goal(self) -> np.ndarray:
@@ -116,7 +116,7 @@ class MotionLimits:
 
     def step(
         self, target: np.ndarray, measured: np.ndarray, dt: float, share: float = 1.0, speed: np.ndarray | None = None
-    ) -> Limited:
+    ) -> LimitedGoal:
         """Returns the goal after the next `dt` seconds.
 
         Args:
@@ -134,7 +134,7 @@ class MotionLimits:
         at_rest = not np.any(speed) and np.max(np.abs(v)) < AT_REST_RAD_S
         if at_rest and np.max(np.abs(target - q)) < AT_REST_RAD:
             self.reset(target)
-            return Limited(self._now.q, read_only(self._now.v), None)
+            return LimitedGoal(self._now.q, read_only(self._now.v), None)
         wish, held_by = self._wish(error, speed)
         if share < 1.0:
             share = min(1.0, max(share, max(self._used(speed)) + 0.5 * share))
@@ -145,7 +145,7 @@ class MotionLimits:
         if self._approach(within, dt):
             limited_by = "workspace"
         late = "joint acceleration" if self._now.duration > LATE_S else None
-        return Limited(self._now.q, read_only(self._now.v), limited_by or held_by or late)
+        return LimitedGoal(self._now.q, read_only(self._now.v), limited_by or held_by or late)
 
     def _speed_within(self, room: np.ndarray) -> np.ndarray:
         """Returns the speeds that can be braked within a room, shape (7,) [rad]."""
@@ -211,7 +211,7 @@ class Unlimited:
 
     def step(
         self, target: np.ndarray, measured: np.ndarray, dt: float, share: float = 1.0, speed: np.ndarray | None = None
-    ) -> Limited:
+    ) -> LimitedGoal:
         """Returns the target; the arguments are those of `MotionLimits.step`."""
         self._q = read_only(target)
-        return Limited(self._q, np.zeros(7), None)
+        return LimitedGoal(self._q, np.zeros(7), None)

@@ -26,7 +26,7 @@ class ShapeLimits:
 
 
 @dataclass(frozen=True)
-class Moved:
+class JointState:
     """Joints on their way.
 
     Attributes:
@@ -60,21 +60,21 @@ class SpeedChange:
         self._input.target_acceleration = [0.0] * 7
         self._input.minimum_duration = EVEN_S
 
-    def step(self, now: Moved, wish: np.ndarray, dt: float) -> Moved:
+    def step(self, now: JointState, wish: np.ndarray, dt: float) -> JointState:
         """Returns the joints dt [s] later, on their way to the speeds `wish`, shape (7,) [rad/s]."""
         self._plan(now, wish)
         q, v, a = self._trajectory.at_time(dt)
         within = read_only(np.clip(q, self._lower, self._upper))
         free = within == q
-        return Moved(within, np.where(free, v, 0.0), np.where(free, a, 0.0), self._trajectory.duration)
+        return JointState(within, np.where(free, v, 0.0), np.where(free, a, 0.0), self._trajectory.duration)
 
-    def stopping(self, now: Moved) -> Iterable[np.ndarray]:
+    def stopping(self, now: JointState) -> Iterable[np.ndarray]:
         """Yields joints, shape (7,) [rad], on the way to a stop as soon as possible, the last at rest."""
         self._plan(now, np.zeros(7))
         for share in STOPPING:
             yield np.clip(self._trajectory.at_time(share * self._trajectory.duration)[0], self._lower, self._upper)
 
-    def _plan(self, now: Moved, wish: np.ndarray) -> None:
+    def _plan(self, now: JointState, wish: np.ndarray) -> None:
         state = self._input
         state.current_position, state.current_velocity = now.q.tolist(), now.v.tolist()
         state.current_acceleration, state.target_velocity = now.a.tolist(), wish.tolist()

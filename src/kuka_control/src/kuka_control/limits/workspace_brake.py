@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kuka_control.limits.speed_change import Moved, SpeedChange
+from kuka_control.limits.speed_change import JointState, SpeedChange
 from kuka_control.model.workspace import Workspace
 
 SLACK_M = 1e-3
@@ -58,7 +58,7 @@ class WorkspaceBrake:
         self._tool_jacobian = tool_jacobian
         self._acceleration = acceleration
 
-    def step(self, change: SpeedChange, now: Moved, wish: np.ndarray, dt: float) -> tuple[Moved, bool]:
+    def step(self, change: SpeedChange, now: JointState, wish: np.ndarray, dt: float) -> tuple[JointState, bool]:
         """Returns the joints after a step, and whether the wish was held back.
 
         Args:
@@ -115,6 +115,6 @@ class WorkspaceBrake:
         pace, wished = (float(np.max(np.abs(v) / self._acceleration)) for v in (left, wish))
         return left if pace <= wished else wished / pace * left
 
-    def _out(self, change: SpeedChange, now: Moved) -> float:
+    def _out(self, change: SpeedChange, now: JointState) -> float:
         """Returns how far the tool leaves the workspace, at most, if the joints stop from now on [m]."""
         return -min(min(self._workspace.rooms(self._tool_position(q))) for q in change.stopping(now))

@@ -7,36 +7,37 @@ from typing import Union
 
 import numpy as np
 
-from kuka_control.loop.stream import Desired
-from kuka_control.loop.transitions import Mode, State, Trigger
+from kuka_control.loop.switches import SwitchState
+from kuka_control.loop.transitions import State, Trigger
+from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.mode import Mode
 from kuka_control.model.target import Target
 
 
 @dataclass(frozen=True)
-class Observation:
-    """The inputs of a cycle.
+class Inputs:
+    """What comes from outside in a cycle."""
 
-    Attributes:
-        joints: measured joints, shape (7,) [rad].
-        desired: the newest desired tool frame, or None.
-        clock: ROS time [s], the clock of the stamps.
-        control_on: whether the arm is to follow the desired tool frame.
-        enable_count: how often control was switched on so far, so that off and on again is never overlooked.
-        scale: scaling factor.
-        exit_requested: whether the controller is to go to zero and exit.
-        arrived: whether no PTP motion runs.
-        refused: why the robot's controller refused the last command, or None.
-    """
+    desired: DesiredFrame | None = None
+    """The newest desired tool frame."""
+    clock: float = 0.0
+    """ROS time [s], the clock of the stamps."""
+    switches: SwitchState = SwitchState()
+    """What the operator switched."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a control loop decides on in a cycle."""
 
     joints: np.ndarray
-    desired: Desired | None = None
-    clock: float = 0.0
-    control_on: bool = False
-    enable_count: int = 0
-    scale: float = 1.0
-    exit_requested: bool = False
+    """Measured joints."""
+    inputs: Inputs = Inputs()
+    """What comes from outside."""
     arrived: bool = True
+    """Whether no PTP motion runs."""
     refused: str | None = None
+    """Why the robot's controller refused the last command."""
 
 
 @dataclass(frozen=True)
@@ -90,22 +91,19 @@ class Event:
 
 @dataclass(frozen=True)
 class Step:
-    """The result of a cycle.
-
-    Attributes:
-        command: for the arm.
-        mode: the published mode.
-        reason: why this mode, in sentences.
-        events: what is to be logged.
-        target: what the arm goes to or follows, or None.
-        limited_by: what limited the last command: names of workspace bounds and of motion limits.
-        transitions: what was taken of the table in this cycle.
-    """
+    """The result of a cycle."""
 
     command: Command
+    """For the arm."""
     mode: Mode
+    """The published mode."""
     reason: str
+    """Why this mode, in sentences."""
     events: tuple[Event, ...]
+    """What to log."""
     target: Target | None = None
+    """Where the arm goes, or what it follows."""
     limited_by: tuple[str, ...] = ()
+    """The workspace bounds and the motion limits that acted on the last command."""
     transitions: tuple[tuple[State, Trigger], ...] = ()
+    """The transitions taken in this cycle."""

@@ -33,8 +33,10 @@ from kuka_control.loop.commands import (
     Wait,
 )
 from kuka_control.loop.ptp_supervision import PtpSupervision
-from kuka_control.loop.stream import Desired, DesiredStream
+from kuka_control.loop.stream import DesiredStream
+from kuka_control.loop.switches import SwitchState
 from kuka_control.loop.transitions import Action, State, Trigger, transitions_among
+from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.target import Target, TargetChain
 from kuka_control.model.workspace import Infeasible
 
@@ -112,8 +114,13 @@ class Cycle:
     """What a handler decides on: the observation, the desired tool frame if it is new, and the monotonic time [s]."""
 
     observation: Observation
-    fresh: Desired | None
+    fresh: DesiredFrame | None
     now: float
+
+    @property
+    def switches(self) -> SwitchState:
+        """What the operator switched."""
+        return self.observation.inputs.switches
 
 
 Outcome = Union[Command, Fired]
@@ -168,7 +175,7 @@ class ControlLoop(ABC, Generic[Settings]):
             now: monotonic time [s].
         """
         self._events, self._limited_by, self._taken = [], (), []
-        update = self._stream.take(observation.desired, observation.clock, now)
+        update = self._stream.take(observation.inputs.desired, observation.inputs.clock, now)
         if update.refused:
             self.counts["refused_frames"] += 1
             self._report("warn", update.refused)
@@ -216,7 +223,7 @@ class ControlLoop(ABC, Generic[Settings]):
         elif row.action is Action.END:
             command = End(None if fired.trigger is Trigger.ARRIVED else because)
         if row.target is State.STOPPED:
-            enable_count, self.stopped_because = cycle.observation.enable_count, because
+            enable_count, self.stopped_because = cycle.switches.enable_count, because
             self.counts["faults"] += 1
         elif fired.trigger is Trigger.ENABLED_AGAIN:
             self.stopped_because = None
@@ -272,7 +279,7 @@ class ControlLoop(ABC, Generic[Settings]):
     def _home(self, cycle: Cycle) -> Outcome:
         if self._exits(cycle):
             return Fired(Trigger.EXIT)
-        self._active = replace(self._active, enable_count=cycle.observation.enable_count)
+        self._active = replace(self._active, enable_count=cycle.switches.enable_count)
         return self._new_target(cycle)
 
     def _at_rest(self, cycle: Cycle) -> Outcome:
@@ -283,11 +290,11 @@ class ControlLoop(ABC, Generic[Settings]):
         """A fault holds the loop until control goes off and on again."""
         if self._exits(cycle):
             return Fired(Trigger.EXIT)
-        again = cycle.observation.control_on and cycle.observation.enable_count != self._active.enable_count
+        again = cycle.switches.control_on and cycle.switches.enable_count != self._active.enable_count
         return Fired(Trigger.ENABLED_AGAIN) if again else Wait()
 
     def _new_target(self, cycle: Cycle) -> Outcome:
-        if not cycle.observation.control_on or cycle.fresh is None:
+        if not cycle.switches.control_on or cycle.fresh is None:
             return Wait()
         q = self._resolve(cycle.observation, cycle.fresh, cycle.observation.joints)
         return Wait() if q is None else self._follow(float(np.max(np.abs(q - cycle.observation.joints))))
@@ -297,23 +304,23 @@ class ControlLoop(ABC, Generic[Settings]):
         """Answers a new target at rest, while control is on; `distance` is that of the farthest joint [rad]."""
 
     def _exits(self, cycle: Cycle) -> bool:
-        return cycle.observation.exit_requested or self._infeasible is not None
+        return cycle.switches.exit_requested or self._infeasible is not None
 
     def _leaves(self, cycle: Cycle) -> Fired | None:
         """Returns why the arm is to go home or to zero instead of following."""
         if self._exits(cycle):
             return Fired(Trigger.EXIT)
-        if not cycle.observation.control_on:
+        if not cycle.switches.control_on:
             return Fired(Trigger.CONTROL_OFF)
-        if cycle.observation.enable_count != self._active.enable_count:
+        if cycle.switches.enable_count != self._active.enable_count:
             return Fired(Trigger.CONTROL_WAS_OFF)
         if self._stream.silent_for(cycle.now) > self._settings.time_out:
             return Fired(Trigger.TIME_OUT, f"{self._settings.time_out:g}")
         return None
 
-    def _resolve(self, observation: Observation, fresh: Desired, q_seed: np.ndarray) -> np.ndarray | None:
+    def _resolve(self, observation: Observation, fresh: DesiredFrame, q_seed: np.ndarray) -> np.ndarray | None:
         """Returns the joints of a desired tool frame, shape (7,) [rad]; without a solution the arm keeps its own."""
-        target = self._chain.resolve(fresh.T_base_tool, observation.scale, q_seed)
+        target = self._chain.resolve(fresh.T_base_tool, observation.inputs.switches.scale, q_seed)
         if isinstance(target, Infeasible):
             self._infeasible = f"The controller shuts down because of the desired tool frame: {target}."
             self._report("error", self._infeasible)
@@ -333,7 +340,7 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _inhibited_by(self, observation: Observation, now: float) -> str | None:
         """Returns why the frames that come in are not followed although control is on, a sentence; else None."""
-        if not observation.control_on:
+        if not observation.inputs.switches.control_on:
             return None
         unreachable = self._unreachable if self._stream.silent_for(now) <= self._settings.time_out else None
         return self._stream.refusal(now) or unreachable

@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from kst import KstError, MotionRefused, ReplyTimeout
 from kuka_control.loop.arm import NO_READING, Arm
-from kuka_control.loop.commands import End, Event, Observation, Servo, StartPtp, StartServo, Step, StopServo
+from kuka_control.loop.commands import End, Event, Inputs, Observation, Servo, StartPtp, StartServo, Step, StopServo
 from kuka_control.loop.control_loop import ControlLoop
-from kuka_control.loop.standby import Standby
-from kuka_control.loop.stream import Desired
+from kuka_control.loop.reconnect import ReconnectSupervisor
 
 MAX_MISSED = 5
 """So many answers in a row may fail to come, or be none, before the link is given up."""
 
 WARN_EVERY_S = 1.0
 """Missed answers are said no more often than this [s]."""
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What comes from outside in a cycle; the attributes are those of `Observation`."""
-
-    desired: Desired | None = None
-    clock: float = 0.0
-    control_on: bool = False
-    enable_count: int = 0
-    scale: float = 1.0
-    exit_requested: bool = False
 
 
 class Controller:
@@ -40,12 +27,12 @@ class Controller:
         in_servo: whether the arm follows servo goals.
     """
 
-    def __init__(self, arm: Arm, loop: ControlLoop | Standby) -> None:
+    def __init__(self, arm: Arm, loop: ControlLoop | ReconnectSupervisor) -> None:
         self.missed = 0
         self._warned_at = -math.inf
         self.restart(arm, loop)
 
-    def restart(self, arm: Arm, loop: ControlLoop | Standby) -> None:
+    def restart(self, arm: Arm, loop: ControlLoop | ReconnectSupervisor) -> None:
         """Begins anew with another arm and loop; what was counted stays."""
         self._arm = arm
         self._loop = loop
@@ -66,17 +53,7 @@ class Controller:
         """
         self._watch_motion()
         refused, self._refused = self._refused, None
-        observation = Observation(
-            joints=self._arm.measured_joints,
-            desired=inputs.desired,
-            clock=inputs.clock,
-            control_on=inputs.control_on,
-            enable_count=inputs.enable_count,
-            scale=inputs.scale,
-            exit_requested=inputs.exit_requested,
-            arrived=not self.moving,
-            refused=refused,
-        )
+        observation = Observation(self._arm.measured_joints, inputs, not self.moving, refused)
         step = self._loop.step(observation, now)
         try:
             self._do(step)

@@ -13,10 +13,10 @@ import numpy as np
 from kuka_control.limits.jump import FrameSteps, is_jump
 from kuka_control.limits.motion_limits import MotionLimits, Unlimited
 from kuka_control.loop.servo_law import LtsGoals
-from kuka_control.loop.stream import Desired
 from kuka_control.loop.target_motion import MovingTarget, TargetMotion
 from kuka_control.loop.tracking import TrackingMonitor
 from kuka_control.loop.transitions import Trigger
+from kuka_control.model.desired_frame import DesiredFrame
 
 CATCH_UP_SCALE = 1.0 / 3.0
 """Fraction of the speed limits until the arm has caught up with a hand that moved on while the arm could not follow:
@@ -87,7 +87,7 @@ class GoalStream:
         """Returns None while the arm follows its goals, else what is wrong, as a part of a sentence."""
         return self._monitor.step(self._limits.goal, measured, now)
 
-    def take(self, frame: Desired, q: np.ndarray | None, measured: np.ndarray, now: float) -> Trigger | None:
+    def take(self, frame: DesiredFrame, q: np.ndarray | None, measured: np.ndarray, now: float) -> Trigger | None:
         """Takes a new desired tool frame; returns why its joints are not to be servoed to, None if they are.
 
         Args:

@@ -8,33 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from common.poses import check_pose
+from kuka_control.model.desired_frame import DesiredFrame, rejection_reason
 
 MAX_SKEW_S = 0.5
 """How far a stamp may be from the clock [s]."""
 
 REFUSING_S = 0.5
 """Frames count as refused until so long after the last one that was [s]."""
-
-MAX_DISTANCE_M = 5.0
-"""A desired tool further from the base than this was not meant in metres [m]."""
-
-
-@dataclass(frozen=True)
-class Desired:
-    """A desired tool frame.
-
-    Attributes:
-        T_base_tool: shape (4, 4) [m].
-        stamp: its time stamp, ROS time [s].
-        conflict: why it is not to be followed, a sentence, if that showed where it came in; else None.
-    """
-
-    T_base_tool: np.ndarray
-    stamp: float
-    conflict: str | None = None
 
 
 @dataclass(frozen=True)
@@ -46,7 +26,7 @@ class StreamUpdate:
         refused: a sentence, the first time that a frame is refused in a row; else None.
     """
 
-    fresh: Desired | None = None
+    fresh: DesiredFrame | None = None
     refused: str | None = None
 
 
@@ -59,7 +39,7 @@ class DesiredStream:
         self._refusing = False
         self._refusal: tuple[str, float] | None = None
 
-    def take(self, newest: Desired | None, clock: float, now: float) -> StreamUpdate:
+    def take(self, newest: DesiredFrame | None, clock: float, now: float) -> StreamUpdate:
         """Looks at the newest frame: only one whose stamp differs from the one before is new.
 
         Args:
@@ -89,7 +69,7 @@ class DesiredStream:
         return float("inf") if self._last_good is None else now - self._last_good
 
 
-def _fault(desired: Desired, clock: float) -> str | None:
+def _fault(desired: DesiredFrame, clock: float) -> str | None:
     if desired.conflict is not None:
         return desired.conflict
     skew = desired.stamp - clock
@@ -99,11 +79,5 @@ def _fault(desired: Desired, clock: float) -> str | None:
             f"The desired tool frame is refused: its stamp is {abs(skew):.3f} s {side} this machine's clock, more than "
             f"{MAX_SKEW_S:g} s; it is old, or the clocks of the machines differ."
         )
-    try:
-        check_pose(desired.T_base_tool)
-    except ValueError as error:
-        return f"The desired tool frame is refused: {error}."
-    distance = np.linalg.norm(desired.T_base_tool[:3, 3])
-    if distance > MAX_DISTANCE_M:
-        return f"The desired tool frame is refused: it is {distance:.4g} m from the base; is it in metres?"
-    return None
+    reason = rejection_reason(desired.T_base_tool)
+    return None if reason is None else f"The desired tool frame is refused: {reason}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from kuka_control.loop.transitions import Mode
+from kuka_control.model.mode import Mode
 from kuka_control.model.scaling import SCALING_DEFAULT, check_scaling_factor
 
 
@@ -20,7 +20,7 @@ class SwitchState:
 
 
 @dataclass(frozen=True)
-class Answer:
+class SwitchReply:
     """Whether a request was carried out, and one sentence about it."""
 
     success: bool
@@ -53,52 +53,52 @@ class Switches:
         """Lets control be switched on again."""
         self._held_by = None
 
-    def set_control(self, on: bool) -> Answer:
+    def set_control(self, on: bool) -> SwitchReply:
         """Switches control of the arm on or off."""
         if on and self._now.exit_requested:
-            return Answer(False, "Control stays off: the controller is shutting down.")
+            return SwitchReply(False, "Control stays off: the controller is shutting down.")
         if on and self._held_by is not None:
-            return Answer(False, f"Control stays off: {self._held_by}.")
+            return SwitchReply(False, f"Control stays off: {self._held_by}.")
         stopped, before = self._stopped_because, self._now.control_on
         enable_count = self._now.enable_count + (on and not before)
         self._now = replace(self._now, control_on=on, enable_count=enable_count)
         if on and before and stopped:
-            return Answer(False, f"The arm is stopped until control is switched off and on again: {stopped}")
+            return SwitchReply(False, f"The arm is stopped until control is switched off and on again: {stopped}")
         if on == before:
-            return Answer(True, f"Control is {'on' if on else 'off'} already.")
+            return SwitchReply(True, f"Control is {'on' if on else 'off'} already.")
         if not on:
             where = "stays where it is until control is on again" if stopped else "goes home"
-            return Answer(True, f"Control is off, the arm {where}.")
+            return SwitchReply(True, f"Control is off, the arm {where}.")
         if self._mode == Mode.HOME:
-            return Answer(True, "Control is on, the arm follows the desired tool frame.")
-        return Answer(True, "Control is on, the arm goes home first and then follows the desired tool frame.")
+            return SwitchReply(True, "Control is on, the arm follows the desired tool frame.")
+        return SwitchReply(True, "Control is on, the arm goes home first and then follows the desired tool frame.")
 
-    def set_gripper(self, on: bool) -> Answer:
+    def set_gripper(self, on: bool) -> SwitchReply:
         """Switches the flag on the topic kuka/gripper_control."""
         if on and self._now.exit_requested:
-            return Answer(False, "Gripper control stays off: the controller is shutting down.")
+            return SwitchReply(False, "Gripper control stays off: the controller is shutting down.")
         self._now = replace(self._now, gripper_on=on)
-        return Answer(True, f"Gripper control is {'on' if on else 'off'}.")
+        return SwitchReply(True, f"Gripper control is {'on' if on else 'off'}.")
 
-    def set_scale(self, factor: float) -> Answer:
+    def set_scale(self, factor: float) -> SwitchReply:
         """Changes the scaling factor, while control is off."""
         if self._now.control_on:
-            return Answer(
+            return SwitchReply(
                 False,
                 f"The scaling factor stays {self._now.scale:g}: it cannot change while control is on.",
             )
         try:
             scale = round(check_scaling_factor(factor), 6)
         except ValueError as error:
-            return Answer(False, f"The scaling factor stays {self._now.scale:g}: {error}.")
+            return SwitchReply(False, f"The scaling factor stays {self._now.scale:g}: {error}.")
         self._now = replace(self._now, scale=scale)
-        return Answer(True, f"The scaling factor is {scale:g}.")
+        return SwitchReply(True, f"The scaling factor is {scale:g}.")
 
-    def request_exit(self) -> Answer:
+    def request_exit(self) -> SwitchReply:
         """Asks the controller to go to the zero position and to end."""
         if self._now.exit_requested:
-            return Answer(True, "The controller is shutting down already.")
+            return SwitchReply(True, "The controller is shutting down already.")
         self._now = replace(self._now, control_on=False, gripper_on=False, exit_requested=True)
         if self._held_by is not None:
-            return Answer(True, f"The controller ends and leaves the arm as it is: {self._held_by}.")
-        return Answer(True, "The arm goes to the zero position, then the controller ends.")
+            return SwitchReply(True, f"The controller ends and leaves the arm as it is: {self._held_by}.")
+        return SwitchReply(True, "The arm goes to the zero position, then the controller ends.")

@@ -10,19 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-
-class Mode(str, Enum):
-    """The mode on kuka/mode and in kuka/status; rig_msgs/KukaStatus has the same constants."""
-
-    STARTING = "starting"
-    HOMING = "homing"
-    HOME = "home"
-    PICK_UP = "pick_up"
-    SERVO = "servo"
-    RETURNING = "returning"
-    ZERO = "zero"
-    STOPPED = "stopped"
-
+from kuka_control.model.mode import Mode
 
 _MOVES = "{because} The arm moves to {name} at {velocity:g} of the full joint speed."
 _LEAVES = "{because} The arm leaves servo mode."

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.poses import check_pose
-from kuka_control.loop.stream import MAX_DISTANCE_M
+from kuka_control.model.desired_frame import rejection_reason
+from kuka_control.model.mode import Mode
 from kuka_control.model.target import TargetChain
 from kuka_control.model.workspace import Infeasible
 
-FOLLOWING = ("pick_up", "servo")
+FOLLOWING = (Mode.PICK_UP, Mode.SERVO)
 """Modes in which the arm follows the desired tool frame from where it is."""
 
 
@@ -32,7 +32,7 @@ class ToolCheck:
     T_base_desired: np.ndarray | None = None
 
 
-def seed(mode: str, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarray:
+def seed(mode: Mode, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarray:
     """Returns the joints from which the arm would go to a pose, shape (7,) [rad].
 
     Args:
@@ -52,13 +52,9 @@ def check_tool_pose(chain: TargetChain, T_base_tool: np.ndarray, scale: float, q
         scale: scaling factor.
         q_seed: joints from which the arm would go there, shape (7,) [rad].
     """
-    try:
-        T_base_tool = check_pose(T_base_tool)
-    except ValueError as error:
-        return ToolCheck(f"The tool pose is refused: {error}.")
-    distance = np.linalg.norm(T_base_tool[:3, 3])
-    if distance > MAX_DISTANCE_M:
-        return ToolCheck(f"The tool pose is refused: it is {distance:.4g} m from the base; is it in metres?")
+    reason = rejection_reason(T_base_tool)
+    if reason is not None:
+        return ToolCheck(f"The tool pose is refused: {reason}")
     target = chain.reach(T_base_tool, q_seed)
     if isinstance(target, Infeasible):
         return ToolCheck(f"The tool pose is outside the workspace: {target}.")

@@ -18,13 +18,13 @@ from common.ros.params import wait_for_config
 from common.ros.stage_times import StageTimes
 from kst import KstError
 from kuka_control.loop import assembly
-from kuka_control.loop.commands import End, Event, Servo, Step
+from kuka_control.loop.commands import End, Event, Inputs, Servo, Step
 from kuka_control.loop.control_loop import ControlLoop
-from kuka_control.loop.controller import Controller, Inputs
-from kuka_control.loop.standby import Standby
+from kuka_control.loop.controller import Controller
+from kuka_control.loop.reconnect import ReconnectSupervisor
 from kuka_control.loop.switches import Switches
-from kuka_control.loop.transitions import Mode
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig, neighbours
+from kuka_control.model.mode import Mode
 from kuka_control.model.rig import Rig
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.dh_file import dh_deviations
@@ -37,7 +37,7 @@ from kuka_control.ros.workspace_markers import publish_workspace
 PARAMETERS_S = 15.0
 """How long some of the parameters may be there before the others, such as those for leap_kuka alone [s]."""
 
-STANDBY_S = 0.05
+RETRY_POLL_S = 0.05
 """How often the switches are looked at while the robot is out of reach [s]."""
 
 SWITCH_INTERVAL_S = 5e-4
@@ -76,7 +76,7 @@ class _Node:
     ) -> None:
         self._link = link
         self._make_loop = make_loop
-        self._loop: ControlLoop | Standby = make_loop()
+        self._loop: ControlLoop | ReconnectSupervisor = make_loop()
         self._controller = Controller(link.arm, self._loop)
         self._switches = Switches()
         self._rest_period = 1.0 / config.rate_joints
@@ -132,25 +132,25 @@ class _Node:
             return False
         if self._switches.read().exit_requested:
             raise DeviceError(f"The robot is out of reach: {error}. The arm is not at its zero position.") from error
-        standby = self._loop = Standby(error, self._loop.counts, self._make_loop, time.monotonic())
-        self._controller.restart(self._link.arm, standby)
-        rospy.logerr(standby.reason)
-        self._show(standby.waiting())
+        supervisor = self._loop = ReconnectSupervisor(error, self._loop.counts, self._make_loop, time.monotonic())
+        self._controller.restart(self._link.arm, supervisor)
+        rospy.logerr(supervisor.reason)
+        self._show(supervisor.waiting())
         self._link.close()
         while not self._switches.read().exit_requested:
             if rospy.is_shutdown():
                 return False
-            if time.monotonic() < standby.next_try:
-                time.sleep(STANDBY_S)
+            if time.monotonic() < supervisor.next_try:
+                time.sleep(RETRY_POLL_S)
                 continue
             try:
                 self._link.again()
             except KstError as failure:
-                self._say(standby.failed(failure, time.monotonic()))
-                self._show(standby.waiting())
+                self._say(supervisor.failed(failure, time.monotonic()))
+                self._show(supervisor.waiting())
                 continue
-            self._controller.restart(self._link.arm, standby)
-            self._say(standby.connected())
+            self._controller.restart(self._link.arm, supervisor)
+            self._say(supervisor.connected())
             self._services.release()
             return True
         return False
@@ -164,15 +164,7 @@ class _Node:
             raise RigError(command.fault)
 
     def _cycle(self, desired) -> None:
-        switched = self._switches.read()
-        inputs = Inputs(
-            desired=desired,
-            clock=rospy.get_time(),
-            control_on=switched.control_on,
-            enable_count=switched.enable_count,
-            scale=switched.scale,
-            exit_requested=switched.exit_requested,
-        )
+        inputs = Inputs(desired, rospy.get_time(), self._switches.read())
         step = self._controller.cycle(inputs, time.monotonic())
         if isinstance(step.command, Servo) and step.command.stamp is not None:
             self._stages.done(self._desired.stamp)

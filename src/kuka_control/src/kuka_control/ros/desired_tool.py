@@ -12,7 +12,7 @@ import tf2_ros
 
 from common.frames import BASE, TOOL_DESIRED
 from common.ros.conversions import pose_from_transform
-from kuka_control.loop.stream import Desired
+from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.frame_sources import Conflict, FrameSources
 
 REMIND_S = 5.0
@@ -30,7 +30,7 @@ class DesiredTool(tf2_ros.TransformListener):
 
     def __init__(self) -> None:
         self._arrived = threading.Event()
-        self._newest: Desired | None = None
+        self._newest: DesiredFrame | None = None
         self._sources = FrameSources()
         self._conflict: Conflict | None = None
         self.stamp: rospy.Time | None = None
@@ -49,7 +49,7 @@ class DesiredTool(tf2_ros.TransformListener):
         super().callback(data)
         self._arrived.set()
 
-    def wait(self, deadline: float) -> Desired | None:
+    def wait(self, deadline: float) -> DesiredFrame | None:
         """Returns the newest desired tool frame as soon as a new one is there, at the latest at `deadline`.
 
         Args:
@@ -75,14 +75,16 @@ class DesiredTool(tf2_ros.TransformListener):
             if conflict is self._conflict:
                 return False
             self._conflict, self.stamp = conflict, rospy.Time.now()
-            self._newest = Desired(np.eye(4), self.stamp.to_sec(), f"The desired tool frame is refused: {conflict}.")
+            self._newest = DesiredFrame(
+                np.eye(4), self.stamp.to_sec(), f"The desired tool frame is refused: {conflict}."
+            )
             return True
         try:
             message = self.buffer.lookup_transform(BASE, TOOL_DESIRED, rospy.Time(0))
             if message.header.stamp == self.stamp:
                 return False
             self.stamp = message.header.stamp
-            self._newest = Desired(pose_from_transform(message.transform), self.stamp.to_sec())
+            self._newest = DesiredFrame(pose_from_transform(message.transform), self.stamp.to_sec())
         except tf2_ros.TransformException:
             return False
         except ValueError as error:

@@ -7,7 +7,7 @@ import threading
 
 import rospy
 
-from kuka_control.loop.switches import Answer, Switches
+from kuka_control.loop.switches import Switches, SwitchReply
 from kuka_msgs.srv import (
     exitApp,
     exitAppEmergency,
@@ -45,7 +45,7 @@ class Services:
 
     def _ask(self, change, *values):
         with self._lock:
-            answer: Answer = change(*values)
+            answer: SwitchReply = change(*values)
         (rospy.loginfo if answer.success else rospy.logwarn)(answer.message)
         return answer.success, answer.message
 

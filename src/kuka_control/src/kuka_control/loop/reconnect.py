@@ -1,8 +1,8 @@
-"""From a lost link to the robot until a person switches control on again: nothing moves by itself.
+"""Reconnects after a lost link to the robot. Nothing moves until the operator switches control on again.
 
-Stands where the control loop stood. While the link is gone it says when the next try to connect is due, ever more
-rarely. When it is back the arm stays where it is; once control is switched on, or the controller is asked to end, a
-fresh control loop takes over, whose first motion is that of every start.
+The supervisor replaces the control loop. While the link is down it says when the next attempt to connect is due, with
+growing pauses. Once the link is back the arm stays where it is. When control is switched on, or an exit is requested, a
+fresh control loop takes over and starts with the motion home.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from dataclasses import replace
 from kst import ConnectionLost, KstError, ReplyTimeout
 from kuka_control.loop.commands import Event, Observation, Step, Wait
 from kuka_control.loop.control_loop import ControlLoop
-from kuka_control.loop.stream import Desired
-from kuka_control.loop.transitions import Mode
+from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.mode import Mode
 
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 5.0
-"""The pause before a try to connect doubles up to this [s]."""
+"""The pause between attempts doubles up to this [s]."""
 
 REMIND_S = 30.0
-"""That the robot is still out of reach is said so often [s]."""
+"""Period of the warnings that the robot is still out of reach [s]."""
 
 BACK = (
     "The robot is connected again. The arm stays where it is until control is switched on; then it goes home first "
@@ -30,13 +30,13 @@ BACK = (
 )
 
 
-class Standby:
-    """Waits for the robot, then for a person.
+class ReconnectSupervisor:
+    """Waits for the robot, then for the operator.
 
     Attributes:
-        counts: those of the control loop before, which go on.
-        reason: how things stand.
-        next_try: when to try to connect, monotonic time [s].
+        counts: the counters of the previous control loop, which continue.
+        reason: the published reason.
+        next_try: time of the next attempt to connect, monotonic [s].
     """
 
     def __init__(self, error: KstError, counts: Counter[str], make_loop: Callable[[], ControlLoop], now: float) -> None:
@@ -54,15 +54,15 @@ class Standby:
         self._remind_at = now
         self._make_loop = make_loop
         self._loop: ControlLoop | None = None
-        self._old: Desired | None = None
+        self._old_frame: DesiredFrame | None = None
 
     @property
     def stopped_because(self) -> str | None:
-        """Why nothing moves; None if nothing hinders it."""
+        """Why the arm cannot move, a sentence; None if nothing inhibits it."""
         return self.reason if self._loop is None else self._loop.stopped_because
 
     def failed(self, error: KstError, now: float) -> tuple[Event, ...]:
-        """Takes in that a try failed at the time `now` [s]; returns what is to be said."""
+        """Records an attempt that failed at the time `now` [s]; returns what to log."""
         self._tries += 1
         self._pause = min(2.0 * self._pause, LONGEST_PAUSE_S)
         self.next_try = now + self._pause
@@ -74,22 +74,23 @@ class Standby:
         return (Event("warn", f"The robot is still gone. {failure}"),)
 
     def connected(self) -> tuple[Event, ...]:
-        """Takes in that the robot is back; returns what is to be said."""
+        """Records that the link is back; returns what to log."""
         self.reason = BACK
         return (Event("info", BACK),)
 
     def waiting(self) -> Step:
-        """Returns the step of one who waits."""
+        """Returns the step while nothing moves."""
         return Step(Wait(), Mode.STOPPED, self.reason, ())
 
-    def step(self, seen: Observation, now: float) -> Step:
-        """As the step of a control loop, for which it stands."""
+    def step(self, observation: Observation, now: float) -> Step:
+        """Returns the step of the fresh control loop; before it exists, `waiting()`."""
+        inputs = observation.inputs
         if self._loop is None:
-            self._old = seen.desired
-            if not (seen.control_on or seen.exit_requested):
+            self._old_frame = inputs.desired
+            if not (inputs.switches.control_on or inputs.switches.exit_requested):
                 return self.waiting()
             self._loop = self._make_loop()
             self._loop.counts = self.counts
-        if seen.desired is self._old:
-            seen = replace(seen, desired=None)
-        return self._loop.step(seen, now)
+        if inputs.desired is self._old_frame:
+            observation = replace(observation, inputs=replace(inputs, desired=None))
+        return self._loop.step(observation, now)

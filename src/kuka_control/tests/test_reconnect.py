@@ -1,0 +1,94 @@
+"""The reconnect supervisor, without a robot."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from kst import ConnectionLost, NoServer, UnexpectedReply
+from kuka_control.loop.commands import Inputs, Observation, StartPtp, Step, Wait
+from kuka_control.loop.reconnect import LONGEST_PAUSE_S, REMIND_S, ReconnectSupervisor
+from kuka_control.loop.switches import SwitchState
+from kuka_control.model.desired_frame import DesiredFrame
+
+LOST = ConnectionLost("the link to the controller broke")
+OLD = DesiredFrame(np.eye(4), 1.0)
+
+
+class Loop:
+    """A control loop that goes somewhere at once."""
+
+    stopped_because = None
+
+    def __init__(self):
+        self.counts, self.observations = Counter(faults=0), []
+
+    def step(self, observation, now):
+        self.observations.append(observation)
+        self.counts["ptp_motions"] += 1
+        return Step(StartPtp(np.zeros(7), 0.1), "homing", "It moves.", ())
+
+
+@pytest.fixture
+def loops():
+    return []
+
+
+@pytest.fixture
+def supervisor(loops):
+    def make():
+        loops.append(Loop())
+        return loops[-1]
+
+    return ReconnectSupervisor(LOST, Counter(ptp_motions=7), make, now=100.0)
+
+
+def observation(desired=None, **switches):
+    return Observation(np.zeros(7), Inputs(desired, switches=SwitchState(**switches)))
+
+
+def test_nothing_moves_until_control_is_switched_on(supervisor, loops):
+    supervisor.connected()
+    for i in range(50):
+        step = supervisor.step(observation(desired=OLD, enable_count=3), 101.0 + i)
+        assert isinstance(step.command, Wait) and step.mode == "stopped" and "connected again" in step.reason
+    assert not loops and supervisor.stopped_because
+    step = supervisor.step(observation(desired=OLD, enable_count=4, control_on=True), 160.0)
+    assert isinstance(step.command, StartPtp) and supervisor.stopped_because is None
+    assert supervisor.counts == Counter(ptp_motions=8), "counters continue"
+    supervisor.step(observation(desired=OLD, enable_count=4), 161.0)
+    assert len(loops) == 1, "the loop continues whatever the switch says"
+
+
+def test_a_frame_from_before_never_reaches_the_new_loop(supervisor, loops):
+    supervisor.step(observation(desired=OLD), 101.0)
+    new = DesiredFrame(np.eye(4), 2.0)
+    for desired in (OLD, new):
+        supervisor.step(observation(desired=desired, control_on=True), 102.0)
+    assert [o.inputs.desired for o in loops[0].observations] == [None, new]
+
+
+def test_a_controller_that_is_asked_to_end_goes_to_zero_by_its_loop(supervisor, loops):
+    supervisor.step(observation(exit_requested=True), 101.0)
+    assert loops[0].observations[0].inputs.switches.exit_requested
+
+
+def test_attempts_become_rarer_and_are_reported_now_and_then(supervisor):
+    now, pauses, reported = supervisor.next_try, [], []
+    while now < 100.0 + 2.5 * REMIND_S:
+        reported += supervisor.failed(NoServer("nobody listens"), now)
+        pauses.append(supervisor.next_try - now)
+        now = supervisor.next_try
+    assert pauses[:3] == [1.0, 2.0, 4.0] and max(pauses) == pauses[-1] == LONGEST_PAUSE_S
+    assert len(reported) == 3 and reported[0].sentence == "The robot is still gone. Try 1 failed: nobody listens."
+    assert "broke" in supervisor.reason and f"Try {len(pauses)} failed: nobody listens." in supervisor.reason
+
+
+@pytest.mark.parametrize(
+    "error, opening",
+    [(LOST, "The robot is out of reach"), (UnexpectedReply("NaN"), "The link to the robot was given up")],
+)
+def test_only_a_silent_robot_is_called_out_of_reach(error, opening):
+    assert ReconnectSupervisor(error, Counter(), Loop, 0.0).reason.startswith(f"{opening}: {error}. Control is off")
