@@ -2,7 +2,10 @@
 """Takes this package's images for the handbook; see --help."""
 
 import sys
+from pathlib import Path
 
-from vision.ros.screenshots_program import main
+sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
+
+from tools.vision_pictures import main  # noqa: E402 - needs the workspace's tools on the path
 
 sys.exit(main())
