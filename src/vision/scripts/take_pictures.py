@@ -6,6 +6,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
-from tools.vision_pictures import main  # noqa: E402 - needs the workspace's tools on the path
+from tools.vision_pictures import main
 
 sys.exit(main())
