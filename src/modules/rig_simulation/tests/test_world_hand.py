@@ -1,4 +1,4 @@
-"""The hand in the physics, alone and fixed in the air: fingers, servos, cells, and what it can hold."""
+"""The hand in the physics, alone and fixed in the air: fingers, servos, taxels, and what it can hold."""
 
 import math
 from types import SimpleNamespace
@@ -40,7 +40,7 @@ THINGS = {
     "cylinder": Cylinder(radius=0.033, height=0.11, mass=0.25, **LOOK),
     "bottle": Bottle(radius=0.033, height=0.20, neck_radius=0.014, neck_height=0.06, mass=0.30, **LOOK),
 }
-# Attitude of the hand in the world, and pose of the thing in the hand.
+# Orientation of the hand in the world, and pose of the thing in the hand.
 LYING = pose(np.column_stack([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), (0.013, 0.0, 0.131))
 HANGING = pose(np.diag([1.0, -1.0, -1.0]), (0.013, 0.0, 0.15))
 PALM_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -135,7 +135,7 @@ def test_a_free_finger_shares_the_tendon_as_the_kinematic_one_does_and_is_far_fr
 
 
 @pytest.mark.parametrize("R", [np.eye(3), PALM_DOWN, PALM_AHEAD, FINGERS_UP], ids=["up", "down", "ahead", "sideways"])
-def test_springs_keep_the_fingers_open_in_every_attitude(R):
+def test_springs_keep_the_fingers_open_in_every_orientation(R):
     bench = Bench(R)
     bench.close(-1.0, -1.0, -1.0, 0.0)
     bench.run(1.5)
@@ -203,7 +203,7 @@ def test_a_stalled_servo_pulls_with_its_largest_torque_then_switches_off_until_p
 
 
 class Weighing(Bench):
-    """A weight of 100 g with a round foot stands on cell 2 of the index finger, which lies flat."""
+    """A weight of 100 g with a round foot stands on taxel 2 of the index finger, which lies flat."""
 
     def add(self, world):
         body = ET.SubElement(world, "body", name="weight", pos="0.0951 -0.026 0.107")
@@ -211,7 +211,7 @@ class Weighing(Bench):
         ET.SubElement(body, "geom", type="sphere", size="0.01", mass="0.1", contype="2", conaffinity="3")
 
 
-def test_a_cell_counts_the_weight_that_stands_on_it_and_its_neighbours_less():
+def test_a_taxel_counts_the_weight_that_stands_on_it_and_its_neighbours_less():
     bench = Weighing()
     bench.run(1.0)
     index, *others = bench.counts()
@@ -221,7 +221,7 @@ def test_a_cell_counts_the_weight_that_stands_on_it_and_its_neighbours_less():
     assert not np.any(others)
 
 
-def test_pressed_cells_count_besides_what_touches():
+def test_pressed_taxels_count_besides_what_touches():
     bench = Weighing()
     bench.run(1.0)
     at = 8 + 2 * 2
@@ -230,9 +230,10 @@ def test_pressed_cells_count_besides_what_touches():
     assert int.from_bytes(bench.hand.packet()[at : at + 2], "little") - before == pytest.approx(50, abs=2)
 
 
-@pytest.mark.parametrize("way", GRASPS)
-def test_holds_a_cup_for_ten_seconds_without_jitter_and_lets_it_go(way):
-    R, T = GRASPS[way]
+@pytest.mark.parametrize("grasp", GRASPS)
+def test_holds_a_cup_without_creep_or_jitter_and_releases_it(grasp):
+    """It creeps by at most 1 mm and 0.5 degrees in ten seconds."""
+    R, T = GRASPS[grasp]
     bench = Bench(R, THINGS["cup"], T)
     bench.run(0.2)
     assert not bench.counts().any()
@@ -241,9 +242,9 @@ def test_holds_a_cup_for_ten_seconds_without_jitter_and_lets_it_go(way):
     bench.let_go()
     bench.run(0.5)
     start, speeds = bench.thing.qpos.copy(), []
-    bench.run(10.0, lambda: speeds.append(np.linalg.norm(bench.thing.qvel[:3])))
-    assert np.linalg.norm(bench.thing.qpos[:3] - start[:3]) < 0.001
-    assert abs(bench.thing.qpos[3:] @ start[3:]) > math.cos(math.radians(0.5))
+    bench.run(2.0, lambda: speeds.append(np.linalg.norm(bench.thing.qvel[:3])))
+    assert np.linalg.norm(bench.thing.qpos[:3] - start[:3]) < 0.0002
+    assert abs(bench.thing.qpos[3:] @ start[3:]) > math.cos(math.radians(0.1) / 2.0)
     assert np.sqrt(np.mean(np.square(speeds))) < 0.001
     assert all(finger.max() > 10 for finger in bench.counts())
     assert max(abs(effort) for effort in bench.hand.state()["efforts"]) < 350

@@ -59,14 +59,15 @@ def test_gravity_of_the_objects_does_not_care_how_the_arm_is_mounted(mounting):
     assert abs(world.objects()["cup"].clearance) < 5e-4
 
 
-def test_a_standing_cup_stays_for_a_minute():
+def test_a_standing_cup_does_not_creep():
+    """At most 10 um and 20 urad in a minute."""
     world = world_of("cup")
     run(world, 1.0)
     before = world.objects()["cup"]
-    run(world, 60.0)
+    run(world, 6.0)
     after = world.objects()["cup"]
-    np.testing.assert_allclose(after.position, before.position, atol=1e-5)
-    np.testing.assert_allclose(after.quaternion, before.quaternion, atol=1e-5)
+    np.testing.assert_allclose(after.position, before.position, atol=1e-6)
+    np.testing.assert_allclose(after.quaternion, before.quaternion, atol=1e-6)
 
 
 def test_a_cup_is_hollow():
