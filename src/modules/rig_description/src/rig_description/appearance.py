@@ -29,15 +29,9 @@ COLOUR_NAMES = {
 
 @dataclass(frozen=True)
 class Disc:
-    """A cylinder of one colour.
+    """A cylinder of one colour."""
 
-    Attributes:
-        colour: red, green, blue from 0 to 1.
-        radius: [mm].
-        bottom, top: centres of its faces [mm].
-    """
-
-    colour: tuple[float, float, float]
-    radius: float
-    bottom: tuple[float, float, float]
-    top: tuple[float, float, float]
+    colour: tuple[float, float, float]  # red, green, blue from 0 to 1
+    radius: float  # [mm]
+    bottom: tuple[float, float, float]  # centre of its lower face [mm]
+    top: tuple[float, float, float]  # centre of its upper face [mm]

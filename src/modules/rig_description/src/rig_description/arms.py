@@ -33,49 +33,32 @@ MEDIA_FLANGE_DENSITY = 1350.0
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Published masses of links 1 to 7, each a row of seven, in frames of the publication's own.
+    """Published masses of links 1 to 7, each a row of seven, in frames of the publication's own."""
 
-    Attributes:
-        m: masses [kg].
-        c: centres of mass x, y, z [m].
-        moments: xx, yy, zz, xy, yz, xz about the centre of mass [kg m^2].
-    """
-
-    m: tuple[float, ...]
-    c: tuple[tuple[float, ...], ...]
-    moments: tuple[tuple[float, ...], ...]
+    m: tuple[float, ...]  # masses [kg]
+    c: tuple[tuple[float, ...], ...]  # centres of mass x, y, z [m]
+    moments: tuple[tuple[float, ...], ...]  # xx, yy, zz, xy, yz, xz about the centre of mass [kg m^2]
 
 
 @dataclass(frozen=True)
 class ArmDescription:
-    """One type of arm.
+    """One type of arm."""
 
-    Attributes:
-        name: as in the parameter kuka/robot.
-        lengths: base to shoulder, shoulder to elbow, elbow to wrist [m].
-        seams: height of the seam of links 0 and 1 above the base, and how far beyond the shoulder and the elbow the
-            seams at joints 3 and 5 lie [m]; they shape the links and have no influence on the motion.
-        speeds_deg: [deg/s], shape (7,).
-        torques: [Nm], shape (7,).
-        mass: of the whole arm without media flange [kg].
-        dynamics: masses as published.
-        twisted: the frames of `dynamics` are those of the classic convention, whose axes are turned by the twist of the
-            joint that follows; otherwise they are turned by 180 deg about z, because the publication's twists have the
-            opposite signs. In both cases the published centres of mass lie in the links then, and only then.
-        unusable: why links (1 to 7) get mass properties of their shape instead of the published ones.
-        masses: masses that are not the published ones, by link (1 to 7) [kg].
-    """
-
-    name: str
-    lengths: tuple[float, float, float]
+    name: str  # as in the parameter kuka/robot
+    lengths: tuple[float, float, float]  # base to shoulder, shoulder to elbow, elbow to wrist [m]
+    # Height of the seam of links 0 and 1 above the base, and how far beyond the shoulder and the elbow the seams at
+    # joints 3 and 5 lie [m]; they shape the links and have no influence on the motion
     seams: tuple[float, float, float]
-    speeds_deg: tuple[int, ...]
-    torques: tuple[int, ...]
-    mass: float
-    dynamics: Dynamics
+    speeds_deg: tuple[int, ...]  # [deg/s], shape (7,)
+    torques: tuple[int, ...]  # [Nm], shape (7,)
+    mass: float  # of the whole arm without media flange [kg]
+    dynamics: Dynamics  # masses as published
+    # The frames of `dynamics` are those of the classic convention, whose axes are turned by the twist of the joint
+    # that follows; otherwise they are turned by 180 deg about z, because the publication's twists have the opposite
+    # signs. In both cases the published centres of mass lie in the links then, and only then.
     twisted: bool
-    unusable: dict[int, str]
-    masses: dict[int, float]
+    unusable: dict[int, str]  # why links (1 to 7) get mass properties of their shape instead of the published ones
+    masses: dict[int, float]  # masses that are not the published ones, by link (1 to 7) [kg]
 
 
 # After Hayat et al., from CAD.

@@ -40,23 +40,15 @@ DISTAL_MAX = pi / 3
 
 @dataclass(frozen=True)
 class HandJoint:
-    """One joint of the hand.
+    """One joint of the hand."""
 
-    Attributes:
-        name, parent, child: without the prefix `reflex/`.
-        xyz: origin in the parent [m], shape (3,).
-        yaw: turn of the child about the parent's z [rad].
-        axis: shape (3,).
-        limits: lower, upper [rad].
-    """
-
-    name: str
-    parent: str
-    child: str
-    xyz: tuple[float, float, float]
-    yaw: float
-    axis: tuple[int, int, int]
-    limits: tuple[float, float]
+    name: str  # without the prefix `reflex/`
+    parent: str  # without the prefix `reflex/`
+    child: str  # without the prefix `reflex/`
+    xyz: tuple[float, float, float]  # origin in the parent [m], shape (3,)
+    yaw: float  # turn of the child about the parent's z [rad]
+    axis: tuple[int, int, int]  # shape (3,)
+    limits: tuple[float, float]  # lower, upper [rad]
 
 
 DOWN, RIGHT = (0, 0, -1), (0, -1, 0)

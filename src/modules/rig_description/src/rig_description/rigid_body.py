@@ -10,17 +10,11 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body in some frame.
+    """A rigid body in some frame."""
 
-    Attributes:
-        mass: [kg].
-        com: centre of mass, shape (3,) [m].
-        inertia: about the centre of mass, axes of the frame, shape (3, 3) [kg m^2].
-    """
-
-    mass: float
-    com: np.ndarray
-    inertia: np.ndarray
+    mass: float  # [kg]
+    com: np.ndarray  # centre of mass, shape (3,) [m]
+    inertia: np.ndarray  # about the centre of mass, axes of the frame, shape (3, 3) [kg m^2]
 
 
 def cylinder(mass: float, radius: float, bottom: ArrayLike, top: ArrayLike) -> Body:

@@ -23,17 +23,11 @@ PROJECTION_ROUNDS = 4
 
 @dataclass(frozen=True)
 class Mesh:
-    """A closed surface.
+    """A closed surface."""
 
-    Attributes:
-        vertices: shape (n, 3) [mm].
-        normals: outward unit normals at the vertices, shape (n, 3).
-        triangles: indices, anticlockwise seen from outside, shape (m, 3).
-    """
-
-    vertices: np.ndarray
-    normals: np.ndarray
-    triangles: np.ndarray
+    vertices: np.ndarray  # shape (n, 3) [mm]
+    normals: np.ndarray  # outward unit normals at the vertices, shape (n, 3)
+    triangles: np.ndarray  # indices, anticlockwise seen from outside, shape (m, 3)
 
 
 def _length(v: np.ndarray) -> np.ndarray:

@@ -26,53 +26,32 @@ IDLE, WAITING_FOR_HAND, OVER = "idle", "waiting_for_hand", "over"
 
 @dataclass(frozen=True)
 class OperatorHabits:
-    """Parameters of the work with proposals.
+    """Parameters of the work with proposals."""
 
-    Attributes:
-        rounds: number of grasps.
-        attempts: attempts at each grasp.
-        look: time at home before a proposal is trusted, and between two requests [s].
-        reach: largest horizontal distance of a proposal from the middle of an object's top [m].
-        least_lift: smallest height of a successful lift [m].
-        lost: time without following after which the operator gives up an attempt [s].
-        patience: longest time for one step [s].
-    """
-
-    rounds: int = 1
-    attempts: int = 3
-    look: float = 2.0
-    reach: float = 0.05
-    least_lift: float = 0.1
-    lost: float = 2.0
-    patience: float = 60.0
+    rounds: int = 1  # number of grasps
+    attempts: int = 3  # attempts at each grasp
+    look: float = 2.0  # time at home before a proposal is trusted, and between two requests [s]
+    reach: float = 0.05  # largest horizontal distance of a proposal from the middle of an object's top [m]
+    least_lift: float = 0.1  # smallest height of a successful lift [m]
+    lost: float = 2.0  # time without following after which the operator gives up an attempt [s]
+    patience: float = 60.0  # longest time for one step [s]
 
 
 @dataclass(frozen=True)
 class ObservedObject:
-    """An observed object.
+    """An observed object."""
 
-    Attributes:
-        top: centre of its upper side, shape (3,) [m].
-        clearance: height of its lowest point above the table [m].
-        turn: required turn of the tool, see PickView.
-    """
-
-    top: np.ndarray
-    clearance: float
-    turn: float = 0.0
+    top: np.ndarray  # centre of its upper side, shape (3,) [m]
+    clearance: float  # height of its lowest point above the table [m]
+    turn: float = 0.0  # required turn of the tool, see PickView
 
 
 @dataclass(frozen=True)
 class ProposedGrasp:
-    """The best proposed grasp.
+    """The best proposed grasp."""
 
-    Attributes:
-        id: its number.
-        position: surface point between the fingers, shape (3,) [m].
-    """
-
-    id: int
-    position: np.ndarray
+    id: int  # its number
+    position: np.ndarray  # surface point between the fingers, shape (3,) [m]
 
 
 @dataclass(frozen=True)
@@ -86,62 +65,35 @@ class GraspReport:
 
 @dataclass(frozen=True)
 class AssistedView:
-    """The operator's observation.
+    """The operator's observation."""
 
-    Attributes:
-        grip: gripping point of the tool, shape (3,) [m].
-        heading: of the tool [rad].
-        following: whether the arm follows the hand.
-        at_home: whether the arm is at home.
-        objects: by name.
-        proposal: the newest best proposal that the arm reaches, or None.
-        complaint: why there is no proposal.
-        execution: state of the execution.
-        reason: of that state.
-        outcome: the newest outcome.
-    """
-
-    grip: np.ndarray
-    heading: float
-    following: bool
-    at_home: bool
-    objects: Mapping[str, ObservedObject]
-    proposal: ProposedGrasp | None = None
-    complaint: str = ""
-    execution: str = IDLE
-    reason: str = ""
-    outcome: GraspReport | None = None
+    grip: np.ndarray  # gripping point of the tool, shape (3,) [m]
+    heading: float  # of the tool [rad]
+    following: bool  # whether the arm follows the hand
+    at_home: bool  # whether the arm is at home
+    objects: Mapping[str, ObservedObject]  # by name
+    proposal: ProposedGrasp | None = None  # the newest best proposal that the arm reaches, or None
+    complaint: str = ""  # why there is no proposal
+    execution: str = IDLE  # state of the execution
+    reason: str = ""  # of that state
+    outcome: GraspReport | None = None  # the newest outcome
 
 
 @dataclass(frozen=True)
 class Round:
-    """The record of one grasp.
+    """The record of one grasp."""
 
-    Attributes:
-        number: from 1 on.
-        object: its name; empty before the choice.
-        proposals: number of different best proposals.
-        executed: number of executions.
-        refused: reasons of refused executions.
-        failed: reasons of failed attempts.
-        correction: horizontal motion of the grip between taking over and closing the fingers [m].
-        turn: turn of the tool meanwhile [rad].
-        lifted: greatest height above the table [m].
-        held: whether the execution reports a held object; None before its report.
-        reason: of its report.
-    """
-
-    number: int
-    object: str = ""
-    proposals: int = 0
-    executed: int = 0
-    refused: tuple[str, ...] = ()
-    failed: tuple[str, ...] = ()
-    correction: float | None = None
-    turn: float | None = None
-    lifted: float = 0.0
-    held: bool | None = None
-    reason: str = ""
+    number: int  # from 1 on
+    object: str = ""  # its name; empty before the choice
+    proposals: int = 0  # number of different best proposals
+    executed: int = 0  # number of executions
+    refused: tuple[str, ...] = ()  # reasons of refused executions
+    failed: tuple[str, ...] = ()  # reasons of failed attempts
+    correction: float | None = None  # horizontal motion of the grip between taking over and closing the fingers [m]
+    turn: float | None = None  # turn of the tool meanwhile [rad]
+    lifted: float = 0.0  # greatest height above the table [m]
+    held: bool | None = None  # whether the execution reports a held object; None before its report
+    reason: str = ""  # of its report
 
 
 @dataclass(frozen=True)

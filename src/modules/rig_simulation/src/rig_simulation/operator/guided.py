@@ -25,23 +25,17 @@ LARGEST_ANGLE = np.radians(90.0)
 
 @dataclass(frozen=True)
 class HandTarget:
-    """A target of the hand.
+    """A target of the hand."""
 
-    Attributes:
-        right, up, back: palm from the centre of the workspace [m], from the operator's view.
-        pitch, yaw, roll: [rad].
-        curl: 0 open, 1 fist.
-        seconds: duration of the move.
-    """
-
+    # Palm from the centre of the workspace [m], from the operator's view
     right: float = 0.0
     up: float = 0.0
     back: float = 0.0
-    pitch: float = 0.0
-    yaw: float = 0.0
-    roll: float = 0.0
-    curl: float = 0.0
-    seconds: float = 1.0
+    pitch: float = 0.0  # [rad]
+    yaw: float = 0.0  # [rad]
+    roll: float = 0.0  # [rad]
+    curl: float = 0.0  # 0 open, 1 fist
+    seconds: float = 1.0  # duration of the move
 
     def __post_init__(self) -> None:
         limits = {

@@ -49,47 +49,29 @@ FIST_SPREAD = np.radians([-8.0, 0.0, 0.0, 1.0, 2.0])
 
 @dataclass(frozen=True)
 class HandPose:
-    """Pose of a hand and flexion of its fingers.
+    """Pose of a hand and flexion of its fingers."""
 
-    Attributes:
-        palm: centre of the palm, shape (3,) [mm].
-        pitch: fingers up is positive [rad].
-        yaw: fingers to the right is positive [rad].
-        roll: palm facing right is positive [rad].
-        flexion: of the three hinges of thumb to pinky, shape (5, 3) [rad].
-        spread: of thumb to pinky at the knuckle, to the pinky's side positive, shape (5,) [rad].
-    """
-
-    palm: np.ndarray
-    pitch: float
-    yaw: float
-    roll: float
-    flexion: np.ndarray
-    spread: np.ndarray
+    palm: np.ndarray  # centre of the palm, shape (3,) [mm]
+    pitch: float  # fingers up is positive [rad]
+    yaw: float  # fingers to the right is positive [rad]
+    roll: float  # palm facing right is positive [rad]
+    flexion: np.ndarray  # of the three hinges of thumb to pinky, shape (5, 3) [rad]
+    spread: np.ndarray  # of thumb to pinky at the knuckle, to the pinky's side positive, shape (5,) [rad]
 
 
 @dataclass(frozen=True)
 class HandGeometry:
-    """Geometry of the bones of a hand.
+    """Geometry of the bones of a hand."""
 
-    Attributes:
-        palm: shape (3,) [mm]; direction, normal: unit vectors, shape (3,).
-        joints: carp, mcp, pip, dip, btip of thumb to pinky, shape (5, 5, 3) [mm].
-        bases: axes x, y, z as rows of metacarpal to distal, shape (5, 4, 3, 3); mirrored on a left hand.
-        tips: centres of the finger tips, shape (5, 3) [mm].
-        elbow, wrist: shape (3,) [mm].
-        arm_basis: axes x, y, z of the forearm as rows, shape (3, 3); mirrored on a left hand.
-    """
-
-    palm: np.ndarray
-    direction: np.ndarray
-    normal: np.ndarray
-    joints: np.ndarray
-    bases: np.ndarray
-    tips: np.ndarray
-    elbow: np.ndarray
-    wrist: np.ndarray
-    arm_basis: np.ndarray
+    palm: np.ndarray  # shape (3,) [mm]
+    direction: np.ndarray  # unit vector, shape (3,)
+    normal: np.ndarray  # unit vector, shape (3,)
+    joints: np.ndarray  # carp, mcp, pip, dip, btip of thumb to pinky, shape (5, 5, 3) [mm]
+    bases: np.ndarray  # axes x, y, z as rows of metacarpal to distal, shape (5, 4, 3, 3); mirrored on a left hand
+    tips: np.ndarray  # centres of the finger tips, shape (5, 3) [mm]
+    elbow: np.ndarray  # shape (3,) [mm]
+    wrist: np.ndarray  # shape (3,) [mm]
+    arm_basis: np.ndarray  # axes x, y, z of the forearm as rows, shape (3, 3); mirrored on a left hand
 
 
 def fingers_for(curl: float) -> tuple[np.ndarray, np.ndarray]:

@@ -35,23 +35,14 @@ STATE_SIZE = 7
 
 @dataclass(frozen=True)
 class Script:
-    """The script of the operator.
+    """The script of the operator."""
 
-    Attributes:
-        figure: one of FIGURES.
-        size: width of the figure [mm].
-        speed: highest speed of the palm [mm/s].
-        plane: of the figure, a key of PLANES.
-        laps: number of rounds of the figure.
-        away: time out of view after each visit [s].
-    """
-
-    figure: str = "circle"
-    size: float = 150.0
-    speed: float = 150.0
-    plane: str = "upright"
-    laps: int = 2
-    away: float = 3.0
+    figure: str = "circle"  # one of FIGURES
+    size: float = 150.0  # width of the figure [mm]
+    speed: float = 150.0  # highest speed of the palm [mm/s]
+    plane: str = "upright"  # of the figure, a key of PLANES
+    laps: int = 2  # number of rounds of the figure
+    away: float = 3.0  # time out of view after each visit [s]
 
 
 @dataclass(frozen=True)

@@ -20,55 +20,32 @@ FINGER_FRACTION = 0.6
 
 @dataclass(frozen=True)
 class Plan:
-    """Parameters of the work.
+    """Parameters of the work."""
 
-    Attributes:
-        clearance: of the grip above the object before it is grasped [m].
-        grasp_height: of the grip above the object's top while it is grasped [m].
-        lift: how high it is lifted [m].
-        speed: highest speed of the palm [m/s].
-        turn_speed: highest angular speed of the hand about the vertical [rad/s].
-        tolerance: accepted distance of the tool from its target [m].
-        turn_tolerance: accepted angle of the tool about the vertical [rad].
-        most_turn: largest turn of the hand; the arm follows no further [rad].
-        at_rest: speed below which the tool counts as at rest [m/s].
-        closing, opening: time for the fingers [s].
-        hold: time for which the object is held up [s].
-        patience: longest time for one step [s].
-    """
-
-    clearance: float = 0.12
-    grasp_height: float = 0.07
-    lift: float = 0.215
-    speed: float = 0.1
-    turn_speed: float = 0.5
-    tolerance: float = 0.004
-    turn_tolerance: float = 0.05
-    most_turn: float = 0.4
-    at_rest: float = 0.005
-    closing: float = 2.5
-    opening: float = 1.5
-    hold: float = 1.0
-    patience: float = 30.0
+    clearance: float = 0.12  # of the grip above the object before it is grasped [m]
+    grasp_height: float = 0.07  # of the grip above the object's top while it is grasped [m]
+    lift: float = 0.215  # how high it is lifted [m]
+    speed: float = 0.1  # highest speed of the palm [m/s]
+    turn_speed: float = 0.5  # highest angular speed of the hand about the vertical [rad/s]
+    tolerance: float = 0.004  # accepted distance of the tool from its target [m]
+    turn_tolerance: float = 0.05  # accepted angle of the tool about the vertical [rad]
+    most_turn: float = 0.4  # largest turn of the hand; the arm follows no further [rad]
+    at_rest: float = 0.005  # speed below which the tool counts as at rest [m/s]
+    closing: float = 2.5  # time for the fingers [s]
+    opening: float = 1.5  # time for the fingers [s]
+    hold: float = 1.0  # time for which the object is held up [s]
+    patience: float = 30.0  # longest time for one step [s]
 
 
 @dataclass(frozen=True)
 class PickView:
-    """The operator's observation.
+    """The operator's observation."""
 
-    Attributes:
-        grip: gripping point of the tool, shape (3,) [m].
-        top: centre of the object's upper side, shape (3,) [m].
-        clearance: height of the object's lowest point above the table [m].
-        following: whether the arm follows the hand.
-        turn: turn of the tool after which the fingers fit the object, anticlockwise from above [rad].
-    """
-
-    grip: np.ndarray
-    top: np.ndarray
-    clearance: float
-    following: bool = True
-    turn: float = 0.0
+    grip: np.ndarray  # gripping point of the tool, shape (3,) [m]
+    top: np.ndarray  # centre of the object's upper side, shape (3,) [m]
+    clearance: float  # height of the object's lowest point above the table [m]
+    following: bool = True  # whether the arm follows the hand
+    turn: float = 0.0  # turn of the tool after which the fingers fit the object, anticlockwise from above [rad]
 
 
 @dataclass(frozen=True)

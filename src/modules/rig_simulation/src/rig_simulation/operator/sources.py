@@ -49,21 +49,13 @@ def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float,
 
 @dataclass(frozen=True)
 class ScriptedOperator:
-    """An operator who follows a script.
+    """An operator who follows a script."""
 
-    Attributes:
-        script: the motions.
-        side: of the hand, "right" or "left".
-        scale: size of the hand against the template.
-        centre: of the workspace, in Leap axes [mm].
-        fields: field set of the frames.
-    """
-
-    script: motion.Script
-    side: str = "right"
-    scale: float = 1.05
-    centre: tuple[float, float, float] = (0.0, 350.0, 0.0)
-    fields: str = "2.x"
+    script: motion.Script  # the motions
+    side: str = "right"  # of the hand, "right" or "left"
+    scale: float = 1.05  # size of the hand against the template
+    centre: tuple[float, float, float] = (0.0, 350.0, 0.0)  # of the workspace, in Leap axes [mm]
+    fields: str = "2.x"  # field set of the frames
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
         """Yields visits without end, each with its own hand id and a pause after it."""

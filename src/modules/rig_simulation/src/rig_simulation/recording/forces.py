@@ -22,35 +22,22 @@ ROBOT = ("kuka/", "reflex/", "panel")
 
 @dataclass(frozen=True)
 class Arrow:
-    """The total force of all contacts of two bodies, as an arrow in its direction on the first body.
+    """The total force of all contacts of two bodies, as an arrow in its direction on the first body."""
 
-    Attributes:
-        tail, tip: shape (3,) [m] in the world.
-        by_robot: whether one body is the robot; then the force acts at the tip, else at the tail.
-    """
-
-    tail: np.ndarray
-    tip: np.ndarray
-    by_robot: bool
+    tail: np.ndarray  # shape (3,) [m] in the world
+    tip: np.ndarray  # shape (3,) [m] in the world
+    by_robot: bool  # whether one body is the robot; then the force acts at the tip, else at the tail
 
 
 @dataclass(frozen=True)
 class PairForce:
-    """The total force of all contacts of two bodies.
+    """The total force of all contacts of two bodies."""
 
-    Attributes:
-        bodies: their names; the force acts on the first.
-        position: mean of the contacts, weighted by their forces, shape (3,) [m] in the world.
-        newtons: sum of the forces along the normals [N].
-        force: their vector sum, on the first body, shape (3,) [N].
-        by_robot: as in Arrow.
-    """
-
-    bodies: tuple[str, str]
-    position: np.ndarray
-    newtons: float
-    force: np.ndarray
-    by_robot: bool
+    bodies: tuple[str, str]  # their names; the force acts on the first
+    position: np.ndarray  # mean of the contacts, weighted by their forces, shape (3,) [m] in the world
+    newtons: float  # sum of the forces along the normals [N]
+    force: np.ndarray  # their vector sum, on the first body, shape (3,) [N]
+    by_robot: bool  # as in Arrow
 
 
 def arrows(pairs: Sequence[PairForce]) -> list[Arrow]:

@@ -23,21 +23,13 @@ SMALLEST_M = 0.004
 
 @dataclass(frozen=True)
 class Shape:
-    """A part of a body.
+    """A part of a body."""
 
-    Attributes:
-        body: such as table or object/cup.
-        kind: BOX, BALL or CYLINDER; a cylinder's axis is its z.
-        size: extents along its own axes, shape (3,) [m].
-        T_base_shape: pose in kuka/base_frame, shape (4, 4).
-        colour: red, green, blue, alpha, 0..1.
-    """
-
-    body: str
-    kind: str
-    size: np.ndarray
-    T_base_shape: np.ndarray
-    colour: tuple[float, ...]
+    body: str  # such as table or object/cup
+    kind: str  # BOX, BALL or CYLINDER; a cylinder's axis is its z
+    size: np.ndarray  # extents along its own axes, shape (3,) [m]
+    T_base_shape: np.ndarray  # pose in kuka/base_frame, shape (4, 4)
+    colour: tuple[float, ...]  # red, green, blue, alpha, 0..1.
 
 
 def beyond(parts: Sequence[Shape], towards: np.ndarray, clearance: float) -> np.ndarray:

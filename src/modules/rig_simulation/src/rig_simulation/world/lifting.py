@@ -46,17 +46,11 @@ SLIDE = "slide"
 
 
 class LiftTrial(NamedTuple):
-    """Result of a trial.
+    """Result of a trial."""
 
-    Attributes:
-        lifted: whether an object rose by more than `RISE_M` and stayed up.
-        rise: largest rise of an object [m].
-        reached: whether the hand came within 5 mm of its target before it closed.
-    """
-
-    lifted: bool
-    rise: float
-    reached: bool
+    lifted: bool  # whether an object rose by more than `RISE_M` and stayed up
+    rise: float  # largest rise of an object [m]
+    reached: bool  # whether the hand came within 5 mm of its target before it closed
 
 
 def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:

@@ -15,17 +15,11 @@ _NAMESPACE = {"c": "http://www.collada.org/2005/11/COLLADASchema"}
 
 @dataclasses.dataclass(frozen=True)
 class TriangleSurface:
-    """A closed surface of one colour.
+    """A closed surface of one colour."""
 
-    Attributes:
-        vertices: shape (n, 3), in the file's unit.
-        triangles: indices of vertices, shape (m, 3).
-        colour: red, green, blue from 0 to 1, shape (3,).
-    """
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    colour: np.ndarray
+    vertices: np.ndarray  # shape (n, 3), in the file's unit
+    triangles: np.ndarray  # indices of vertices, shape (m, 3)
+    colour: np.ndarray  # red, green, blue from 0 to 1, shape (3,)
 
 
 def surface_from_collada(text: str) -> TriangleSurface:

@@ -14,17 +14,11 @@ from common.rotations import quaternion_from_rotation
 
 @dataclasses.dataclass(frozen=True)
 class Touch:
-    """The contacts of a kind of geom: two geoms touch if the kind of one is among the partners of the other.
+    """The contacts of a kind of geom: two geoms touch if the kind of one is among the partners of the other."""
 
-    Attributes:
-        kind: its own bit.
-        partners: bits of the kinds that it touches.
-        group: visibility group of MuJoCo; 3 and above are hidden.
-    """
-
-    kind: int
-    partners: int
-    group: int
+    kind: int  # its own bit
+    partners: int  # bits of the kinds that it touches
+    group: int  # visibility group of MuJoCo; 3 and above are hidden
 
 
 ROBOT = Touch(kind=1, partners=2, group=3)

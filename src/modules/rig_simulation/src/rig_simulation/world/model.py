@@ -49,19 +49,13 @@ FOVY_DEG = 45.0
 
 @dataclasses.dataclass(frozen=True)
 class WorldDescription:
-    """All that a process needs to build the model.
+    """All that a process needs to build the model."""
 
-    Attributes:
-        robot, flange: as in the parameters kuka/robot and kuka/flange.
-        mounting: roll, pitch, yaw of the base in the upright world [deg].
-        scene: mapping as in the scene's yaml.
-        panel: mapping as in the yaml of the marker board, which has a ring between flange and hand; None: no board.
-    """
-
-    robot: str
-    flange: str
-    mounting: tuple[float, float, float]
-    scene: Mapping[str, Any]
+    robot: str  # as in the parameter kuka/robot
+    flange: str  # as in the parameter kuka/flange
+    mounting: tuple[float, float, float]  # roll, pitch, yaw of the base in the upright world [deg]
+    scene: Mapping[str, Any]  # mapping as in the scene's yaml
+    # Mapping as in the yaml of the marker board, which has a ring between flange and hand; None: no board
     panel: Mapping[str, Any] | None = None
 
     def as_fields(self) -> dict[str, Any]:

@@ -45,40 +45,24 @@ class Part:
 
 @dataclasses.dataclass(frozen=True)
 class ObjectState:
-    """State of an object.
+    """State of an object."""
 
-    Attributes:
-        position: of its middle in the world, shape (3,) [m].
-        quaternion: x, y, z, w.
-        speed: of its middle [m/s].
-        clearance: height of its lowest point above the table top [m].
-        touches: sorted names of the bodies in contact.
-    """
-
-    position: tuple[float, ...]
-    quaternion: tuple[float, ...]
-    speed: float
-    clearance: float
-    touches: tuple[str, ...]
+    position: tuple[float, ...]  # of its middle in the world, shape (3,) [m]
+    quaternion: tuple[float, ...]  # x, y, z, w
+    speed: float  # of its middle [m/s]
+    clearance: float  # height of its lowest point above the table top [m]
+    touches: tuple[str, ...]  # sorted names of the bodies in contact
 
 
 @dataclasses.dataclass(frozen=True)
 class Contact:
-    """A contact of two bodies.
+    """A contact of two bodies."""
 
-    Attributes:
-        bodies: names of both.
-        position: shape (3,) [m].
-        normal: from the first to the second, shape (3,).
-        force: along the normal [N].
-        depth: penetration [m].
-    """
-
-    bodies: tuple[str, str]
-    position: tuple[float, ...]
-    normal: tuple[float, ...]
-    force: float
-    depth: float
+    bodies: tuple[str, str]  # names of both
+    position: tuple[float, ...]  # shape (3,) [m]
+    normal: tuple[float, ...]  # from the first to the second, shape (3,)
+    force: float  # along the normal [N]
+    depth: float  # penetration [m]
 
 
 class World:

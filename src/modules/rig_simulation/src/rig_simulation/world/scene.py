@@ -138,34 +138,21 @@ class Tag:
 
 @dataclasses.dataclass(frozen=True)
 class MarkerBoard:
-    """The marker board beside the flange.
+    """The marker board beside the flange."""
 
-    Attributes:
-        size: edges of the plate along the tags' x and y axes, shape (2,) [m].
-        centre: of the plate in the flange, shape (3,) [m].
-        tags: printed on it.
-    """
-
-    size: np.ndarray
-    centre: np.ndarray
-    tags: tuple[Tag, ...]
+    size: np.ndarray  # edges of the plate along the tags' x and y axes, shape (2,) [m]
+    centre: np.ndarray  # of the plate in the flange, shape (3,) [m]
+    tags: tuple[Tag, ...]  # printed on it
 
 
 @dataclasses.dataclass(frozen=True)
 class WorldScene:
-    """A scene.
+    """A scene."""
 
-    Attributes:
-        table: under the objects.
-        camera: its pose.
-        scatter: largest random offset of objects in x and y [m]; 0 places them exactly.
-        objects: by name.
-    """
-
-    table: Table
-    camera: CameraPose
-    scatter: float
-    objects: Mapping[str, SceneObject]
+    table: Table  # under the objects
+    camera: CameraPose  # its pose
+    scatter: float  # largest random offset of objects in x and y [m]; 0 places them exactly
+    objects: Mapping[str, SceneObject]  # by name
 
 
 @dataclasses.dataclass(frozen=True)

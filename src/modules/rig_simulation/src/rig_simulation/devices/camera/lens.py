@@ -19,15 +19,11 @@ MARGIN_PX = 4
 
 @dataclass(frozen=True)
 class PixelWindow:
-    """A pinhole image plane.
+    """A pinhole image plane."""
 
-    Attributes:
-        width, height: of the image [px].
-        left, right, bottom, top: its borders in the plane one metre in front of the camera, y up [m].
-    """
-
-    width: int
-    height: int
+    width: int  # of the image [px]
+    height: int  # of the image [px]
+    # Its borders in the plane one metre in front of the camera, y up [m]
     left: float
     right: float
     bottom: float

@@ -24,19 +24,12 @@ from rig_simulation.devices.camera.rendering import Renderer
 
 @dataclass(frozen=True)
 class RgbdImages:
-    """Images of one moment; None for those not requested.
+    """Images of one moment; None for those not requested."""
 
-    Attributes:
-        colour: shape (height, width, 3), uint8, red first.
-        depth: of the infrared camera, shape (height, width), uint16 [mm], 0 = no depth.
-        registered: depth in the colour camera's pixels, the same type.
-        seconds: duration of each stage [s].
-    """
-
-    colour: np.ndarray | None
-    depth: np.ndarray | None
-    registered: np.ndarray | None
-    seconds: Mapping[str, float]
+    colour: np.ndarray | None  # shape (height, width, 3), uint8, red first
+    depth: np.ndarray | None  # of the infrared camera, shape (height, width), uint16 [mm], 0 = no depth
+    registered: np.ndarray | None  # depth in the colour camera's pixels, the same type
+    seconds: Mapping[str, float]  # duration of each stage [s]
 
 
 class RgbdCamera:

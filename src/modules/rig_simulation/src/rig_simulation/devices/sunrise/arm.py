@@ -38,19 +38,12 @@ TRAIL_LENGTH = 1000
 
 @dataclasses.dataclass(frozen=True)
 class ArmSettings:
-    """Settings of the arm.
+    """Settings of the arm."""
 
-    Attributes:
-        torque_limit: safety stop above this external torque of any joint [Nm].
-        speed_limit: safety stop above this speed of the tool point [m/s].
-        servo_law: "lts" or "none".
-        trajectory_time: minimum trajectory time of DirectServo [s].
-    """
-
-    torque_limit: float = 25.0
-    speed_limit: float = 0.8
-    servo_law: str = "lts"
-    trajectory_time: float = MIN_TRAJECTORY_TIME_S
+    torque_limit: float = 25.0  # safety stop above this external torque of any joint [Nm]
+    speed_limit: float = 0.8  # safety stop above this speed of the tool point [m/s]
+    servo_law: str = "lts"  # "lts" or "none"
+    trajectory_time: float = MIN_TRAJECTORY_TIME_S  # minimum trajectory time of DirectServo [s]
 
 
 class ArmEnvironment(Protocol):

@@ -22,22 +22,17 @@ def _zeros(size: int) -> Any:
 
 @dataclasses.dataclass
 class Goals:
-    """The server's stored goals.
+    """The server's stored goals."""
 
-    Attributes:
-        joints: of `jp_` and similar commands, shape (7,) [rad]; target of joint motions, goal of the joint servo.
-        speeds: of the velocity servo, shape (7,) [rad/s].
-        target, via, end, servo: poses X, Y, Z [mm], A, B, C [rad], shape (6,), of lines, circles and Cartesian servo.
-        speed: relative speed of joint motions, or mm/s of the tool.
-    """
-
+    # Of `jp_` and similar commands, shape (7,) [rad]; target of joint motions, goal of the joint servo
     joints: np.ndarray = _zeros(7)
-    speeds: np.ndarray = _zeros(7)
-    target: np.ndarray = _zeros(6)
-    via: np.ndarray = _zeros(6)
-    end: np.ndarray = _zeros(6)
-    servo: np.ndarray = _zeros(6)
-    speed: float = DEFAULT_RELATIVE_SPEED
+    speeds: np.ndarray = _zeros(7)  # of the velocity servo, shape (7,) [rad/s]
+    # Poses X, Y, Z [mm], A, B, C [rad], shape (6,)
+    target: np.ndarray = _zeros(6)  # of lines
+    via: np.ndarray = _zeros(6)  # of circles
+    end: np.ndarray = _zeros(6)  # of circles
+    servo: np.ndarray = _zeros(6)  # of the Cartesian servo
+    speed: float = DEFAULT_RELATIVE_SPEED  # relative speed of joint motions, or mm/s of the tool
 
 
 def overwritten(values: np.ndarray, words: list[str]) -> np.ndarray:

@@ -37,22 +37,15 @@ RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
 @dataclasses.dataclass(frozen=True)
 class ServerSettings:
-    """Which inconvenient sides of the real server are simulated.
+    """Which inconvenient sides of the real server are simulated."""
 
-    Attributes:
-        wiped_window: after an answer of the main thread, commands for it are lost for this long [s].
-        wait_for_client: the program exits after this time without a client [s].
-        deaf_after_lost_client: a client that vanishes without `end` leaves the port bound but deaf and the servo
-            running; otherwise the arm stops and the next client is served.
-        end_exits: `end` exits the program; otherwise the application starts again.
-        version: of the toolbox's server, one of VERSIONS.
-    """
-
-    wiped_window: float = 0.0
-    wait_for_client: float = math.inf
+    wiped_window: float = 0.0  # after an answer of the main thread, commands for it are lost for this long [s]
+    wait_for_client: float = math.inf  # the program exits after this time without a client [s]
+    # A client that vanishes without `end` leaves the port bound but deaf and the servo running; otherwise the arm
+    # stops and the next client is served
     deaf_after_lost_client: bool = False
-    end_exits: bool = False
-    version: str = VERSIONS[-1]
+    end_exits: bool = False  # `end` exits the program; otherwise the application starts again
+    version: str = VERSIONS[-1]  # of the toolbox's server, one of VERSIONS
 
 
 class SunriseServer:
