@@ -1,6 +1,7 @@
 """The client of the hand on the loopback interface, with the simulated hand as a program of its own."""
 
 import math
+import socket
 import threading
 
 import numpy as np
@@ -53,6 +54,24 @@ def test_calibrates_closes_feels_and_lets_go(simulated_hand, hand_of, wait_until
     with hand_of(port) as again:
         assert again.calibrated
     again.disconnect()
+    for use in (lambda: again.command((0.0,) * 4), again.connect, lambda: again.wait_for_packet(0.1)):
+        with pytest.raises(CommandRefused):
+            use()
+
+
+def test_a_callback_may_close_the_connection_on_a_fault_of_the_wire(hand_of, free_port, monkeypatch):
+    def fail(data):
+        raise WireFault("the interface is down")
+
+    notes = []
+    hand = hand_of(free_port(socket.SOCK_DGRAM), on_note=lambda note: (notes.append(note), hand.disconnect()))
+    hand.connect()
+    monkeypatch.setattr(hand._transport, "send", fail)
+    caller = threading.Thread(target=hand.disable_torque, daemon=True)
+    caller.start()
+    caller.join(30.0)
+    assert not caller.is_alive() and not hand.listening
+    assert [note.level for note in notes] == ["error"]
 
 
 def test_a_failed_calibration_is_a_refusal(simulated_hand, hand_of):
@@ -78,8 +97,6 @@ def test_a_silent_hand_is_an_error_and_comes_back(simulated_hand, hand_of, wait_
 
 
 def test_no_hand_and_no_interface(hand_of, free_port):
-    import socket
-
     hand = hand_of(free_port(socket.SOCK_DGRAM))
     hand.connect()
     with pytest.raises(HandSilent) as caught:

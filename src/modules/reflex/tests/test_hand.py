@@ -77,10 +77,20 @@ def test_a_goal_that_is_not_finite_is_refused_and_the_last_one_stays(bench, bad)
     b = bench().calibrated()
     b.command(1, 1, 1, 0.5)
     before = list(b.sent)
-    assert "not finite" in b.command(0, bad, 0, 0).refusal
+    assert "finite" in b.command(0, bad, 0, 0).refusal
     b.run(2.0)
     assert b.sent == before
     np.testing.assert_allclose(angles(b), (1, 1, 1, 0.5), atol=0.01)
+
+
+def test_a_command_of_another_length_is_refused_and_the_goals_stay(bench):
+    b = bench().calibrated()
+    before = list(b.sent)
+    assert b.take(b.driver.command((1, 1, 1), b.now)).refusal
+    assert b.take(b.driver.command_raw((14000,) * 3, b.now)).refusal
+    assert b.take(b.driver.command_raw((70000,) * 4, b.now)).refusal
+    b.run(0.5)
+    assert b.sent == before
 
 
 def test_nothing_moves_before_the_hand_is_heard(bench):

@@ -43,9 +43,9 @@ class CalibrationFiles:
         Raises:
             CalibrationFileError: a file cannot be read or holds something else.
         """
-        zeros = self._read(FINGERS, FingerZeros, DEFAULT_ZEROS)
-        offsets = self._read(TACTILE, TactileOffsets, DEFAULT_OFFSETS)
-        return zeros, offsets, (self.folder / FINGERS).exists()
+        zeros, calibrated = self._read(FINGERS, FingerZeros, DEFAULT_ZEROS)
+        offsets, _ = self._read(TACTILE, TactileOffsets, DEFAULT_OFFSETS)
+        return zeros, offsets, calibrated
 
     def save(self, calibration: FingerZeros | TactileOffsets) -> Path:
         """Writes one calibration and returns its file.
@@ -65,17 +65,19 @@ class CalibrationFiles:
             ) from None
         return path
 
-    def _read(self, name: str, record: type[_Record], default: _Record) -> _Record:
+    def _read(self, name: str, record: type[_Record], default: _Record) -> tuple[_Record, bool]:
+        """Returns one calibration, and whether it was saved for this hand."""
         path = self.folder / name
-        if not path.exists():
-            if self._shipped is None:
-                return default
-            path = self._shipped / name
         try:
+            saved = path.exists()
+            if not saved:
+                if self._shipped is None:
+                    return default, False
+                path = self._shipped / name
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise CalibrationFileError(f"Cannot read {path}: {error}.") from None
-        return calibration_from_text(record, text, str(path))
+        return calibration_from_text(record, text, str(path)), saved
 
 
 def _write_whole(path: Path, text: str) -> None:

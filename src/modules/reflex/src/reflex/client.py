@@ -43,8 +43,8 @@ class ReflexHand:
         port: UDP port of hand and host.
         settings: of the state machine.
         files: calibration of this hand; None: in ~/.ros/reflex/<interface>, as for the ROS driver.
-        on_reading: called from the receive thread with every reading.
-        on_note: called with news, from any thread that calls a method; level "info", "warning" or "error".
+        on_reading: called from the receive thread with every reading; must not call a method that waits.
+        on_note: called with news, from any thread that calls a method; the same holds.
 
     Raises:
         WireFault: there is no such interface, it has no IPv4 address, or the port is taken.
@@ -67,7 +67,7 @@ class ReflexHand:
         self._on_reading, self._on_note = on_reading, on_note
         try:
             self._logic = HandLogic(self._settings, *self._files.load())
-        except CalibrationFileError:
+        except BaseException:
             self._transport.close()
             raise
         self._lock = threading.RLock()
@@ -84,7 +84,7 @@ class ReflexHand:
         self.connect()
         try:
             self.wait_for_packet()
-        except HandSilent:
+        except BaseException:
             self.disconnect()
             raise
         return self
@@ -93,8 +93,12 @@ class ReflexHand:
         self.disconnect()
 
     def connect(self) -> None:
-        """Switches torque on and starts to listen."""
-        self._act(lambda now: self._logic.start())
+        """Switches torque on and starts to listen.
+
+        Raises:
+            CommandRefused: the connection is closed.
+        """
+        self._request(lambda now: self._logic.start())
         self._thread.start()
 
     def disconnect(self) -> None:
@@ -188,9 +192,8 @@ class ReflexHand:
         self._request(lambda now: self._logic.set_speed(speeds, now))
         if not self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, SPEED_TIMEOUT_S):
             raise CommandRefused(f"The speed was not set within {SPEED_TIMEOUT_S:g} s.")
-        now = self.status
-        if now not in (HandStatus.READY, HandStatus.CALIBRATING):
-            raise CommandRefused(f"The speed was not set: the hand is {now.value}.")
+        if self.status not in (HandStatus.READY, HandStatus.CALIBRATING):
+            raise CommandRefused(f"The speed was not set: the hand is {self.status.value}.")
 
     def disable_torque(self) -> None:
         """Lets all motors go; `set_speed` switches torque on again."""
@@ -233,16 +236,20 @@ class ReflexHand:
 
         Raises:
             HandSilent: none came within `timeout` seconds.
+            CommandRefused: the connection is closed.
         """
         before = self._packets
         if not self._wait_while(lambda: self._packets == before, timeout):
+            self._require_open()
             raise HandSilent(self._interface, timeout)
 
     def _let_go(self) -> None:
         with self._lock:
-            if not self._stopped.is_set():
-                self._act(lambda now: self._logic.stop())
-                self._stopped.set()
+            if self._stopped.is_set():
+                return
+            notes = self._send(self._logic.stop())
+            self._stopped.set()
+        self._report(notes)
 
     def _wait_for_rest(self, timeout: float) -> None:
         last, still, deadline = self.state.joint_angles, 0, time.monotonic() + timeout
@@ -262,7 +269,12 @@ class ReflexHand:
                 self._news.wait(RECEIVE_TIMEOUT_S)
         return True
 
+    def _require_open(self) -> None:
+        if self._stopped.is_set():
+            raise CommandRefused("The connection to the hand is closed; nothing was sent. Make a new ReflexHand.")
+
     def _request(self, step: Callable[[float], HandUpdate]) -> None:
+        self._require_open()
         refusal = self._act(step).refusal
         if refusal:
             raise CommandRefused(refusal)
@@ -280,7 +292,7 @@ class ReflexHand:
         try:
             datagram = self._transport.receive(RECEIVE_TIMEOUT_S)
         except WireFault as error:
-            self._wire_failed(error)
+            self._report(self._wire_failed(error))
             self._stopped.wait(RECEIVE_TIMEOUT_S)
             return
         if datagram is None:
@@ -302,25 +314,36 @@ class ReflexHand:
             update = step(time.monotonic())
             if self._stopped.is_set():
                 return update
-            for packet in update.send:
-                try:
-                    self._transport.send(packet)
-                    self._wire_fault = ""
-                except WireFault as error:
-                    self._wire_failed(error)
-        for note in update.notes:
-            self._on_note(note)
+            notes = self._send(update)
+        self._report(notes)
         return update
 
-    def _wire_failed(self, error: WireFault) -> None:
-        if str(error) != self._wire_fault:
-            self._wire_fault = str(error)
-            self._on_note(HandNote("error", str(error)))
+    def _send(self, update: HandUpdate) -> list[HandNote]:
+        """Sends the packets of an update and returns what there is to report, once the lock is released."""
+        notes = []
+        for packet in update.send:
+            try:
+                self._transport.send(packet)
+                self._wire_fault = ""
+            except WireFault as error:
+                notes += self._wire_failed(error)
+        return [*notes, *update.notes]
+
+    def _wire_failed(self, error: WireFault) -> list[HandNote]:
+        if str(error) == self._wire_fault:
+            return []
+        self._wire_fault = str(error)
+        return [HandNote("error", str(error))]
+
+    def _report(self, notes: list[HandNote]) -> None:
+        # Never under the lock: a callback may call `disconnect`, which waits for the receive thread.
+        for note in notes:
+            self._on_note(note)
 
     def _watch_silence(self) -> None:
         """Opens the sockets again while the hand is silent: a cable or an address may have come after the start."""
         now = time.monotonic()
-        if self._logic.link.age(now) < REOPEN_S or now < self._reopen_at:
+        if self._logic.link.age(now) < REOPEN_S or now < self._reopen_at or self._stopped.is_set():
             return
         self._reopen_at = now + REOPEN_S
         if now - self._reminded_at >= REMIND_S:
@@ -330,7 +353,7 @@ class ReflexHand:
         try:
             fresh = HandTransport(self._interface, self._port)
         except WireFault as error:
-            self._wire_failed(error)
+            self._report(self._wire_failed(error))
             return
         with self._lock:
             old, self._transport = self._transport, fresh

@@ -168,8 +168,8 @@ class HandLogic:
         """Sends the motors to joint angles [rad], clamped to their travel; during a calibration, after its end."""
         self._begin()
         angles = tuple(float(a) for a in angles)
-        if not all(math.isfinite(a) for a in angles):
-            return self._refuse(f"The command {list(angles)} is not finite; the last goal stays.")
+        if len(angles) != 4 or not all(math.isfinite(a) for a in angles):
+            return self._refuse(f"The command {list(angles)} is not four finite angles; the last goal stays.")
         refusal = self._not_ready(now)
         if refusal:
             return self._refuse(refusal)
@@ -185,8 +185,11 @@ class HandLogic:
         refusal = self._not_ready(now) or ("The fingers are being calibrated." if self._calibration else "")
         if refusal:
             return self._refuse(refusal)
+        try:
+            self._aim(tuple(int(p) for p in positions))
+        except ValueError as error:
+            return self._refuse(f"The command was refused: {error}.")
         self.commands += 1
-        self._aim(tuple(int(p) for p in positions))
         return self._result()
 
     def set_speed(self, speeds: Sequence[float], now: float) -> HandUpdate:

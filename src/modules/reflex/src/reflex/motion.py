@@ -100,12 +100,17 @@ class MotorGoals:
         return packets if waiting is None else (*packets, *self.aim(waiting))
 
     def aim(self, positions: tuple[int, ...]) -> tuple[bytes, ...]:
-        """Makes these positions [ticks] the goals, as they are."""
+        """Makes these positions [ticks] the goals, as they are.
+
+        Raises:
+            ValueError: they are not four positions that a packet can hold; the goals stay.
+        """
+        packet = encode_target(positions)
         self._goals = positions
         if self._change:
             self._waiting = positions
             return ()
-        return (encode_target(positions),)
+        return (packet,)
 
     def command(
         self, angles: Sequence[float], positions: Sequence[int], zeros: np.ndarray

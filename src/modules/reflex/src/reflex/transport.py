@@ -35,11 +35,11 @@ class HandTransport:
         self._name = f"{GROUP}:{port} on {interface}"
         self._to = (GROUP, port)
         address = socket.inet_aton(interface_address(interface))
-        # Like the kernel's ip_mreqn; the index decides where two interfaces share an address.
-        where = address + struct.pack("@i", socket.if_nametoindex(interface))
         self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
+            # Like the kernel's ip_mreqn; the index decides where two interfaces share an address.
+            where = address + struct.pack("@i", socket.if_nametoindex(interface))
             self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             # Without this a socket also hears what other programs joined, such as a real hand beside a simulated one.
             self._receiver.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)

@@ -49,9 +49,9 @@ class HandDriver:
 
     def run(self) -> None:
         """Runs until ROS shuts down; leaves the hand idle."""
-        rospy.on_shutdown(self._hand.disconnect)
         try:
             self._hand.connect()
+            rospy.on_shutdown(self._hand.disconnect)
             self._offer()
             while not rospy.is_shutdown():
                 if not self._hand.listening:
