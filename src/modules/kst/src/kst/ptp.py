@@ -20,23 +20,14 @@ MOVED_RAD = math.radians(0.02)
 
 @dataclass(frozen=True)
 class PtpLimits:
-    """Bounds of a supervised motion.
+    """Bounds of a supervised motion."""
 
-    Attributes:
-        arrived: largest distance of a joint from its goal at the end of the motion [rad].
-        stalled: an arm that stands still for this long is stalled [s].
-        given_up: an arm that stands still for this long is not awaited any longer [s].
-        timeout: longest motion [s].
-        missed: this many missed readings in a row are an error.
-        period: time between two readings [s].
-    """
-
-    arrived: float = math.radians(0.1)
-    stalled: float = 3.0
-    given_up: float = 60.0
-    timeout: float = math.inf
-    missed: int = 5
-    period: float = 0.1
+    arrived: float = math.radians(0.1)  # largest distance of a joint from its goal at the end of the motion [rad]
+    stalled: float = 3.0  # an arm that stands still for this long is stalled [s]
+    given_up: float = 60.0  # an arm that stands still for this long is not awaited any longer [s]
+    timeout: float = math.inf  # longest motion [s]
+    missed: int = 5  # this many missed readings in a row are an error
+    period: float = 0.1  # time between two readings [s]
 
 
 class PtpState(enum.Enum):
@@ -53,40 +44,24 @@ class PtpState(enum.Enum):
 
 @dataclass(frozen=True)
 class PtpProgress:
-    """Progress of a motion.
+    """Progress of a motion."""
 
-    Attributes:
-        state: of the motion.
-        fraction: of the largest joint step that is done, 0 to 1.
-        joint: the joint with the largest remaining step, 1 to 7.
-        remaining: that step, absolute [rad].
-        still: time since the arm moved last [s].
-        stall_began: whether the arm is stalled since this reading.
-    """
-
-    state: PtpState
-    fraction: float
-    joint: int
-    remaining: float
-    still: float
-    stall_began: bool = False
+    state: PtpState  # of the motion
+    fraction: float  # of the largest joint step that is done, 0 to 1
+    joint: int  # the joint with the largest remaining step, 1 to 7
+    remaining: float  # that step, absolute [rad]
+    still: float  # time since the arm moved last [s]
+    stall_began: bool = False  # whether the arm is stalled since this reading
 
 
 @dataclass
 class PtpSupervisor:
-    """Judges a motion from one reading to the next.
+    """Judges a motion from one reading to the next."""
 
-    Attributes:
-        start: joints before the motion, shape (7,) [rad].
-        goal: joints after the motion, shape (7,) [rad].
-        started: time at which it starts [s].
-        limits: its bounds.
-    """
-
-    start: np.ndarray
-    goal: np.ndarray
-    started: float
-    limits: PtpLimits = field(default_factory=PtpLimits)
+    start: np.ndarray  # joints before the motion, shape (7,) [rad]
+    goal: np.ndarray  # joints after the motion, shape (7,) [rad]
+    started: float  # time at which it starts [s]
+    limits: PtpLimits = field(default_factory=PtpLimits)  # its bounds
 
     def __post_init__(self) -> None:
         self._last, self._goal = read_only(self.start), read_only(self.goal)

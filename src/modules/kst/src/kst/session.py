@@ -30,33 +30,19 @@ MAX_STRAY = 200
 
 @dataclass(frozen=True)
 class KstTiming:
-    """Waits [s] and tries.
+    """Waits [s] and tries."""
 
-    Attributes:
-        connect_settle: after connecting, until the server's main thread has attached its own tool.
-        tool_settle: after the tool is attached.
-        reply: longest wait for an answer outside servo mode.
-        servo_reply: longest wait for the answer to a servo goal.
-        main_pause: after an answer of the main thread, which could wipe a further command.
-        servo_start: after the start of servo mode, while the server overwrites the goal with the present joints.
-        servo_stop: after the stop of servo mode, until the main thread reads again.
-        rest: longest wait for the arm to stand still before servo mode stops.
-        quiet: silence after which no late answer of the main thread comes.
-        farewell: longest wait for the server's end of file after `end`.
-        tries: how often a main-thread command is sent at most.
-    """
-
-    connect_settle: float = 1.0
-    tool_settle: float = 0.4
-    reply: float = 1.0
-    servo_reply: float = 0.2
-    main_pause: float = 0.005
-    servo_start: float = 0.3
-    servo_stop: float = 0.1
-    rest: float = 0.5
-    quiet: float = 0.1
-    farewell: float = 0.2
-    tries: int = 3
+    connect_settle: float = 1.0  # after connecting, until the server's main thread has attached its own tool
+    tool_settle: float = 0.4  # after the tool is attached
+    reply: float = 1.0  # longest wait for an answer outside servo mode
+    servo_reply: float = 0.2  # longest wait for the answer to a servo goal
+    main_pause: float = 0.005  # after an answer of the main thread, which could wipe a further command
+    servo_start: float = 0.3  # after its start, while the server overwrites the goal with the present joints
+    servo_stop: float = 0.1  # after the stop of servo mode, until the main thread reads again
+    rest: float = 0.5  # longest wait for the arm to stand still before servo mode stops
+    quiet: float = 0.1  # silence after which no late answer of the main thread comes
+    farewell: float = 0.2  # longest wait for the server's end of file after `end`
+    tries: int = 3  # how often a main-thread command is sent at most
 
 
 @dataclass(frozen=True)

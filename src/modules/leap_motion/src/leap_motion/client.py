@@ -44,19 +44,12 @@ class LeapLink(Enum):
 
 @dataclass(frozen=True)
 class LeapCounts:
-    """Counts since the client was made.
+    """Counts since the client was made."""
 
-    Attributes:
-        received: frames read from the socket.
-        superseded: frames that a newer one replaced before anybody asked for them.
-        dropped: unusable frames, by reason.
-        connections: headers received; all but the first are reconnects.
-    """
-
-    received: int = 0
-    superseded: int = 0
-    dropped: dict[str, int] = field(default_factory=dict)
-    connections: int = 0
+    received: int = 0  # frames read from the socket
+    superseded: int = 0  # frames that a newer one replaced before anybody asked for them
+    dropped: dict[str, int] = field(default_factory=dict)  # unusable frames, by reason
+    connections: int = 0  # headers received; all but the first are reconnects
 
 
 @dataclass(frozen=True)

@@ -17,18 +17,13 @@ METACARPAL, PROXIMAL, INTERMEDIATE, DISTAL = range(4)
 
 @dataclass(frozen=True)
 class LeapBone:
-    """One bone of a finger, or the forearm.
+    """One bone of a finger, or the forearm."""
 
-    Attributes:
-        start: end nearer to the body, shape (3,) [m].
-        end: end nearer to the finger tip, shape (3,) [m].
-        rotation: orientation of the bone, shape (3, 3), a proper rotation for both hands. Columns: x across the finger,
-            y out of its back, z against the bone's direction. On a right hand x points to the pinky's side, on a left
-            hand to the thumb's side.
-    """
-
-    start: np.ndarray
-    end: np.ndarray
+    start: np.ndarray  # end nearer to the body, shape (3,) [m]
+    end: np.ndarray  # end nearer to the finger tip, shape (3,) [m]
+    # orientation of the bone, shape (3, 3), a proper rotation for both hands. Columns: x across the finger, y out
+    # of its back, z against the bone's direction. On a right hand x points to the pinky's side, on a left hand to
+    # the thumb's side.
     rotation: np.ndarray
 
     @property
@@ -44,64 +39,36 @@ class LeapBone:
 
 @dataclass(frozen=True)
 class LeapFinger:
-    """One finger.
+    """One finger."""
 
-    Attributes:
-        id: 10 * id of the hand + type.
-        type: THUMB to PINKY.
-        bones: METACARPAL to DISTAL. The metacarpal of the thumb has no length.
-        tip: centre of the finger tip, shape (3,) [m]; a few millimetres before the end of the last bone.
-        length: as the service reports it [m]; the bones are the better source.
-        width: as the service reports it [m].
-        extended: whether the finger points straight.
-    """
-
-    id: int
-    type: int
-    bones: tuple[LeapBone, ...]
-    tip: np.ndarray
-    length: float
-    width: float
-    extended: bool
+    id: int  # 10 * id of the hand + type
+    type: int  # THUMB to PINKY
+    bones: tuple[LeapBone, ...]  # METACARPAL to DISTAL. The metacarpal of the thumb has no length.
+    tip: np.ndarray  # centre of the finger tip, shape (3,) [m]; a few millimetres before the end of the last bone
+    length: float  # as the service reports it [m]; the bones are the better source
+    width: float  # as the service reports it [m]
+    extended: bool  # whether the finger points straight
 
 
 @dataclass(frozen=True)
 class LeapHand:
-    """One hand.
+    """One hand."""
 
-    Attributes:
-        id: constant while the hand is tracked, new after every loss, rising.
-        side: "right" or "left".
-        palm: centre of the palm, shape (3,) [m].
-        normal: unit vector out of the palm, shape (3,).
-        direction: unit vector from the palm to the fingers, shape (3,).
-        velocity: of the palm, shape (3,) [m/s]; zero where unknown.
-        confidence: how well the model fits the image, 0 to 1.
-        grab: 0 open to 1 fist.
-        pinch: 0 open to 1 thumb on a finger.
-        time_visible: as the service reports it [s]; early services report the time since their own start.
-        palm_width: [m]; 0 where unknown.
-        sphere_center: centre of a ball the hand would hold, shape (3,) [m]; zero where unknown.
-        sphere_radius: its radius [m]; 0 where unknown.
-        fingers: sorted by type; five, unless the service sent fewer.
-        arm: forearm from elbow to wrist, or None where unknown.
-    """
-
-    id: int
-    side: str
-    palm: np.ndarray
-    normal: np.ndarray
-    direction: np.ndarray
-    velocity: np.ndarray
-    confidence: float
-    grab: float
-    pinch: float
-    time_visible: float
-    palm_width: float
-    sphere_center: np.ndarray
-    sphere_radius: float
-    fingers: tuple[LeapFinger, ...]
-    arm: LeapBone | None
+    id: int  # constant while the hand is tracked, new after every loss, rising
+    side: str  # "right" or "left"
+    palm: np.ndarray  # centre of the palm, shape (3,) [m]
+    normal: np.ndarray  # unit vector out of the palm, shape (3,)
+    direction: np.ndarray  # unit vector from the palm to the fingers, shape (3,)
+    velocity: np.ndarray  # of the palm, shape (3,) [m/s]; zero where unknown
+    confidence: float  # how well the model fits the image, 0 to 1
+    grab: float  # 0 open to 1 fist
+    pinch: float  # 0 open to 1 thumb on a finger
+    time_visible: float  # as the service reports it [s]; early services report the time since their own start
+    palm_width: float  # [m]; 0 where unknown
+    sphere_center: np.ndarray  # centre of a ball the hand would hold, shape (3,) [m]; zero where unknown
+    sphere_radius: float  # its radius [m]; 0 where unknown
+    fingers: tuple[LeapFinger, ...]  # sorted by type; five, unless the service sent fewer
+    arm: LeapBone | None  # forearm from elbow to wrist, or None where unknown
 
     @property
     def is_left(self) -> bool:
@@ -126,21 +93,13 @@ class LeapHand:
 
 @dataclass(frozen=True)
 class LeapFrame:
-    """One tracking frame.
+    """One tracking frame."""
 
-    Attributes:
-        id: rises from frame to frame.
-        timestamp_us: capture time on the device's own clock [us]; the source for time differences.
-        rate: the service's estimate of the frame rate [Hz].
-        hands: in the order of the service.
-        gestures: number of gestures; zero unless the client asked for them.
-    """
-
-    id: int
-    timestamp_us: int
-    rate: float
-    hands: tuple[LeapHand, ...]
-    gestures: int = 0
+    id: int  # rises from frame to frame
+    timestamp_us: int  # capture time on the device's own clock [us]; the source for time differences
+    rate: float  # the service's estimate of the frame rate [Hz]
+    hands: tuple[LeapHand, ...]  # in the order of the service
+    gestures: int = 0  # number of gestures; zero unless the client asked for them
 
     @property
     def finger_count(self) -> int:

@@ -24,15 +24,10 @@ def _range(length: int, unit: str, low: float, high: float) -> Any:
 
 @dataclass(frozen=True)
 class FingerZeros:
-    """Where the hand is open.
+    """Where the hand is open."""
 
-    Attributes:
-        encoder_zero_reference: angles of the knuckle encoders, shape (3,) [rad].
-        motor_zero_reference: positions of the motors, shape (4,) [joint rad].
-    """
-
-    encoder_zero_reference: np.ndarray = _range(3, "rad", -6.3, 6.3)
-    motor_zero_reference: np.ndarray = _range(4, "rad", 0.0, 300.0)
+    encoder_zero_reference: np.ndarray = _range(3, "rad", -6.3, 6.3)  # angles of the knuckle encoders, shape (3,) [rad]
+    motor_zero_reference: np.ndarray = _range(4, "rad", 0.0, 300.0)  # positions of the motors, shape (4,) [joint rad]
 
 
 @dataclass(frozen=True)

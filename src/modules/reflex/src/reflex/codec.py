@@ -35,29 +35,17 @@ class PacketError(ValueError):
 
 @dataclass(frozen=True)
 class StatePacket:
-    """One state packet; fingers in the order f1, f2, f3, motors f1, f2, f3, preshape.
+    """One state packet; fingers in the order f1, f2, f3, motors f1, f2, f3, preshape."""
 
-    Attributes:
-        device_time: microseconds since the hand was switched on; wraps at 2**32.
-        pressures: three times nine raw tactile counts.
-        encoders: knuckle encoders, 14 bits each.
-        errors: error bits of each servo.
-        positions: present position of each servo [ticks].
-        speeds: present-speed register of each servo.
-        loads: present-load register of each servo.
-        voltages: supply of each servo [0.1 V].
-        temperatures: of each servo [degrees Celsius].
-    """
-
-    device_time: int
-    pressures: tuple[tuple[int, ...], ...]
-    encoders: tuple[int, ...]
-    errors: tuple[int, ...]
-    positions: tuple[int, ...]
-    speeds: tuple[int, ...]
-    loads: tuple[int, ...]
-    voltages: tuple[int, ...]
-    temperatures: tuple[int, ...]
+    device_time: int  # microseconds since the hand was switched on; wraps at 2**32
+    pressures: tuple[tuple[int, ...], ...]  # three times nine raw tactile counts
+    encoders: tuple[int, ...]  # knuckle encoders, 14 bits each
+    errors: tuple[int, ...]  # error bits of each servo
+    positions: tuple[int, ...]  # present position of each servo [ticks]
+    speeds: tuple[int, ...]  # present-speed register of each servo
+    loads: tuple[int, ...]  # present-load register of each servo
+    voltages: tuple[int, ...]  # supply of each servo [0.1 V]
+    temperatures: tuple[int, ...]  # of each servo [degrees Celsius]
 
 
 def decode_state(data: bytes) -> StatePacket:

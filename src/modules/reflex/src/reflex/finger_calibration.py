@@ -22,17 +22,11 @@ _TURN_TOLERANCE_TICKS = 40
 
 @dataclass(frozen=True)
 class CalibrationStep:
-    """Result of a packet.
+    """Result of a packet."""
 
-    Attributes:
-        target: positions to send [ticks], or None.
-        zeros: the result, when the calibration has succeeded.
-        failure: reason of a failure as a sentence, or empty.
-    """
-
-    target: tuple[int, ...] | None = None
-    zeros: FingerZeros | None = None
-    failure: str = ""
+    target: tuple[int, ...] | None = None  # positions to send [ticks], or None
+    zeros: FingerZeros | None = None  # the result, when the calibration has succeeded
+    failure: str = ""  # reason of a failure as a sentence, or empty
 
 
 class FingerCalibration:

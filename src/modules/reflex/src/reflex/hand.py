@@ -37,23 +37,14 @@ class HandStatus(Enum):
 
 @dataclass(frozen=True)
 class HandUpdate:
-    """Result of a packet, a request or the passing of time.
+    """Result of a packet, a request or the passing of time."""
 
-    Attributes:
-        send: packets for the hand, in order.
-        notes: for the log.
-        refusal: reason why a request was not followed, as a sentence, or empty.
-        reading: measurements, when a packet came.
-        zeros: new zeros of the fingers, to be saved.
-        offsets: new zeros of the tactile sensors, to be saved.
-    """
-
-    send: tuple[bytes, ...] = ()
-    notes: tuple[HandNote, ...] = ()
-    refusal: str = ""
-    reading: HandReading | None = None
-    zeros: FingerZeros | None = None
-    offsets: TactileOffsets | None = None
+    send: tuple[bytes, ...] = ()  # packets for the hand, in order
+    notes: tuple[HandNote, ...] = ()  # for the log
+    refusal: str = ""  # reason why a request was not followed, as a sentence, or empty
+    reading: HandReading | None = None  # measurements, when a packet came
+    zeros: FingerZeros | None = None  # new zeros of the fingers, to be saved
+    offsets: TactileOffsets | None = None  # new zeros of the tactile sensors, to be saved
 
 
 class HandLogic:

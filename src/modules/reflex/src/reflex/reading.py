@@ -26,25 +26,15 @@ JOINT_NAMES = (
 
 @dataclass(frozen=True)
 class HandReading:
-    """A state packet in units of the joints.
+    """A state packet in units of the joints."""
 
-    Attributes:
-        proximal: turn of each knuckle [rad].
-        distal: estimated flexion of each finger's outer link [rad], never negative.
-        pressure: three times nine counts above the untouched sensor.
-        contact: three times nine, whether the pressure is above the taxel's threshold.
-        joint_angles: turn of each motor's spool [rad].
-        loads: filtered load of each motor [0.1 % of the largest torque], positive = closing effort.
-        packet: the raw counts.
-    """
-
-    proximal: tuple[float, ...]
-    distal: tuple[float, ...]
-    pressure: tuple[tuple[int, ...], ...]
-    contact: tuple[tuple[bool, ...], ...]
-    joint_angles: tuple[float, ...]
-    loads: tuple[float, ...]
-    packet: StatePacket
+    proximal: tuple[float, ...]  # turn of each knuckle [rad]
+    distal: tuple[float, ...]  # estimated flexion of each finger's outer link [rad], never negative
+    pressure: tuple[tuple[int, ...], ...]  # three times nine counts above the untouched sensor
+    contact: tuple[tuple[bool, ...], ...]  # three times nine, whether the pressure is above the taxel's threshold
+    joint_angles: tuple[float, ...]  # turn of each motor's spool [rad]
+    loads: tuple[float, ...]  # filtered load of each motor [0.1 % of the largest torque], positive = closing effort
+    packet: StatePacket  # the raw counts
 
     @property
     def dead_taxels(self) -> tuple[str, ...]:

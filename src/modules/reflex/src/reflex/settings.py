@@ -1,54 +1,50 @@
 """Settings of the hand's client; vectors of four are f1, f2, f3, preshape.
 
-The ROS driver checks ranges and takes the values from config/reflex_takktile.yaml; the defaults here are the same.
+The ROS driver takes the ranges and meanings of its parameters from here, and their values from
+config/reflex_takktile.yaml, which are the same.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Tuple
+from dataclasses import dataclass, field
+from typing import Any, Tuple
 
 Four = Tuple[float, float, float, float]
 
 
+def _setting(default: Any, unit: str, doc: str, **bounds: float) -> Any:
+    """A field with its unit, its meaning and its range: `low` and `high` belong to the range, `above` does not."""
+    return field(default=default, metadata={"unit": unit, "doc": doc, **bounds})
+
+
 @dataclass(frozen=True)
 class HandSettings:
-    """Settings of the state machine.
+    """Settings of the state machine; a load is in 0.1 % of the largest torque."""
 
-    Attributes:
-        travel: commands are clamped to 0..travel [rad].
-        default_speed: joint speeds sent when the hand appears [rad/s].
-        overload: filtered load above which a finger is loosened [0.1 % of the largest torque].
-        loosen_angle: how far from its measured angle it is loosened [rad].
-        hot: servo temperature from which a finger does not close further [degC].
-        travel_margin: a motor measured this far outside of its travel is not calibrated [rad].
-        default_contact_threshold: pressure above which a taxel is touched [counts].
-        silence_time: without a packet for this long the hand is silent [s].
-        request_time: how long a calibration waits for a silent hand [s].
-        tactile_packets: packets averaged to zero the taxels.
-        calibration_round: shortest time between two closing steps of the finger calibration [s].
-        calibration_step: closing step [ticks].
-        calibration_moved: turn of a knuckle that ends the closing of its finger [rad].
-        calibration_slack: distance of a finger's zero from the point where its knuckle turned [ticks].
-        calibration_max_closing: largest closing of a finger [ticks].
-        calibration_max_time: longest finger calibration [s].
-        calibration_max_load: load above which the calibration gives up [0.1 %].
-    """
-
-    travel: Four = (3.6, 3.6, 3.6, 1.75)
-    default_speed: Four = (3.0, 3.0, 3.0, 2.0)
-    overload: Four = (350.0, 350.0, 350.0, 400.0)
-    loosen_angle: float = 0.05
-    hot: float = 70.0
-    travel_margin: float = 0.6
-    default_contact_threshold: int = 20
-    silence_time: float = 0.5
-    request_time: float = 5.0
-    tactile_packets: int = 8
-    calibration_round: float = 0.05
-    calibration_step: int = 6
-    calibration_moved: float = 0.05
-    calibration_slack: int = 50
-    calibration_max_closing: int = 250
-    calibration_max_time: float = 8.0
-    calibration_max_load: float = 350.0
+    travel: Four = _setting((3.6, 3.6, 3.6, 1.75), "rad", "commands are clamped to 0..travel", above=0)
+    default_speed: Four = _setting((3.0, 3.0, 3.0, 2.0), "rad/s", "sent when the hand appears", above=0, high=3.5)
+    overload: Four = _setting(
+        (350.0, 350.0, 350.0, 400.0), "0.1 %", "filtered load above which a finger is loosened", above=0, high=1000
+    )
+    loosen_angle: float = _setting(0.05, "rad", "how far from the measured angle it is loosened", above=0, high=0.5)
+    hot: float = _setting(70.0, "degC", "servo temperature from which a finger is not closed further", above=0, high=80)
+    travel_margin: float = _setting(
+        0.6, "rad", "measured angles this far outside of travel are wrong", above=0, high=0.8
+    )
+    default_contact_threshold: int = _setting(
+        20, "counts", "pressure above which a taxel is touched", low=0, high=65535
+    )
+    silence_time: float = _setting(0.5, "s", "without a packet for this long the hand is silent", above=0.05, high=5)
+    request_time: float = _setting(5.0, "s", "how long a calibration waits for a silent hand", above=0, high=30)
+    tactile_packets: int = _setting(8, "packets", "averaged to zero the tactile sensors", low=1, high=200)
+    calibration_round: float = _setting(0.05, "s", "shortest time between two closing steps", low=0.02, high=1)
+    calibration_step: int = _setting(6, "ticks", "closing step", low=1, high=20)
+    calibration_moved: float = _setting(
+        0.05, "rad", "turn of the knuckle that ends a finger's closing", above=0, high=0.5
+    )
+    calibration_slack: int = _setting(50, "ticks", "how far a finger's zero is let out from there", low=0, high=200)
+    calibration_max_closing: int = _setting(250, "ticks", "no finger is closed further than this", low=10, high=800)
+    calibration_max_time: float = _setting(8.0, "s", "the calibration gives up after this time", above=0, high=60)
+    calibration_max_load: float = _setting(
+        350.0, "0.1 %", "the calibration gives up above this load", above=0, high=1000
+    )

@@ -22,7 +22,7 @@ from reflex.errors import CalibrationFileError, CommandRefused, ReflexError
 from reflex.motion import HandNote
 from reflex.reading import HandReading
 from reflex.ros.messages import hand_message, joint_state
-from reflex.ros.parameters import ReflexDriverConfig
+from reflex.ros.parameters import HandAddresses, ReflexDriverConfig
 from reflex_msgs.msg import Hand as HandMessage
 from reflex_msgs.msg import RadianServoCommands, RawServoCommands
 from reflex_msgs.srv import SetSpeed, SetSpeedResponse, SetTactileThreshold, SetTactileThresholdResponse
@@ -36,7 +36,7 @@ LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": 
 class HandDriver:
     """The hand on its topics and services."""
 
-    def __init__(self, config: ReflexDriverConfig) -> None:
+    def __init__(self, config: HandAddresses) -> None:
         self._hand_state = rospy.Publisher("/reflex_takktile/hand_state", HandMessage, queue_size=10)
         self._joint_states = rospy.Publisher("joint_states", JointState, queue_size=10)
         shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
