@@ -49,12 +49,9 @@ DEFAULT_OFFSETS = TactileOffsets(*(np.full(9, 140.0) for _ in range(3)))
 
 
 def zeros_here(encoders: tuple[int, ...], positions: tuple[int, ...], slack: int) -> FingerZeros:
-    """Returns the zeros of a hand whose fingers are open but have their tendons drawn in.
+    """Returns the zeros of a hand whose fingers are open but have their tendons drawn in by `slack` [ticks].
 
-    Args:
-        encoders: knuckle encoders of the open fingers [counts].
-        positions: servo positions [ticks].
-        slack: how far the fingers' motors are let out from here to their zero [ticks]; preshape stays.
+    Takes the knuckle encoders [counts] and the servo positions [ticks]; preshape is at its zero.
     """
     return FingerZeros(
         np.array([raw * ENCODER_RAD for raw in encoders]),

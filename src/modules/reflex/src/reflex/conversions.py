@@ -25,8 +25,8 @@ RATIOS = (1.42, 1.42, 1.42, 1.5)
 TURN_TICKS = 1024
 MAX_TARGET_TICKS = 16383
 MAX_SPEED_UNITS = 1023
-LEAST_PLAUSIBLE_TICKS = 1100
-MOST_PLAUSIBLE_TICKS = 64000
+MIN_VALID_TICKS = 1100
+MAX_VALID_TICKS = 64000
 
 _DIRECTION_BIT = 1024
 _MAX_FORWARD_LOAD = 1023
@@ -61,13 +61,10 @@ def ticks(motor: int, turn: float) -> float:
     return SIGNS[motor] * turn * RATIOS[motor] / TICK_RAD
 
 
-def implausible_servos(positions: Sequence[int]) -> tuple[str, ...]:
-    """Returns the motors whose servo does not answer (0) or reports a position [ticks] that no target can have."""
-    return tuple(
-        f"{name} ({raw})"
-        for name, raw in zip(MOTORS, positions)
-        if not LEAST_PLAUSIBLE_TICKS < raw < MOST_PLAUSIBLE_TICKS
-    )
+def servo_fault(positions: Sequence[int]) -> str:
+    """Returns a sentence on servos that do not answer (0) or report positions [ticks] no target can have, or ""."""
+    wrong = [f"{n} ({raw})" for n, raw in zip(MOTORS, positions) if not MIN_VALID_TICKS < raw < MAX_VALID_TICKS]
+    return f"The position of servo {', '.join(wrong)} cannot be right; check its cable." if wrong else ""
 
 
 def speed_units(motor: int, speed: float) -> int:

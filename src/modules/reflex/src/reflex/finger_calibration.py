@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from reflex.calibration import FingerZeros, open_positions, zeros_here
 from reflex.codec import StatePacket
-from reflex.conversions import ENCODER_RAD, FINGERS, PI, SIGNS, TURN_TICKS, implausible_servos
+from reflex.conversions import ENCODER_RAD, FINGERS, PI, SIGNS, TURN_TICKS, servo_fault
 from reflex.settings import HandSettings
 
 _JUMP_TICKS = 200
@@ -43,11 +43,9 @@ class FingerCalibration:
 
     def step(self, packet: StatePacket, loads: Sequence[float], now: float) -> CalibrationStep:
         """Handles the next packet, received at `now` [s], with the filtered loads [0.1 %] of the motors."""
-        silent = implausible_servos(packet.positions)
-        if silent:
-            return CalibrationStep(
-                failure=f"The position of servo {', '.join(silent)} cannot be right: is its cable loose?"
-            )
+        fault = servo_fault(packet.positions)
+        if fault:
+            return CalibrationStep(failure=fault)
         if not self._encoders:
             self._encoders, self._start_time, self._round_time = packet.encoders, now, now
             self._origin = list(packet.positions)

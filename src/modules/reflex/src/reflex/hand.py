@@ -14,7 +14,7 @@ from enum import Enum
 
 from reflex.calibration import FingerZeros, TactileOffsets, mean_offsets, open_positions, zeros_here
 from reflex.codec import IDLE, POSITION, StatePacket, encode_mode
-from reflex.conversions import implausible_servos
+from reflex.conversions import servo_fault
 from reflex.finger_calibration import FingerCalibration
 from reflex.link import PacketArrival, PacketFilter
 from reflex.motion import HandNote, MotorGoals
@@ -50,17 +50,14 @@ class HandUpdate:
 class HandLogic:
     """State machine of one hand.
 
-    Args:
-        settings: the driver's settings.
-        zeros: where the fingers are open.
-        offsets: counts of the untouched tactile sensors.
-        calibrated: whether the zeros are those of this hand; if not, it refuses commands until it is calibrated.
+    `calibrated` says whether the zeros are those of this hand; if not, it refuses commands until it is calibrated.
+    `reading` is the last reading.
     """
 
     def __init__(self, settings: HandSettings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
         self._settings = settings
         self._zeros = zeros
-        self._calibrated = calibrated
+        self.calibrated = calibrated
         self._offsets = offsets
         self._thresholds: tuple[tuple[int, ...], ...] = ((settings.default_contact_threshold,) * 9,) * 3
         self.link = PacketFilter(settings.silence_time)
@@ -72,7 +69,7 @@ class HandLogic:
         self._requests: dict[str, float] = {}
         self._tactile: list[StatePacket] | None = None
         self._waiting_command: tuple[float, ...] | None = None
-        self._reading: HandReading | None = None
+        self.reading: HandReading | None = None
         self._complaint_time = -math.inf
         self.calibration_outcome = "none yet"
         self.commands = 0
@@ -90,19 +87,9 @@ class HandLogic:
         return HandStatus.CHANGING_SPEED if self.motion.changing_speed else HandStatus.READY
 
     @property
-    def calibrated(self) -> bool:
-        """Whether the zeros are those of this hand."""
-        return self._calibrated
-
-    @property
     def calibrating(self) -> bool:
         """Whether a calibration of the fingers is requested or under way."""
         return self._calibration is not None or "calibrate_fingers" in self._requests
-
-    @property
-    def reading(self) -> HandReading | None:
-        """The last reading."""
-        return self._reading
 
     def start(self) -> HandUpdate:
         """Returns the first packet of a driver: torque on, targets are positions."""
@@ -121,21 +108,21 @@ class HandLogic:
                 self._complaint_time = now
                 self._note("warning", why)
             return self._result()
-        previous = self._reading.packet if self._reading else None
+        previous = self.reading.packet if self.reading else None
         if arrival is not PacketArrival.NEXT:
             self._appeared(arrival, packet, now)
             previous = None
-        elif previous and implausible_servos(previous.positions) and not implausible_servos(packet.positions):
+        elif previous and servo_fault(previous.positions) and not servo_fault(packet.positions):
             self._note("warning", "All servos answer again: calibrate the fingers before they are used.")
             self._start_servos(packet, now)
             previous = None
         reading = self._reader.read(packet, self._zeros, self._offsets, self._thresholds)
-        self._reading = reading
+        self.reading = reading
         self._serve_requests(packet, now)
         if self._calibration:
             self._calibrate(self._calibration, reading, now)
         elif self._torque and self._new_zeros is None:  # the reading's angles are those of the old zeros
-            packets, notes = self.motion.protect(reading, previous, self._zeros.motor_zero_reference, self._calibrated)
+            packets, notes = self.motion.protect(reading, previous, self._zeros.motor_zero_reference, self.calibrated)
             self._send.extend(packets)
             self._notes.extend(notes)
         return self._result(reading)
@@ -186,14 +173,14 @@ class HandLogic:
     def set_speed(self, speeds: Sequence[float], now: float) -> HandUpdate:
         """Begins to set the joint speeds [rad/s]; the state is CHANGING_SPEED until it is done. Switches torque on."""
         self._begin()
-        reading = self._reading
+        reading = self.reading
         if reading is None or not self.link.alive(now):
             return self._refuse(self._silent_sentence())
         if self._calibration:
             return self._refuse("The fingers are being calibrated; set the speed afterwards.")
-        silent = implausible_servos(reading.packet.positions)
-        if silent and not self._torque:
-            return self._refuse(f"The position of servo {', '.join(silent)} cannot be right: torque stays off.")
+        fault = servo_fault(reading.packet.positions)
+        if fault and not self._torque:
+            return self._refuse(f"{fault} Torque stays off.")
         try:
             self._send.extend(self.motion.change_speed(speeds, now))
         except ValueError as error:
@@ -288,9 +275,9 @@ class HandLogic:
     def _start_servos(self, packet: StatePacket, now: float) -> None:
         """Servos may have lost torque, speed and turn: restores the first two and holds them where they are."""
         self.motion.reset()
-        silent = implausible_servos(packet.positions)
-        if silent:
-            self._note("error", f"The position of servo {', '.join(silent)} cannot be right: is its cable loose?")
+        fault = servo_fault(packet.positions)
+        if fault:
+            self._note("error", fault)
         elif self._torque:
             self._send.extend(self.motion.change_speed(self._speeds, now))
             self._aim(packet.positions)
@@ -314,9 +301,9 @@ class HandLogic:
             self._calibration = FingerCalibration(self._settings)
 
     def _take_zero_pose(self, packet: StatePacket) -> None:
-        silent = implausible_servos(packet.positions)
-        if silent:
-            self._note("error", f"zero_pose was refused: the position of servo {', '.join(silent)} cannot be right.")
+        fault = servo_fault(packet.positions)
+        if fault:
+            self._note("error", f"zero_pose was refused. {fault}")
             return
         slack = self._settings.calibration_slack
         self._adopt(zeros_here(packet.encoders, packet.positions, slack))
@@ -348,7 +335,7 @@ class HandLogic:
 
     def _adopt(self, zeros: FingerZeros) -> None:
         self._zeros = self._new_zeros = zeros
-        self._calibrated = True
+        self.calibrated = True
         self.motion.guard.reset()
 
     def _aim(self, positions: tuple[int, ...]) -> None:
@@ -356,10 +343,10 @@ class HandLogic:
 
     def _command(self, angles: tuple[float, ...]) -> str:
         """Sends the motors to `angles`; returns the reason of a refusal, or an empty text."""
-        if not self._calibrated or self._reading is None:
+        if not self.calibrated or self.reading is None:
             return "This hand has never been calibrated: calibrate the fingers."
         zeros = self._zeros.motor_zero_reference
-        packets, refusal = self.motion.command(angles, self._reading.packet.positions, zeros)
+        packets, refusal = self.motion.command(angles, self.reading.packet.positions, zeros)
         self._send.extend(packets)
         self.commands += not refusal
         return refusal

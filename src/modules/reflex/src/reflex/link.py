@@ -45,11 +45,7 @@ class PacketCounts:
 
 
 class PacketFilter:
-    """Separates the packets of one hand from everything else.
-
-    Args:
-        silence_time: without a packet for this long the hand is silent [s].
-    """
+    """Separates the packets of one hand from everything else; without one for `silence_time` [s] it is silent."""
 
     def __init__(self, silence_time: float) -> None:
         self._silence_time = silence_time

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reflex.codec import POSITION, VELOCITY, StatePacket, encode_mode, encode_target
-from reflex.conversions import MOTORS, TURN_TICKS, all_joint_angles, implausible_servos, raw_target, speed_units, ticks
+from reflex.conversions import MOTORS, TURN_TICKS, all_joint_angles, raw_target, servo_fault, speed_units, ticks
 from reflex.effort import EffortGuard
 from reflex.reading import HandReading
 from reflex.settings import HandSettings
@@ -115,20 +115,14 @@ class MotorGoals:
     def command(
         self, angles: Sequence[float], positions: Sequence[int], zeros: np.ndarray
     ) -> tuple[tuple[bytes, ...], str]:
-        """Makes joint angles the goals, within travel and the guard's bounds.
+        """Makes finite joint angles [rad] the goals, within travel and the guard's bounds.
 
-        Args:
-            angles: finite joint angles [rad].
-            positions: where the servos stand [ticks].
-            zeros: motor zeros [joint rad].
-
-        Returns:
-            The packets, and the reason of a refusal as a sentence.
+        Takes the servos' positions [ticks] and zeros [joint rad]; returns the packets and the reason of a refusal.
         """
         margin, travel = self._settings.travel_margin, self._settings.travel
-        silent = implausible_servos(positions)
-        if silent:
-            return (), f"The position of servo {', '.join(silent)} cannot be right: is its cable loose?"
+        fault = servo_fault(positions)
+        if fault:
+            return (), fault
         for i, (name, angle) in enumerate(zip(MOTORS, all_joint_angles(positions, zeros))):
             if not -margin <= angle <= travel[i] + margin:
                 return (), (
@@ -147,22 +141,14 @@ class MotorGoals:
         """Holds or loosens motors that must stop.
 
         A motor whose servo suddenly counts from another turn would wind on to its old goal: it is held. An overloaded
-        motor is loosened. The others keep their goals.
-
-        Args:
-            reading: the new reading.
-            previous: the packet before it, or None.
-            zeros: motor zeros [joint rad].
-            calibrated: whether they are this hand's own.
-
-        Returns:
-            The packets, and what is new.
+        motor is loosened. The others keep their goals. `previous` is the packet before the reading, and `calibrated`
+        says whether the zeros [joint rad] are this hand's own. Returns the packets and the news.
         """
         here = reading.packet.positions
-        if implausible_servos(here):
+        if servo_fault(here):
             return (), []
         goals, notes = list(self._goals or here), []
-        if previous and not implausible_servos(previous.positions):
+        if previous and not servo_fault(previous.positions):
             jumped = [i for i in range(4) if abs(here[i] - previous.positions[i]) > _JUMP_TICKS]
             for i in jumped:
                 goals[i] = here[i]

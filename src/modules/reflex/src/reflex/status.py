@@ -11,12 +11,9 @@ ERROR_BITS = ("voltage", "angle limit", "overheating", "range", "checksum", "ove
 
 
 def status(hand: HandLogic, wire_fault: str, now: float) -> tuple[str, str, dict[str, object]]:
-    """Returns level ("ok", "warning", "error"), one sentence, and the values.
+    """Returns level ("ok", "warning", "error"), one sentence, and the values at `now` [s].
 
-    Args:
-        hand: the hand.
-        wire_fault: fault of the sockets, or an empty text.
-        now: time [s].
+    `wire_fault` is a fault of the sockets, or empty.
     """
     state = hand.state(now)
     values: dict[str, object] = {

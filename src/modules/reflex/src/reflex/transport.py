@@ -21,11 +21,7 @@ _INTERFACE_REQUEST = struct.Struct("256s")
 
 
 class HandTransport:
-    """Sends to and receives from the hand.
-
-    Args:
-        interface: name of the network interface, such as eth0 or lo.
-        port: UDP port of hand and host.
+    """Sends to and receives from the hand on one interface, such as eth0 or lo; hand and host use the same port.
 
     Raises:
         WireFault: there is no such interface, it has no IPv4 address, or the port is taken.
