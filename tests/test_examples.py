@@ -73,7 +73,7 @@ def run(number: str, home: Path, *arguments: str) -> str:
         ("06", "hand", ("--seconds", "0.5"), "touched: nothing"),
         ("07", "leap", ("--frames", "5"), "palm .* m, grab|sends"),
         ("08", None, (), r"0\.0 m forward: joints \[[^\]]*-80[^\]]*\] deg\n.*\n1\.0 m forward: .*out of reach"),
-        ("09", None, (), r"position before the camera \[m\]: \[.* 0\.[67]\d*\]\nangle"),
+        ("09", None, (), r"position before the camera \[m\]: \[.* 0\.[67]\d* *\]\nangle"),
     ],
 )
 def test_runs(port_of, tmp_path, number, device, arguments, prints):

@@ -17,6 +17,9 @@ import yaml
 
 MODULES = Path(__file__).parents[1] / "src" / "modules"
 SIMULATORS = MODULES / "rig_simulation" / "scripts"
+PATIENCE = {"kst": ", timing=__import__('kst').KstTiming(reply=20.0, servo_reply=20.0)"}
+"""Added to the port in a README: this machine may be busy."""
+
 ALONE = """
 import sys
 sys.path[:0] = {paths!r}
@@ -63,7 +66,7 @@ def test_installs_alone_and_the_readme_runs(tmp_path, device, name, simulator, k
 
     block = re.search(r"```python\n(.*?)```", (source / "README.md").read_text(), re.DOTALL)[1]
     assert port in block
-    block = block.replace(port, str(device(simulator, kind)))
+    block = block.replace(port, f"{device(simulator, kind)}{PATIENCE.get(name, '')}")
     packages = {str(Path(module.__file__).parents[1]) for module in (np, websockets, yaml)}
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     done = subprocess.run(

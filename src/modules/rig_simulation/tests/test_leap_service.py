@@ -54,7 +54,7 @@ def client_of(service, path="/v6.json", policies=POLICIES):
 
 
 def ask(service, request, **fields):
-    with ControlClient("127.0.0.1", service.control_port) as control:
+    with ControlClient("127.0.0.1", service.control_port, timeout=30.0) as control:
         return control.ask(request, **fields)
 
 
