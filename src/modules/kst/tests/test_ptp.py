@@ -157,5 +157,7 @@ def test_failures_carry_the_last_progress(limits, ends, state):
 def test_interruption_returns_and_refusal_passes():
     end = run_ptp(Arm([ZERO], [False]), BENT, 0.3, QUICK, interrupted=lambda: True)
     assert end.state is PtpState.INTERRUPTED
+    end = run_ptp(Arm([0.5 * BENT, LATE], [False]), BENT, 0.3, QUICK, interrupted=lambda: True)
+    assert end.state is PtpState.INTERRUPTED and math.degrees(end.remaining) == pytest.approx(55.0)
     with pytest.raises(MotionRefused):
         run_ptp(Arm([ZERO], [MotionRefused("limit")]), BENT, 0.3, QUICK)

@@ -54,15 +54,17 @@ def run_ptp(
         BadJoints, BadVelocity, MotionRefused, WrongMode, ConnectionLost: as for `KstClient.start_ptp_joints`.
     """
     limits = PtpLimits() if limits is None else limits
-    start = read_joints(client, limits.missed)
+    joints = read_joints(client, limits.missed)
     client.start_ptp_joints(q, velocity)
-    supervisor = PtpSupervisor(start, np.asarray(q, dtype=float), time.monotonic(), limits)
+    supervisor = PtpSupervisor(joints, np.asarray(q, dtype=float), time.monotonic(), limits)
     arrived = False
     while True:
         try:
             arrived = arrived or client.ptp_arrived()
             joints = client.joints()
         except ONE_READING:
+            if interrupted():
+                return supervisor.observe(joints, time.monotonic(), interrupted=True)
             if supervisor.miss():
                 raise
             time.sleep(limits.period)
