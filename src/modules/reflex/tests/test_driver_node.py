@@ -160,7 +160,7 @@ def test_a_calibration_that_cannot_be_written_still_holds(ros, simulated_hand, t
     )
     states = ros.record(PREFIX + "hand_state", Hand).wait(5, 30.0)
     call("calibrate_fingers", Empty)
-    wait_until(lambda: "holds until the driver ends" in launch.log_path.read_text(), 15.0, "the sentence")
+    wait_until(lambda: "Cannot write" in launch.log_path.read_text(), 15.0, "the sentence")
     commander(wait_until).publish([1.0, 1.0, 1.0, 0.0])
     wait_until(lambda: abs(states[-1].motor[0].joint_angle - 1.0) < 0.02, 10.0, "the command")
 

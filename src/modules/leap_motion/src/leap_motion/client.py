@@ -188,7 +188,9 @@ class LeapClient:
             header = read_header(connection.recv(HEADER_TIMEOUT_S))
         except TimeoutError as error:
             raise _LinkFault(
-                LeapLink.REFUSED, f"What answers on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s."
+                LeapLink.REFUSED,
+                f"The program on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s, so it is not a Leap "
+                "service; check address and port. Trying again.",
             ) from error
         except LeapProtocolError as error:
             raise _LinkFault(LeapLink.REFUSED, f"{error} Trying again.") from error

@@ -26,11 +26,9 @@ _Record = TypeVar("_Record")
 
 
 class CalibrationFiles:
-    """Reads and writes the two files.
+    """Reads and writes the two files in `folder`, which may begin with ~ and is made when something is saved.
 
-    Args:
-        folder: where they are kept; may begin with ~. Made when something is saved.
-        shipped: folder of the files that are read where none was saved; None: the values of this package.
+    `shipped` is the folder of the files that are read where none was saved; None: the values of this package.
     """
 
     def __init__(self, folder: str, shipped: Path | None = None) -> None:
@@ -61,7 +59,7 @@ class CalibrationFiles:
             _write_whole(path, text)
         except OSError as error:
             raise CalibrationFileError(
-                f"Cannot write {path}: {error.strerror}; the calibration holds until the driver ends."
+                f"Cannot write {path}: {error.strerror}; the calibration holds until the driver exits."
             ) from None
         return path
 
