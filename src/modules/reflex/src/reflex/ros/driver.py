@@ -54,7 +54,7 @@ class HandDriver:
             rospy.on_shutdown(self._hand.disconnect)
             self._offer()
             while not rospy.is_shutdown():
-                if not self._hand.listening:
+                if not self._hand.listening and not rospy.core.is_shutdown_requested():  # which ends the thread
                     raise RuntimeError("the receive thread of the hand ended; its traceback is above")
                 time.sleep(POLL_S)
         finally:
