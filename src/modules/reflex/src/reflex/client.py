@@ -102,7 +102,7 @@ class ReflexHand:
         self._thread.start()
 
     def disconnect(self) -> None:
-        """Lets the fingers go and ends the thread; nothing is sent after that. May be called twice."""
+        """Lets the fingers go, stops the thread and closes the sockets. Any thread may call it, also twice."""
         self._let_go()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join()
@@ -145,11 +145,11 @@ class ReflexHand:
         return level, sentence, {**values, "interface": self._interface}
 
     def open(self, timeout: float = 5.0) -> None:
-        """Opens the fingers, keeps the spread and waits until they stand still; raises as `move` does."""
+        """Opens the fingers and keeps the spread; waits and raises as `move` does."""
         self.close(0.0, timeout)
 
     def close(self, angle: float = CLOSED_RAD, timeout: float = 5.0) -> None:
-        """Closes the fingers to `angle` [rad], keeps the spread and waits until they stand still or hold an object.
+        """Closes the fingers to `angle` [rad] and keeps the spread; waits as `move` does, also for a held object.
 
         Raises:
             CommandRefused, HandSilent: as `move`.
@@ -157,7 +157,9 @@ class ReflexHand:
         self.move((angle, angle, angle, self.state.joint_angles[3]), timeout)
 
     def move(self, angles: Sequence[float], timeout: float = 5.0) -> None:
-        """Moves the motors to four angles [rad], clamped to their travel, and waits until they stand still.
+        """Moves the motors to four angles [rad], clamped to their travel.
+
+        Returns when they stand still, wherever that is, and after `timeout` seconds at the latest.
 
         Raises:
             CommandRefused: the hand is not ready or not calibrated, or an angle is not finite.
