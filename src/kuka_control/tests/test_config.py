@@ -67,6 +67,7 @@ def test_every_line_says_its_unit(schema):
         ("home_pos", [0] * 6),
         ("use_home_pos", "yes"),
         ("rate_state", 0),
+        ("dh_parameters", "arm.yaml"),
     ],
 )
 def test_a_value_out_of_its_range_is_refused_by_name(schema, key, value):
@@ -83,6 +84,11 @@ def test_a_value_out_of_its_range_is_refused_by_name(schema, key, value):
 def test_velocities_are_shares(schema, key, value):
     with pytest.raises(ConfigError, match=key):
         parse(schema, values(schema, **{key: value}))
+
+
+def test_a_negative_threshold_is_refused():
+    with pytest.raises(ConfigError, match="joints_thresh"):
+        parse(PtpConfig, values(PtpConfig, joints_thresh=-1))
 
 
 @pytest.mark.parametrize("key, value", [("tcp_speed", 0.8), ("joint_speed", 1.1), ("rate_servo", 10)])

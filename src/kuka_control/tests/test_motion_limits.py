@@ -76,7 +76,7 @@ def test_the_tool_keeps_its_speed_limit(start, target):
     assert np.max(np.linalg.norm(np.diff(tool, axis=0), axis=1)) <= 1.05 * TCP_SPEED * DT
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(joints, joints)
 def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):
     follower = limits(start)
@@ -98,6 +98,7 @@ def test_uneven_cycles_do_not_count_for_longer_than_they_may(dts):
         before = q
 
 
+@settings(max_examples=20)
 @given(st.floats(-0.6, 0.6), st.floats(0.002, 0.006))
 def test_a_steady_target_within_the_limits_is_met_without_lag(share, dt):
     v = share * SPEEDS * WRIST

@@ -20,12 +20,7 @@ ARRIVED_DEG = float(np.degrees(PtpLimits.arrived))
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """A motion that is to be made.
-
-    Attributes:
-        start: joints before, shape (7,) [rad].
-        target: joints after, shape (7,) [rad].
-    """
+    """A motion from the joints `start` to the joints `target`, shape (7,) each [rad]."""
 
     start: np.ndarray
     target: np.ndarray

@@ -1,7 +1,7 @@
-"""Whether the stream made a jump that must not be servoed to (behaviour: the control loops), and whose jump it was.
+"""Detects jumps of the stream that the arm must not servo to, and whether the tool frame or only the joints jumped.
 
-Joints may jump although the tool frame did not: the frame was out of reach for a while and comes back elsewhere, or it
-passes a place where a joint is at the end of its range and the others have to make room.
+Joints may jump although the tool frame did not: the frame was out of reach for a while and returns elsewhere, or it
+passes a position where a joint reaches the end of its range and the others have to compensate.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from common.rotations import rotation_angle
 from kuka_control.model.desired_frame import DesiredFrame
 
 TOLERANCE_RAD = float(np.radians(2.0))
-"""What a joint may differ by and still be servoed to from rest, and what a jump is beyond the joint speed limits."""
+"""Largest joint step that is servoed to from rest, and the tolerance on top of the joint speed limits [rad]."""
 
 TOLERANCE_M = 0.017
-"""What a jump of the frame is beyond the speed limits: what 2 deg of a joint make of it half a metre away [m]."""
+"""Tolerance of the frame's step on top of the speed limits: 2 deg of a joint, half a metre away [m]."""
 
 LOST_S = 0.1
-"""Targets further apart in time than this belong to a signal that was lost and found again [s]."""
+"""After a longer gap than this the signal counts as lost and found again [s]."""
 
 CYCLE_S = 0.01
-"""The time that the arm is given for the way across such a gap: one cycle of the stream [s]."""
+"""Time in which the arm has to cross such a gap: one cycle of the stream [s]."""
 
 
 def is_jump(q_before: np.ndarray, q_now: np.ndarray, dt: float, joint_speeds: np.ndarray) -> bool:
@@ -39,12 +39,8 @@ def is_jump(q_before: np.ndarray, q_now: np.ndarray, dt: float, joint_speeds: np
 class FrameSteps:
     """Watches the steps of the desired tool frame itself, also while the arm cannot follow it.
 
-    Args:
-        tool_speed: of a frame that moves on and does not jump [m/s].
-        turn_speed: likewise [rad/s].
-
-    Attributes:
-        jumped: whether a step was a jump since the arm followed last.
+    A frame that is faster than `tool_speed` [m/s] or `turn_speed` [rad/s] jumps. `jumped` is true if it has done so
+    since the arm last followed.
     """
 
     def __init__(self, tool_speed: float, turn_speed: float) -> None:
@@ -59,16 +55,16 @@ class FrameSteps:
         if last is None:
             return
         cycle = _cycle(frame.stamp - last.stamp)
-        way = float(np.linalg.norm(frame.T_base_tool[:3, 3] - last.T_base_tool[:3, 3]))
+        distance = float(np.linalg.norm(frame.T_base_tool[:3, 3] - last.T_base_tool[:3, 3]))
         turn = rotation_angle(last.T_base_tool[:3, :3].T @ frame.T_base_tool[:3, :3])
-        jump = way > TOLERANCE_M + self._tool_speed * cycle or turn > TOLERANCE_RAD + self._turn_speed * cycle
+        jump = distance > TOLERANCE_M + self._tool_speed * cycle or turn > TOLERANCE_RAD + self._turn_speed * cycle
         self.jumped = self.jumped or jump
 
     def followed(self) -> None:
-        """Tells that the arm follows the frame."""
+        """Reports that the arm follows the frame."""
         self.jumped = False
 
 
 def _cycle(dt: float) -> float:
-    """Returns the time that the arm is given for a way that took the stream `dt` [s]."""
+    """Returns the time in which the arm has to make a step that took the stream `dt` [s]."""
     return max(dt, 0.0) if dt <= LOST_S else CYCLE_S

@@ -1,15 +1,15 @@
-"""Servo goals within limits of speed, acceleration and jerk: where the goal goes in one cycle.
+"""Servo goals within limits of speed, acceleration and jerk: the motion of the goal in one cycle.
 
-Two steps. A wish: the speed at which the goal meets its target, that of the target itself and what makes up for the
-distance, no faster than can be braked before the target. The whole wish, all joints by one factor, is slowed down to
-what the joints, the tool and the lag of the arm allow, so that the way stays straight. Then Ruckig turns the present
-speed into the wished one within the limits of acceleration and jerk; it does so evenly over a few cycles where it can.
+First the desired velocity: that of the target plus a correction of the distance to it, no faster than the joints can
+brake before the target. One factor scales all joints down to what the joint speeds, the tool speed and the lag of the
+arm allow, so that the path stays straight. Then Ruckig changes the present velocity into the desired one within the
+limits of acceleration and jerk, evenly over a few cycles where it can.
 
-A target that moves steadily within the limits is met without lag. Since speeds go straight from one allowed wish to the
-next, the speed of the tool stays below its limit on the way too.
+A target that moves steadily within the limits is met without lag. Velocities change in a straight line from one allowed
+velocity to the next, so the tool speed stays below its limit in between.
 
-With a tool near a singular pose the joints would have to race; here the slowest joint sets the pace of all, and the
-way back out is as free as the way in.
+Near a singular pose the joints would have to race: there the slowest joint sets the pace of all, on the way in and on
+the way out.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ from kuka_control.limits.speed_change import JointState, ShapeLimits, SpeedChang
 from kuka_control.limits.workspace_brake import WorkspaceBrake
 
 GAIN_PER_S = 40.0
-"""The goal makes up for a small distance to its target with this share of it per second."""
+"""Gain on a small distance between goal and target [1/s]."""
 
 LATE_S = 0.04
-"""A change of speed that takes longer than this is held back by the limits of acceleration and jerk [s]."""
+"""If a velocity change takes longer than this, the limits of acceleration and jerk hold the goal back [s]."""
 
-BRAKING_SHARE = 0.4
-"""Braking before the target is planned with this share of the acceleration; the rest is for what jerk limits cost."""
+BRAKING_FRACTION = 0.4
+"""Fraction of the acceleration limit with which braking is planned; the jerk limit costs the rest."""
 
 MAX_CYCLE_S = 0.012
-"""No cycle counts for longer, so that a stall of the loop is not made up for [s]."""
+"""Upper bound of one cycle: after a stall of the loop the goal does not catch up the lost time [s]."""
 
 ARM_S = 0.03
-"""An arm with drives of 40 ms is about this far behind its goal [s]."""
+"""Expected lag of an arm whose drives have a time constant of 40 ms [s]."""
 
 LEAD_RAD = (0.035, 0.065)
-"""Lag of the arm [rad] from which on the goal slows down, and at which it waits.
+"""Excess lag of the arm at which the goal begins to slow down, and at which it waits [rad].
 
 The toolbox's servo law hardly speeds up for a more distant goal (docs/handbook/wire-protocols.md, "Servo mode"), and an
-arm that has to make up such a lag is too fast when its target slows down."""
+arm that catches up such a lag is too fast when its target slows down."""
 
 LOOK_AHEAD_S = 0.005
-"""The speed of the tool is taken over the way of this time [s]."""
+"""The tool speed is averaged over this time [s]."""
 
 AT_REST_RAD = 1e-6
 AT_REST_RAD_S = 1e-4
-"""A goal this close to a target at rest, and this slow, stands on it."""
+"""A goal this close to a resting target, and this slow, is set to the target."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +62,13 @@ class SpeedLimits:
 
 @dataclass(frozen=True)
 class LimitedGoal:
-    """A servo goal.
-
-    Attributes:
-        q: the goal, shape (7,) [rad].
-        v: its speed, shape (7,) [rad/s].
-        limited_by: "joint speed", "tool speed", "joint acceleration", "joint limit", "lag of the arm" or "workspace",
-            what holds the goal back; None while it meets its target as it wishes.
-    """
+    """A servo goal: joints [rad] and their velocities [rad/s], shape (7,) each."""
 
     q: np.ndarray
     v: np.ndarray
     limited_by: str | None
+    """What holds the goal back: "joint speed", "tool speed", "joint acceleration", "joint limit", "lag of the arm" or
+    "workspace"; None if it moves with the desired velocity."""
 
 
 class MotionLimits:
@@ -84,7 +79,7 @@ class MotionLimits:
         shape: limits of acceleration and jerk.
         lower, upper: joint ranges, shape (7,) [rad], that no goal leaves.
         tool_position: position of the tool point [m], shape (3,), at joints q.
-        brake: keeps the tool inside the workspace; where left out, nothing does but the target.
+        brake: keeps the tool inside the workspace; None: only the target does.
     """
 
     def __init__(
@@ -99,7 +94,7 @@ class MotionLimits:
         self._speeds = speeds
         self._lower = lower
         self._upper = upper
-        self._braking = BRAKING_SHARE * shape.acceleration
+        self._braking = BRAKING_FRACTION * shape.acceleration
         self._tool_position = tool_position
         self._brake = brake
         self._change = SpeedChange(shape, lower, upper)
@@ -115,17 +110,17 @@ class MotionLimits:
         return self._now.q
 
     def step(
-        self, target: np.ndarray, measured: np.ndarray, dt: float, share: float = 1.0, speed: np.ndarray | None = None
+        self, target: np.ndarray, measured: np.ndarray, dt: float, scale: float = 1.0, speed: np.ndarray | None = None
     ) -> LimitedGoal:
         """Returns the goal after the next `dt` seconds.
 
         Args:
-            target: joints to be met then, shape (7,) [rad].
+            target: joints of the target then, shape (7,) [rad].
             measured: joints of the arm, shape (7,) [rad].
             dt: time since the last call [s].
-            share: of the speed limits that counts now, (0, 1]; a target that is faster itself is approached with
-                half of that share besides.
-            speed: of the target, shape (7,) [rad/s]; at rest where left out.
+            scale: scaling factor of the speed limits, (0, 1]; a faster target is approached with half of that factor
+                on top of its own speed.
+            speed: velocity of the target, shape (7,) [rad/s]; None: at rest.
         """
         dt = min(max(dt, 0.0), MAX_CYCLE_S)
         speed = np.zeros(7) if speed is None else speed
@@ -135,10 +130,10 @@ class MotionLimits:
         if at_rest and np.max(np.abs(target - q)) < AT_REST_RAD:
             self.reset(target)
             return LimitedGoal(self._now.q, read_only(self._now.v), None)
-        wish, held_by = self._wish(error, speed)
-        if share < 1.0:
-            share = min(1.0, max(share, max(self._used(speed)) + 0.5 * share))
-        allowed, limited_by = self._allowed(wish, measured, share)
+        desired, held_by = self._desired_velocity(error, speed)
+        if scale < 1.0:
+            scale = min(1.0, max(scale, max(self._used(speed)) + 0.5 * scale))
+        allowed, limited_by = self._allowed(desired, measured, scale)
         within = np.clip(allowed, -self._speed_within(q - self._lower), self._speed_within(self._upper - q))
         if np.max(np.abs(within - allowed)) > AT_REST_RAD_S:
             limited_by = limited_by or "joint limit"
@@ -148,14 +143,14 @@ class MotionLimits:
         return LimitedGoal(self._now.q, read_only(self._now.v), limited_by or held_by or late)
 
     def _speed_within(self, room: np.ndarray) -> np.ndarray:
-        """Returns the speeds that can be braked within a room, shape (7,) [rad]."""
+        """Returns the speeds from which the joints can brake within a distance, shape (7,) [rad]."""
         room = np.maximum(room, 0.0)
         linear = self._braking / GAIN_PER_S**2
         fast = np.sqrt(2.0 * self._braking * np.maximum(room - 0.5 * linear, 0.0))
         return np.where(room <= linear, GAIN_PER_S * room, fast)
 
-    def _wish(self, error: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, str | None]:
-        """Returns the speed at which the target is met, and "joint acceleration" if braking in time holds it down."""
+    def _desired_velocity(self, error: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, str | None]:
+        """Returns the desired velocity, and "joint acceleration" if braking before the target limits it."""
         # In units of what each joint brakes with, distances are squares of times.
         far = float(np.max(np.abs(error) / self._braking))
         linear = 1.0 / GAIN_PER_S**2
@@ -163,9 +158,9 @@ class MotionLimits:
             return speed + GAIN_PER_S * error, None
         return speed + (np.sqrt(2.0 * far - linear) / far) * error, "joint acceleration"
 
-    def _allowed(self, wish: np.ndarray, measured: np.ndarray, share: float) -> tuple[np.ndarray, str | None]:
-        """Returns the wish slowed down to the limits, and the limit that slows it down most."""
-        fastest, tool = (used / share for used in self._used(wish))
+    def _allowed(self, desired: np.ndarray, measured: np.ndarray, scale: float) -> tuple[np.ndarray, str | None]:
+        """Returns the desired velocity scaled down to the limits, and the limit that scales it down most."""
+        fastest, tool = (used / scale for used in self._used(desired))
         factor, limited_by = min(
             (1.0, None),
             (1.0 / max(fastest, 1.0), "joint speed"),
@@ -173,29 +168,29 @@ class MotionLimits:
             key=lambda candidate: candidate[0],
         )
         begin, end = LEAD_RAD
-        behind = np.sign(wish) * (self._now.q - measured) - ARM_S * factor * np.abs(wish)
-        room = (end - float(np.max(behind[wish != 0.0], initial=0.0))) / (end - begin)
+        behind = np.sign(desired) * (self._now.q - measured) - ARM_S * factor * np.abs(desired)
+        room = (end - float(np.max(behind[desired != 0.0], initial=0.0))) / (end - begin)
         if room >= 1.0:
-            return factor * wish, limited_by
-        return max(room, 0.0) * factor * wish, "lag of the arm"
+            return factor * desired, limited_by
+        return max(room, 0.0) * factor * desired, "lag of the arm"
 
     def _used(self, speed: np.ndarray) -> tuple[float, float]:
-        """Returns the share of the joint speeds, and that of the speed of the tool, that joint speeds amount to."""
-        way = self._tool_position(self._now.q + LOOK_AHEAD_S * speed) - self._tool_position(self._now.q)
+        """Returns the fractions of the joint speed limits and of the tool speed limit that a velocity uses."""
+        path = self._tool_position(self._now.q + LOOK_AHEAD_S * speed) - self._tool_position(self._now.q)
         joints = float(np.max(np.abs(speed) / self._speeds.joints))
-        return joints, float(np.linalg.norm(way)) / (LOOK_AHEAD_S * self._speeds.tool)
+        return joints, float(np.linalg.norm(path)) / (LOOK_AHEAD_S * self._speeds.tool)
 
-    def _approach(self, wish: np.ndarray, dt: float) -> bool:
-        """Moves on for dt [s] towards a speed; returns whether the end of the workspace holds that back."""
+    def _approach(self, desired: np.ndarray, dt: float) -> bool:
+        """Moves the goal for dt [s] towards a velocity; returns whether the end of the workspace holds it back."""
         if self._brake is None:
-            self._now = self._change.step(self._now, wish, dt)
+            self._now = self._change.step(self._now, desired, dt)
             return False
-        self._now, held = self._brake.step(self._change, self._now, wish, dt)
+        self._now, held = self._brake.step(self._change, self._now, desired, dt)
         return held
 
 
 class Unlimited:
-    """Passes every target on as it is, as the original did; the arm may be stopped for it."""
+    """Uses every target as the goal, without limits; the robot's controller may stop the arm for it."""
 
     def __init__(self) -> None:
         self.reset(np.zeros(7))
@@ -210,7 +205,7 @@ class Unlimited:
         return self._q
 
     def step(
-        self, target: np.ndarray, measured: np.ndarray, dt: float, share: float = 1.0, speed: np.ndarray | None = None
+        self, target: np.ndarray, measured: np.ndarray, dt: float, scale: float = 1.0, speed: np.ndarray | None = None
     ) -> LimitedGoal:
         """Returns the target; the arguments are those of `MotionLimits.step`."""
         self._q = read_only(target)

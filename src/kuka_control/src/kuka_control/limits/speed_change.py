@@ -1,4 +1,4 @@
-"""From one speed of the joints to another within limits of acceleration and jerk, all joints together, by Ruckig."""
+"""Changes of the joint velocities within limits of acceleration and jerk, all joints in step, by Ruckig."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
 from common.poses import read_only
 
 EVEN_S = 0.012
-"""A change of speed is spread over this time, if the limits do not ask for more [s]."""
+"""Least duration of a velocity change [s]."""
 
 STOPPING = (0.25, 0.5, 0.75, 1.0)
-"""Shares of the time to a stop at which the way there is looked at."""
+"""Fractions of the braking time at which the path to the stop is checked."""
 
 
 @dataclass(frozen=True)
@@ -27,26 +27,17 @@ class ShapeLimits:
 
 @dataclass(frozen=True)
 class JointState:
-    """Joints on their way.
-
-    Attributes:
-        q, v, a: angles [rad], speeds [rad/s], accelerations [rad/s^2], shape (7,) each.
-        duration: how long the change of speed takes that they are in [s].
-    """
+    """Joint angles [rad], velocities [rad/s] and accelerations [rad/s^2], shape (7,) each."""
 
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
     duration: float = 0.0
+    """Of the whole velocity change [s]."""
 
 
 class SpeedChange:
-    """Changes the speed of the joints.
-
-    Args:
-        shape: limits of acceleration and jerk.
-        lower, upper: joint ranges, shape (7,) [rad], that no joint leaves.
-    """
+    """Changes the joint velocities; no joint leaves its range `lower` to `upper`, shape (7,) [rad]."""
 
     def __init__(self, shape: ShapeLimits, lower: np.ndarray, upper: np.ndarray) -> None:
         self._lower = lower
@@ -60,24 +51,24 @@ class SpeedChange:
         self._input.target_acceleration = [0.0] * 7
         self._input.minimum_duration = EVEN_S
 
-    def step(self, now: JointState, wish: np.ndarray, dt: float) -> JointState:
-        """Returns the joints dt [s] later, on their way to the speeds `wish`, shape (7,) [rad/s]."""
-        self._plan(now, wish)
+    def step(self, now: JointState, desired: np.ndarray, dt: float) -> JointState:
+        """Returns the state dt [s] later, on the way to the velocities `desired`, shape (7,) [rad/s]."""
+        self._plan(now, desired)
         q, v, a = self._trajectory.at_time(dt)
         within = read_only(np.clip(q, self._lower, self._upper))
         free = within == q
         return JointState(within, np.where(free, v, 0.0), np.where(free, a, 0.0), self._trajectory.duration)
 
     def stopping(self, now: JointState) -> Iterable[np.ndarray]:
-        """Yields joints, shape (7,) [rad], on the way to a stop as soon as possible, the last at rest."""
+        """Yields joints, shape (7,) [rad], on the path to the earliest stop; the last are at rest."""
         self._plan(now, np.zeros(7))
-        for share in STOPPING:
-            yield np.clip(self._trajectory.at_time(share * self._trajectory.duration)[0], self._lower, self._upper)
+        for fraction in STOPPING:
+            yield np.clip(self._trajectory.at_time(fraction * self._trajectory.duration)[0], self._lower, self._upper)
 
-    def _plan(self, now: JointState, wish: np.ndarray) -> None:
+    def _plan(self, now: JointState, desired: np.ndarray) -> None:
         state = self._input
         state.current_position, state.current_velocity = now.q.tolist(), now.v.tolist()
-        state.current_acceleration, state.target_velocity = now.a.tolist(), wish.tolist()
+        state.current_acceleration, state.target_velocity = now.a.tolist(), desired.tolist()
         result = self._ruckig.calculate(state, self._trajectory)
         if result not in (Result.Working, Result.Finished):
-            raise ArithmeticError(f"no motion from speed {now.v} and acceleration {now.a} to speed {wish}: {result}")
+            raise ArithmeticError(f"no motion from velocity {now.v} and acceleration {now.a} to {desired}: {result}")

@@ -1,11 +1,12 @@
 """Keeps the tool point of the stream of servo goals inside the workspace: it brakes before a bound, not behind it.
 
-The target stops dead where the workspace ends, while what follows it needs a way to stop. So each step is taken only
-if the joints could still come to rest with the tool inside. Where they could not, the wish is held back as little as
-that takes: first the part that carries the tool out is taken away from it, by a motion that leaves the other directions
-and the attitude of the tool alone, so that the tool slides along the bound; and where that is not enough, all of it.
+The target stops abruptly at the end of the workspace, but the goal that follows it needs a distance to stop. So the
+brake takes a step only if the joints could then still come to rest with the tool inside. Otherwise it reduces the
+desired velocity as little as possible. First it removes the part that carries the tool out, by a motion that changes
+neither the other directions nor the orientation of the tool, so that the tool slides along the bound. If that is not
+enough, it scales the rest down too.
 
-Nothing is done about a step that stays inside: far from all bounds the stream is the same as without a brake.
+A step that stays inside is not changed: far from all bounds the stream is the same as without a brake.
 """
 
 from __future__ import annotations
@@ -18,32 +19,32 @@ from kuka_control.limits.speed_change import JointState, SpeedChange
 from kuka_control.model.workspace import Workspace
 
 SLACK_M = 1e-3
-"""The way to a stop may lead out of the workspace by this much: on curved bounds it goes straight on."""
+"""The path to a stop may lead out of the workspace by this much: at curved bounds it is straight [m]."""
 
 INWARD_PER_S = 40.0
-"""A tool that slides along a bound is led to it with this share of its distance per second."""
+"""Gain on the distance between a bound and a tool that slides along it [1/s]."""
 
 HALVINGS = 5
-"""How often the share of the wish that can be kept is narrowed down."""
+"""Bisections of the fraction of the desired velocity that can be kept."""
 
 SWEEPS = 3
-"""Rounds over the bounds: what is taken away at one of them may add to another. They meet at 68 deg or more."""
+"""Passes over the bounds: a correction at one may add to the velocity across another. They meet at 68 deg or more."""
 
 DAMPING = 0.05
-"""Of the pseudoinverse, in units of what the tool brakes with [m/s^2], [rad/s^2]; it matters near singular poses."""
+"""Of the pseudoinverse, in units of the tool's deceleration [m/s^2], [rad/s^2]; it matters near singular poses."""
 
 LEAST = 1e-6
-"""Share of the wanted speed that damping leaves, at least: a stretched arm has none ahead."""
+"""Least fraction of the desired velocity after damping: a stretched arm cannot move outward at all."""
 
 
 class WorkspaceBrake:
-    """Takes steps after which the tool can still stop inside.
+    """Limits each step so that the tool can still stop inside.
 
     Args:
-        workspace: where the tool point is to stay.
+        workspace: of the tool point.
         tool_position: of the tool point, shape (3,) [m], at joints q, shape (7,) [rad].
         tool_jacobian: geometric Jacobian of the tool point, shape (6, 7), at joints q.
-        acceleration: what each joint can brake with, shape (7,) [rad/s^2].
+        acceleration: deceleration of each joint when it brakes, shape (7,) [rad/s^2].
     """
 
     def __init__(
@@ -58,29 +59,22 @@ class WorkspaceBrake:
         self._tool_jacobian = tool_jacobian
         self._acceleration = acceleration
 
-    def step(self, change: SpeedChange, now: JointState, wish: np.ndarray, dt: float) -> tuple[JointState, bool]:
-        """Returns the joints after a step, and whether the wish was held back.
-
-        Args:
-            change: how the joints change their speed.
-            now: the joints before.
-            wish: speeds of the joints, shape (7,) [rad/s].
-            dt: duration of the step [s].
-        """
-        free = change.step(now, wish, dt)
+    def step(self, change: SpeedChange, now: JointState, desired: np.ndarray, dt: float) -> tuple[JointState, bool]:
+        """Returns the state after dt [s], and whether the brake reduced the desired velocities, (7,) [rad/s]."""
+        free = change.step(now, desired, dt)
         out = self._out(change, free)
         if out <= SLACK_M:
             return free, False
         rest = np.zeros(7)
         stopping = change.step(now, rest, dt)
-        # A tool that can no longer stop inside may do whatever takes it out no further than a full stop does.
+        # A tool that can no longer stop inside may take any step that leads it out no further than a full stop does.
         bound = max(SLACK_M, self._out(change, stopping))
         if out <= bound:
             return free, False
-        along = self.along(now.q, wish)
+        along = self.along(now.q, desired)
         best = change.step(now, along, dt)
         if self._out(change, best) <= bound:
-            kept, given_up = along, wish
+            kept, given_up = along, desired
         else:
             kept, given_up, best = rest, along, stopping
         for _ in range(HALVINGS):
@@ -92,29 +86,31 @@ class WorkspaceBrake:
                 given_up = middle
         return best, True
 
-    def along(self, q: np.ndarray, wish: np.ndarray) -> np.ndarray:
-        """Returns a wish without what carries the tool beyond a bound, joint speeds of shape (7,) [rad/s].
+    def along(self, q: np.ndarray, desired: np.ndarray) -> np.ndarray:
+        """Returns the joint velocities without the part that carries the tool beyond a bound, shape (7,) [rad/s].
 
         Args:
             q: joints, shape (7,) [rad].
-            wish: joint speeds, shape (7,) [rad/s].
+            desired: joint velocities, shape (7,) [rad/s].
         """
         position, J = self._tool_position(q), self._tool_jacobian(q)
         normals = self._workspace.outward(position)
-        # In units of what each joint brakes with, so that the strong joints do most.
+        # In units of each joint's deceleration, so that the strong joints move most.
         strong = J * self._acceleration
-        wanted = np.concatenate([normals.T, np.zeros((3, len(normals)))])
-        ways = strong.T @ np.linalg.solve(strong @ strong.T + DAMPING**2 * np.eye(6), wanted)
-        ways *= self._acceleration[:, None] / np.maximum(np.sum(normals.T * (strong[:3] @ ways), axis=0), LEAST)
-        left = wish
+        outward_motions = np.concatenate([normals.T, np.zeros((3, len(normals)))])
+        corrections = strong.T @ np.linalg.solve(strong @ strong.T + DAMPING**2 * np.eye(6), outward_motions)
+        corrections *= self._acceleration[:, None] / np.maximum(
+            np.sum(normals.T * (strong[:3] @ corrections), axis=0), LEAST
+        )
+        left = desired
         for _ in range(SWEEPS):
-            for normal, way, room in zip(normals, ways.T, self._workspace.rooms(position)):
+            for normal, column, room in zip(normals, corrections.T, self._workspace.rooms(position)):
                 excess = float(normal @ J[:3] @ left) - INWARD_PER_S * room
-                left = left - max(excess, 0.0) * way
-        # Near a singular pose that may need fast joints; none is to be faster than those of the wish.
-        pace, wished = (float(np.max(np.abs(v) / self._acceleration)) for v in (left, wish))
-        return left if pace <= wished else wished / pace * left
+                left = left - max(excess, 0.0) * column
+        # Near a singular pose this may need fast joints; none may be faster than in the desired velocity.
+        pace, allowed = (float(np.max(np.abs(v) / self._acceleration)) for v in (left, desired))
+        return left if pace <= allowed else allowed / pace * left
 
     def _out(self, change: SpeedChange, now: JointState) -> float:
-        """Returns how far the tool leaves the workspace, at most, if the joints stop from now on [m]."""
+        """Returns the greatest distance of the tool outside the workspace if the joints stop from now on [m]."""
         return -min(min(self._workspace.rooms(self._tool_position(q))) for q in change.stopping(now))
