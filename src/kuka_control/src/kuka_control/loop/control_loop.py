@@ -59,7 +59,11 @@ MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.ZERO))
 WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED}
 """The states that forget the target."""
 
-COMMANDS = {Action.NONE: Wait(), Action.START_SERVO: StartServo(), Action.STOP_SERVO: StopServo()}
+COMMANDS: dict[Action, Command] = {
+    Action.NONE: Wait(),
+    Action.START_SERVO: StartServo(),
+    Action.STOP_SERVO: StopServo(),
+}
 """The commands of the actions that need no data."""
 
 

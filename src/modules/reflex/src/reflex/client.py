@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
+from reflex.calibration import FingerZeros, TactileOffsets
 from reflex.calibration_files import CalibrationFiles
 from reflex.errors import CalibrationFileError, CommandRefused, HandSilent, WireFault
 from reflex.hand import HandLogic, HandStatus, HandUpdate
@@ -361,7 +362,7 @@ class ReflexHand:
             old, self._transport = self._transport, fresh
         old.close()
 
-    def _save(self, calibration: object) -> None:
+    def _save(self, calibration: FingerZeros | TactileOffsets) -> None:
         try:
             self._on_note(HandNote("info", f"Calibration saved in {self._files.save(calibration)}."))
         except CalibrationFileError as error:

@@ -186,12 +186,13 @@ def _mapping_of_poses(source: Any, names: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def _poses(values: Mapping, prefix: str, names: dict[str, str], faults: list[str]) -> dict[str, np.ndarray] | None:
+def _poses(values: Mapping, prefix: str, names: dict[str, str], faults: list[str]) -> dict[str, Any] | None:
     """Returns the poses by attribute, or None after adding what is wrong with them to `faults`."""
     poses = {}
     for key, name in names.items():
         where = f"{prefix}{key}/"
-        read = parse_part(_Pose, values.get(key), where, faults)
+        given: Any = values.get(key)
+        read = parse_part(_Pose, given, where, faults)
         try:
             if read is not None:
                 poses[name] = read_only(pose(rotation_from_quaternion(read.quaternion), read.position))

@@ -44,7 +44,8 @@ def look(
         raise ValueError("the network's maps are not finite")
     small = cv2.resize(output.transpose(1, 2, 0), (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA)
     maps = maps_of(output, view, settings)
-    best = peaks(maps, 1, settings.distance, settings.threshold)
+    s = settings
+    best = [] if s.threshold is None else peaks(maps, 1, s.distance, s.threshold)
     window = view.depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side]
     peak = best[0] if best else highest(maps)
     kept = NetworkView(millimetres(window), small.transpose(2, 0, 1).astype(np.float16), image.mean, peak)

@@ -67,7 +67,7 @@ class ImageStream:
         exposure = expose()
         if "depth_empty" in active:
             images = exposure.images
-            empty = {name: _empty(getattr(images, name)) for name in ("depth", "registered")}
+            empty: dict[str, Any] = {name: _empty(getattr(images, name)) for name in ("depth", "registered")}
             exposure = dataclasses.replace(exposure, images=dataclasses.replace(images, **empty))
         self._last = exposure
         return exposure
