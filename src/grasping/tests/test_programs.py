@@ -1,9 +1,11 @@
-"""The programs from data to table, on a handful of scenes; each goes on where it ended."""
+"""The programs from data to table, on a handful of scenes; each resumes where it stopped."""
 
 from __future__ import annotations
 
 import csv
 import json
+import multiprocessing.dummy
+import shutil
 import sys
 from pathlib import Path
 
@@ -22,20 +24,33 @@ def call(monkeypatch, program, *arguments):
     program.main()
 
 
+@pytest.fixture(scope="module", name="shards")
+def shards_fixture(tmp_path_factory):
+    """Three shards of two scenes each, made without processes of their own."""
+    folder = tmp_path_factory.mktemp("shards")
+    for split, first in (("train", 0), ("train", 2), ("validation", 0)):
+        make_dataset.make_shard((folder / f"{split}_{first:06d}.npz", split, range(first, first + 2)))
+    return folder
+
+
 @pytest.fixture(name="data")
-def data_fixture(tmp_path, monkeypatch):
-    monkeypatch.setattr(make_dataset, "SHARD", 2)
-    for split, count in (("train", 4), ("validation", 2)):
-        call(monkeypatch, make_dataset, tmp_path / "data", "--split", split, "--scenes", count)
-    return tmp_path / "data"
+def data_fixture(shards, tmp_path):
+    return Path(shutil.copytree(shards, tmp_path / "data"))
+
+
+@pytest.fixture(name="in_process")
+def in_process_fixture(monkeypatch):
+    """The pool's tasks run in a thread of this process: a spawned one imports torch and MuJoCo for seconds."""
+    monkeypatch.setattr(multiprocessing, "get_context", lambda _method: multiprocessing.dummy)
 
 
 def test_shards_are_made_once(data, monkeypatch):
+    monkeypatch.setattr(make_dataset, "SHARD", 2)
     names = ["train_000000.npz", "train_000002.npz", "validation_000000.npz"]
-    assert sorted(p.name for p in data.iterdir()) == names
     (data / names[1]).unlink()
     kept = (data / names[0]).stat().st_mtime_ns
     call(monkeypatch, make_dataset, data, "--split", "train", "--scenes", "4")
+    assert sorted(p.name for p in data.iterdir()) == names
     assert (data / names[0]).stat().st_mtime_ns == kept
     with np.load(data / names[1]) as shard:
         assert shard["depth"].shape == (2, 300, 300)
@@ -59,7 +74,7 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(program, tmp_path, monkeyp
     assert str(tmp_path / "file") in last and last.endswith("Not a directory.")
 
 
-def test_training_ends_and_goes_on(data, tmp_path, monkeypatch, capsys):
+def test_training_stops_and_resumes(data, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"
     options = ["--steps", "4", "--count", "2", "--side", "60", "--every", "2", "--half", "false"]
 
@@ -114,7 +129,7 @@ def test_evaluation_refuses_a_bad_weight_file(tmp_path, monkeypatch, capsys, con
     assert not (tmp_path / "results").exists()
 
 
-def test_evaluation_goes_on(tmp_path, monkeypatch):
+def test_evaluation_resumes(tmp_path, monkeypatch, in_process):
     file = tmp_path / "weights.pt"
     torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
     results = tmp_path / "results" / "results.csv"
@@ -129,7 +144,7 @@ def test_evaluation_goes_on(tmp_path, monkeypatch):
     assert "| untrained |" in (tmp_path / "results" / "table.md").read_text()
 
 
-def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkeypatch):
+def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkeypatch, in_process):
     package, exported = Path(__file__).parents[1], tmp_path / "grasps.json"
     tool = tmp_path / "tool_pose.yaml"
     wide = "preferred_opening: [0.07, 0.12]\noutside_quality: 0.01\n"
