@@ -8,13 +8,14 @@ import multiprocessing.dummy
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import torch
 
-from grasping.lab.programs import evaluate, find_grasps, make_dataset, train_ggcnn
+from grasping.lab.programs import evaluate, find_grasps, make_dataset, runs, train_ggcnn
 from grasping.network import weights
 from grasping.network.networks import NETWORKS
 
@@ -41,7 +42,8 @@ def data_fixture(shards, tmp_path):
 @pytest.fixture(name="in_process")
 def in_process_fixture(monkeypatch):
     """The pool's tasks run in a thread of this process: a spawned one imports torch and MuJoCo for seconds."""
-    monkeypatch.setattr(multiprocessing, "get_context", lambda _method: multiprocessing.dummy)
+    threads = SimpleNamespace(get_context=lambda _method: multiprocessing.dummy)
+    monkeypatch.setattr(evaluate, "multiprocessing", threads)
 
 
 def test_shards_are_made_once(data, monkeypatch):
@@ -82,7 +84,7 @@ def test_training_stops_and_resumes(data, tmp_path, monkeypatch, capsys):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as interrupted:
-        interrupted.setattr(train_ggcnn, "plot", interrupt)
+        interrupted.setattr(runs, "plot", interrupt)
         with pytest.raises(KeyboardInterrupt):
             call(interrupted, train_ggcnn, data, run, *options)
     call(monkeypatch, train_ggcnn, data, run, *options)

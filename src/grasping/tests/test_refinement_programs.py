@@ -20,6 +20,7 @@ from grasping.lab.programs import (
     evaluate,
     evaluate_refinement,
     make_episodes,
+    runs,
     train_refinement,
 )
 from grasping.lab.synthetic import episodes
@@ -98,7 +99,7 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     options = ["--every", "1", "--count", "2", "--hidden", "2"]
     options = ["--steps", "3", *options]
     with monkeypatch.context() as interrupted:
-        interrupted.setattr(train_refinement, "plot", interrupt_at(2))
+        interrupted.setattr(runs, "plot", interrupt_at(2))
         with pytest.raises(KeyboardInterrupt):
             call(interrupted, train_refinement, data, run, *options)
     call(monkeypatch, train_refinement, data, run, *options)
@@ -228,9 +229,9 @@ def test_a_second_network_of_another_rig_is_not_compared(data, holdout, tmp_path
 
 def test_training_is_over_when_nothing_gets_better():
     rows = [{"validation": v} for v in (3.0, 2.0, 2.5, 2.1)]
-    assert not train_refinement.is_over(rows, 3)
-    assert train_refinement.is_over(rows, 2)
-    assert not train_refinement.is_over([*rows, {"validation": 1.9}], 2)
+    assert not runs.is_over(rows, 3)
+    assert runs.is_over(rows, 2)
+    assert not runs.is_over([*rows, {"validation": 1.9}], 2)
 
 
 def test_one_episode_in_five_is_held_out():

@@ -17,7 +17,7 @@ PLANE_BAND_M = 0.01
 CLEARANCE_PX = 5.0
 SMALLEST_OBJECT_PX = 60
 EDGE_STEP_M = 0.006
-"""RefinementOutput of depth across a pixel that is an edge."""
+"""Least step of depth across a pixel that is an edge."""
 EDGE_PAIRS = 4000
 FRICTION_ANGLE_RAD = 0.46
 """atan 0.5."""

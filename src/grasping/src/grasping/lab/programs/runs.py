@@ -1,27 +1,40 @@
-"""The folder of a training: it belongs to one set of data and settings, and a later call resumes it."""
+"""The run of a training: options, loop, and a folder that belongs to one set of data and settings; resumable."""
 
 from __future__ import annotations
 
 import argparse
+import csv
 import hashlib
 import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from tqdm import tqdm
 
 from common.errors import RigError
+from grasping.lab.training.mean_trainer import MeanTrainer
 
 CHECKPOINT = "checkpoint.pt"
 DEVICES = ("auto", "cpu", "cuda")
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Adds the options that all trainings share."""
+def add_options(parser: argparse.ArgumentParser, data: str, default: Any, every: int) -> None:
+    """Adds the arguments and options of every training, and one option for each field of its settings."""
+    parser.add_argument("data", type=Path, help=f"folder of the {data}")
+    parser.add_argument("run", type=Path, help="folder of the run; the same training in it is resumed")
+    for name, value in asdict(default).items():
+        kind = (lambda text: text == "true") if isinstance(value, bool) else type(value)
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=value, help=f"default: {value}")
     parser.add_argument(
         "--anew", action="store_true", help="start again where RUN holds another training, which is kept"
     )
     parser.add_argument("--device", choices=DEVICES, default="auto", help="default: cuda where there is one")
+    parser.add_argument("--every", type=int, default=every, help="steps between validations and checkpoints")
+    parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
 
 
 def identity(settings: dict[str, Any], *data: list[str]) -> str:
@@ -78,3 +91,85 @@ def device(name: str) -> torch.device:
     if name == "cuda" and not torch.cuda.is_available():
         raise RigError("torch sees no CUDA device: train with --device cpu.")
     return torch.device(name)
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The curves of a training, and how they are drawn."""
+
+    columns: tuple[str, ...]  # of curves.csv
+    losses: tuple[str, ...]  # columns of the left axes
+    scale: str  # of the losses: linear or log
+    metric: str  # column of the right axes
+    label: str  # of the metric
+
+
+def train(
+    folder: Path,
+    settings: dict[str, Any],
+    saved: dict[str, Any] | None,
+    trainer: MeanTrainer[Any],
+    data: tuple[Any, Any],
+    every: int,
+    weights: Callable[[Any], dict[str, object]],
+    curves: Curves,
+    patience: int | None = None,
+) -> None:
+    """Trains to the last step, with a validation, a checkpoint and the curves every `every` steps.
+
+    Args:
+        settings: what settings.json says of the training, its identity among them.
+        saved: the checkpoint to resume, of `opened`.
+        data: to train on, and to validate on.
+        weights: returns the content of each weight file by its name, of the mean network that validates best so far.
+        patience: as `is_over` has it; None: all steps.
+    """
+    (folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
+    rows: list[dict] = []
+    if saved is not None:
+        trainer.resume(saved["trainer"])
+        rows = saved["rows"]
+    bar = tqdm(total=trainer.steps, initial=trainer.step, unit="step", mininterval=10.0)
+    losses = []
+    while trainer.step < trainer.steps and not (patience and is_over(rows, patience)):
+        rate = trainer.rate()
+        losses.append(trainer.train(data[0]))
+        bar.update()
+        if trainer.step % every and trainer.step < trainer.steps:
+            continue
+        found = trainer.validate(data[1])
+        if found["validation"] < min((r["validation"] for r in rows), default=float("inf")):
+            for name, content in weights(trainer.mean).items():
+                save(content, folder / name)
+        rows.append({"step": trainer.step, "rate": rate, "training": float(np.mean(losses)), **found})
+        losses = []
+        bar.set_postfix_str(f"loss {found['validation']:.4f}, {curves.metric} {found[curves.metric]:.2f}")
+        checkpoint = {"identity": settings["identity"], "trainer": trainer.state(), "rows": rows}
+        save(checkpoint, folder / CHECKPOINT)
+        with (folder / "curves.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, curves.columns, extrasaction="ignore", lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+        plot(rows, curves, folder / "curves.png")
+
+
+def is_over(rows: list[dict], patience: int) -> bool:
+    """Returns whether the last `patience` validations were no better than the best one before them."""
+    found = [r["validation"] for r in rows]
+    return len(found) > patience and min(found[-patience:]) >= min(found[:-patience])
+
+
+def plot(rows: list[dict], curves: Curves, path: Path) -> None:
+    """Draws the losses and, beside them, the metric."""
+    import matplotlib.figure
+
+    figure = matplotlib.figure.Figure(figsize=(9, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    steps = [r["step"] for r in rows]
+    for name in curves.losses:
+        left.plot(steps, [r[name] for r in rows], label=name)
+    left.set(xlabel="step", ylabel="loss", yscale=curves.scale)
+    left.legend()
+    right.plot(steps, [r[curves.metric] for r in rows])
+    right.set(xlabel="step", ylabel=curves.label, ylim=(0, None))
+    figure.savefig(path, dpi=110)

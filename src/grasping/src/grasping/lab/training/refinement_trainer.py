@@ -1,6 +1,6 @@
-"""The training of the refinement network as steps; it is over when held-out episodes say so.
+"""Trains the refinement network with AdamW and a linear decay of the learning rate, until held-out episodes stop it.
 
-AdamW with a linear decay of the rate. What is kept is the running mean of the weights.
+The running mean of the weights is what is kept.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ VALIDATION_BATCH = 16
 class RefinementTraining:
     """How to train."""
 
-    steps: int = 600  # most steps; the rate falls to zero over them
-    count: int = 16  # images a step
-    rate: float = 1e-2  # learning rate at first
+    steps: int = 600  # at most; the learning rate falls to zero over them
+    count: int = 16  # images per step
+    rate: float = 1e-2  # initial learning rate
     weight_decay: float = 1e-4  # of AdamW
-    memory: float = 0.98  # of the mean of the weights, a step
+    memory: float = 0.98  # of the running mean of the weights, per step
     hidden: int = HIDDEN  # units of each of the network's two inner layers
-    patience: int = 8  # validations without a better one, after which training ends
+    patience: int = 8  # training stops after this many validations without a better one
     seed: int = 1  # of weights and batches
 
 
@@ -44,15 +44,16 @@ class RefinementTrainer(MeanTrainer[RefinementNetwork]):
         network.offset[:] = torch.tensor([getattr(offset, name) for name in AXES])
         network.to(device)
         optimiser = torch.optim.AdamW(network.parameters(), lr=settings.rate, weight_decay=settings.weight_decay)
-        super().__init__(network, optimiser, settings.memory)
+        super().__init__(network, optimiser, settings.memory, settings.steps)
+
+    def rate(self) -> float:
+        return self.settings.rate * max(0.0, 1.0 - self.step / self.settings.steps)
 
     def train(self, examples: list[Example]) -> float:
-        """Does one step and returns its loss; the batch depends on the seed and the step alone."""
         s = self.settings
         chosen = np.random.default_rng([s.seed, self.step]).integers(0, len(examples), s.count)
         seen, target = self._batch([examples[i] for i in chosen])
-        loss = losses(seen, self.network(seen), target).total
-        return self.descend(loss, s.rate * max(0.0, 1.0 - self.step / s.steps))
+        return self.descend(losses(seen, self.network(seen), target).total)
 
     def validate(self, examples: list[Example]) -> dict[str, float]:
         """Returns the losses of the mean network, and how far its best pixel is from the operator's, the median [px of

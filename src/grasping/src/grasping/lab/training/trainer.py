@@ -1,7 +1,6 @@
-"""The training of a grasp network as steps: each takes a batch and leaves the weights a little better.
+"""Trains a grasp network with Adam: a short warm-up, a constant learning rate, and a linear decay at the end.
 
-Adam with a constant rate after a short warm-up and a linear decay at the end, and beside it the running mean of the
-weights, which is what is kept: it is good at any time, so that training may stop or go on as the machine allows.
+The running mean of the weights is what is kept. It is usable at any time, so training can stop and resume at any step.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ class NetworkTraining:
     """How to train."""
 
     network: str = "ggcnn2"  # name in `NETWORKS`
-    steps: int = 6000  # in all; the last `decay` share of them lowers the rate to zero
-    count: int = 16  # windows a step
+    steps: int = 6000  # of the whole training; over the last fraction `decay` the rate falls to zero
+    count: int = 16  # windows per step
     side: int = 156  # of the windows [px]
     rate: float = 1.5e-3  # learning rate
     warm_up: int = 200  # steps
-    decay: float = 0.25  # share of the steps
-    memory: float = 0.998  # of the mean of the weights, a step
+    decay: float = 0.25  # fraction of the steps
+    memory: float = 0.998  # of the running mean of the weights, per step
     seed: int = 1  # of weights and batches
     half: bool = True  # compute in bfloat16, which is faster where the device knows it
 
@@ -43,23 +42,22 @@ class NetworkTrainer(MeanTrainer[nn.Module]):
         torch.manual_seed(settings.seed)
         network = NETWORKS[settings.network]()
         network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
-        super().__init__(network, torch.optim.Adam(network.parameters(), lr=settings.rate), settings.memory)
+        optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)
+        super().__init__(network, optimiser, settings.memory, settings.steps)
 
     def rate(self) -> float:
-        """Returns the learning rate of the next step."""
         s = self.settings
         left = (s.steps - self.step) / max(1.0, s.decay * s.steps)
         return s.rate * min(1.0, (self.step + 1) / s.warm_up, max(0.0, left))
 
     def train(self, samples: Samples) -> float:
-        """Does one step and returns its loss; the batch depends on the seed and the step alone."""
         rng = np.random.default_rng([self.settings.seed, self.step])
         depth, target = self._here(random_batch(samples, rng, self.settings.count, self.settings.side))
         self.network.train()
-        return self.descend(losses(self._maps(self.network, depth), target).total, self.rate())
+        return self.descend(losses(self._maps(self.network, depth), target).total)
 
     def validate(self, samples: Samples) -> dict[str, float]:
-        """Returns the losses of the mean network on whole images, and the share of best pixels that are grasps."""
+        """Returns the losses of the mean network on whole images, and the fraction of best pixels that are grasps."""
         rows = []
         for i in range(len(samples["depth"])):
             depth, target = self._here(batch({name: values[i : i + 1] for name, values in samples.items()}))
