@@ -160,16 +160,16 @@ def is_over(rows: list[dict], patience: int) -> bool:
 
 
 def plot(rows: list[dict], curves: Curves, path: Path) -> None:
-    """Draws the losses and, beside them, the metric."""
+    """Draws the losses and, beside them, the metric; the rows may be those of a curves.csv, texts."""
     import matplotlib.figure
 
     figure = matplotlib.figure.Figure(figsize=(9, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    steps = [r["step"] for r in rows]
+    steps = [float(r["step"]) for r in rows]
     for name in curves.losses:
-        left.plot(steps, [r[name] for r in rows], label=name)
+        left.plot(steps, [float(r[name]) for r in rows], label=name)
     left.set(xlabel="step", ylabel="loss", yscale=curves.scale)
     left.legend()
-    right.plot(steps, [r[curves.metric] for r in rows])
+    right.plot(steps, [float(r[curves.metric]) for r in rows])
     right.set(xlabel="step", ylabel=curves.label, ylim=(0, None))
     figure.savefig(path, dpi=110)
