@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.loop.servo_law import CARRIED_S, NOISE_RAD, REACH_RAD, STEP_RAD, WIDTH_RAD, LtsGoals, lts, lts_inverse
+from kuka_control.loop.servo_law import (
+    EXTRAPOLATED_S,
+    NOISE_RAD,
+    REACH_RAD,
+    STEP_RAD,
+    WIDTH_RAD,
+    LtsGoals,
+    lts,
+    lts_inverse,
+)
 
 RANGE = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
 steps = st.floats(NOISE_RAD, STEP_RAD)
@@ -82,4 +91,4 @@ def test_goals_are_never_far_from_the_arm_and_within_the_joint_ranges(wanted, sp
     for _ in range(10):
         sent = goals.step(wanted, np.full(7, speed), measured, DT)
         assert np.all(np.abs(sent) <= RANGE)
-        assert np.all(np.abs(sent - measured) <= 1.52 * WIDTH_RAD + min(CARRIED_S * abs(speed), STEP_RAD) + 1e-12)
+        assert np.all(np.abs(sent - measured) <= 1.52 * WIDTH_RAD + min(EXTRAPOLATED_S * abs(speed), STEP_RAD) + 1e-12)

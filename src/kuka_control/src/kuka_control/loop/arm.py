@@ -1,7 +1,7 @@
-"""The robot behind one interface: what the control loop asks of it, and that over the toolbox's client.
+"""The robot behind one interface, and its implementation over the toolbox's client.
 
 Joints q have shape (7,) [rad]. All calls come from one thread and return within the client's time-outs. The client's
-errors (kst.KstError) pass through: a lost connection ends the controller.
+errors (kst.KstError) pass through: a lost connection stops the controller.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,38 +18,44 @@ from common.poses import read_only
 from kst import Feedback, KstClient, ReplyTimeout, UnexpectedReply
 
 NO_READING = (ReplyTimeout, UnexpectedReply)
-"""Errors of one answer, which did not come or says nothing, on a link that may be sound."""
+"""Errors of one missing or unusable answer on a link that may be sound."""
 
 
 @dataclass(frozen=True)
 class ArmState:
-    """The newest reading of each kind; an array is another object after each reading. None: not read yet.
-
-    Attributes:
-        joints: measured joints, shape (7,) [rad].
-        torques_external: what acts on the joints from outside, as the controller estimates it, shape (7,) [Nm].
-        torques_measured: at the joint sensors, shape (7,) [Nm].
-        T_base_tool: tool point as the controller sees it, shape (4, 4) [m]; None while it cannot tell it.
-        force: at the tool point, in its axes, shape (3,) [N].
-        moment: likewise, shape (3,) [Nm].
-    """
+    """The newest reading of each kind, None before the first; each reading is a new array object."""
 
     joints: np.ndarray | None = None
+    """Measured joints, shape (7,) [rad]."""
     torques_external: np.ndarray | None = None
+    """Torques on the joints from outside, as the robot's controller estimates them, shape (7,) [Nm]."""
     torques_measured: np.ndarray | None = None
+    """Torques at the joint sensors, shape (7,) [Nm]."""
     T_base_tool: np.ndarray | None = None
+    """Tool point as the robot's controller reports it, shape (4, 4) [m]; None while it reports none."""
     force: np.ndarray | None = None
+    """Force at the tool point, in its axes, shape (3,) [N]."""
     moment: np.ndarray | None = None
+    """Moment at the tool point, in its axes, shape (3,) [Nm]."""
 
 
 QUICK_S = 1e-3
-"""A goal whose answer took longer than this is followed by no question that would hold the next goal up [s]."""
+"""After an answer that took longer than this, no further question delays the next goal [s]."""
+
+FIELD = {
+    Feedback.JOINTS: "joints",
+    Feedback.EXTERNAL_TORQUES: "torques_external",
+    Feedback.MEASURED_TORQUES: "torques_measured",
+    Feedback.POSE: "T_base_tool",
+    Feedback.FORCE: "force",
+}
+"""The field of ArmState that the answer to a servo goal fills."""
 
 NEWER = {
-    "T_base_tool": ("pose", "it is calculated from the joints"),
-    "force": ("force", "it is estimated from the external torques"),
+    Feedback.POSE: ("pose", "it is calculated from the joints"),
+    Feedback.FORCE: ("force", "it is estimated from the external torques"),
 }
-"""Readings that not every server's servo goals bring, what people call them, and what is done then."""
+"""Feedback that servers before May 2019 lack in servo mode: its name, and its substitute."""
 
 _T = TypeVar("_T")
 
@@ -73,20 +79,20 @@ class Arm(ABC):
 
     @property
     def estimated_in_servo(self) -> tuple[str, ...]:
-        """Names of what is not measured in servo mode, but estimated."""
+        """Names of the quantities that are estimated in servo mode, not measured."""
         return ()
 
     def take_remarks(self) -> list[str]:
-        """Returns the sentences about the arm that were not said yet."""
+        """Returns the sentences about the arm that were not reported yet."""
         return []
 
     @abstractmethod
     def read(self) -> None:
-        """Brings `state` up to date outside of servo mode: joints at each call, at rest the rest in turn."""
+        """Updates `state` outside of servo mode: joints at each call, at rest the other quantities in turn."""
 
     @abstractmethod
     def start_ptp(self, q: np.ndarray, velocity: float) -> None:
-        """Starts a motion to q at the share `velocity` of the full joint speed, (0, 1]; returns once it is accepted.
+        """Starts a motion to q at the fraction `velocity` of the full joint speed, (0, 1]; returns once it is accepted.
 
         Raises:
             kst.MotionRefused: the robot's controller refused it.
@@ -97,40 +103,40 @@ class Arm(ABC):
         """Returns whether the motion has ended, without waiting.
 
         Raises:
-            kst.MotionRefused: the robot's controller gave the motion up.
+            kst.MotionRefused: the robot's controller aborted the motion.
         """
 
     @abstractmethod
     def start_servo(self) -> None:
-        """Starts to follow servo goals; the arm holds its joints until the first one."""
+        """Starts servo mode; the arm holds its joints until the first goal."""
 
     @abstractmethod
     def servo(self, q: np.ndarray) -> None:
-        """Sends a servo goal and brings joints, and in turn the other kinds of reading, in `state` up to date.
+        """Sends a servo goal; updates the joints in `state` at each call, the other quantities in turn.
 
         Raises:
-            kst.MotionRefused: the robot's controller has ended servo mode.
+            kst.MotionRefused: the robot's controller has left servo mode.
         """
 
     @abstractmethod
     def stop_servo(self) -> None:
-        """Ends servo mode, once the arm stands at its last goal.
+        """Leaves servo mode once the arm stands at its last goal.
 
         Raises:
-            kst.MotionRefused: servo mode had ended by itself before.
+            kst.MotionRefused: the robot's controller had left servo mode before.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Ends servo mode if it runs, and the connection; never raises."""
+        """Leaves servo mode if it runs, and closes the connection; never raises."""
 
     @abstractmethod
     def abort(self) -> None:
-        """Drops the connection without a word to the robot."""
+        """Drops the connection without a command to the robot."""
 
 
 def _second_try(call: Callable[[], _T]) -> _T:
-    """Returns what `call` returns, at the second try if the first brought no answer."""
+    """Calls a second time if the first call brought no usable answer."""
     try:
         return call()
     except NO_READING:
@@ -138,16 +144,16 @@ def _second_try(call: Callable[[], _T]) -> _T:
 
 
 class KstArm(Arm):
-    """The arm that the toolbox's server steers.
+    """The arm behind the toolbox's server.
 
-    Each servo goal brings joints. Four out of ten bring another kind of reading as their own answer, one kind each, so
-    that at 250 goals a second those come at 25 Hz; then the joints are asked for after it, unless the link is slow.
+    Each servo goal brings joints. Four out of ten bring another quantity as their own answer, one each, so at 250 goals
+    a second those come at 25 Hz; then the joints are requested after it, unless the link is slow.
 
-    A server that stands in a safety stop answers no more than joints; then `read` asks it for nothing else until it has
-    taken the next motion.
+    A server in a safety stop answers requests for joints only; then `read` requests nothing else until the server has
+    accepted the next motion.
 
-    The toolbox does not tell the moment in servo mode; then it is estimated whenever external torques come. Servers
-    before May 2019 tell neither pose nor force there: that shows when servo mode starts for the first time.
+    The toolbox does not report the moment in servo mode; then it is estimated from each reading of the external
+    torques. Servers before May 2019 report neither pose nor force there; the first start of servo mode finds that out.
 
     Args:
         client: connected to the server.
@@ -155,35 +161,27 @@ class KstArm(Arm):
     """
 
     SERVO_TURN = (
-        *("joints", "torques_external", "joints", "torques_measured", "joints"),
-        *("joints", "T_base_tool", "joints", "force", "joints"),
+        *(Feedback.JOINTS, Feedback.EXTERNAL_TORQUES, Feedback.JOINTS, Feedback.MEASURED_TORQUES, Feedback.JOINTS),
+        *(Feedback.JOINTS, Feedback.POSE, Feedback.JOINTS, Feedback.FORCE, Feedback.JOINTS),
     )
-    FEEDBACK: ClassVar = {
-        "joints": Feedback.JOINTS,
-        "torques_external": Feedback.EXTERNAL_TORQUES,
-        "torques_measured": Feedback.MEASURED_TORQUES,
-        "T_base_tool": Feedback.POSE,
-        "force": Feedback.FORCE,
-    }
-    REST_TURN = ("torques_external", "torques_measured", "T_base_tool", "force", "moment")
 
     def __init__(
         self, client: KstClient, wrench: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
     ) -> None:
         self._client = client
         self._wrench = wrench
-        self._tried_out = False
-        self._untold: tuple[str, ...] = ()
+        self._probed = False
+        self._lacking: tuple[Feedback, ...] = ()
         self._remarks: list[str] = []
         self._turn = 0
         self._at_rest = True
-        self._rest_calls = {
-            "torques_external": client.external_torques,
-            "torques_measured": client.measured_torques,
-            "T_base_tool": client.pose,
-            "force": client.force,
-            "moment": client.moment,
-        }
+        self._rest_turn = (
+            ("torques_external", client.external_torques),
+            ("torques_measured", client.measured_torques),
+            ("T_base_tool", client.pose),
+            ("force", client.force),
+            ("moment", client.moment),
+        )
         self._take("joints", client.joints())
 
     @property
@@ -192,7 +190,7 @@ class KstArm(Arm):
 
     @property
     def estimated_in_servo(self) -> tuple[str, ...]:
-        return ("moment", *(NEWER[kind][0] for kind in self._untold))
+        return ("moment", *(NEWER[feedback][0] for feedback in self._lacking))
 
     def take_remarks(self) -> list[str]:
         remarks, self._remarks = self._remarks, []
@@ -201,9 +199,9 @@ class KstArm(Arm):
     def read(self) -> None:
         self._take("joints", self._client.joints())
         if self._at_rest:
-            kind = self._next(self.REST_TURN)
+            field, call = self._next(self._rest_turn)
             try:
-                self._take(kind, self._rest_calls[kind]())
+                self._take(field, call())
             except ReplyTimeout:
                 self._at_rest = False
                 raise
@@ -221,24 +219,24 @@ class KstArm(Arm):
         self._client.start_joint_servo()
         self._at_rest = False
         self._take("joints", _second_try(self._client.joints))
-        if not self._tried_out:
-            self._try_out(self.measured_joints)
-        if "T_base_tool" in self._untold:
+        if not self._probed:
+            self._probe(self.measured_joints)
+        if Feedback.POSE in self._lacking:
             self.state = replace(self.state, T_base_tool=None)
 
     def servo(self, q: np.ndarray) -> None:
-        kind = self._next(self.SERVO_TURN)
-        if kind in self._untold:
-            kind = "joints"
-        value = self._client.servo(q, self.FEEDBACK[kind])
-        self._take(kind, value)
-        if kind == "torques_external":
+        feedback = self._next(self.SERVO_TURN)
+        if feedback in self._lacking:
+            feedback = Feedback.JOINTS
+        value = self._client.servo(q, feedback)
+        self._take(FIELD[feedback], value)
+        if feedback is Feedback.EXTERNAL_TORQUES:
             force, moment = self._wrench(self.measured_joints, value)
             self._take("moment", moment)
-            if "force" in self._untold:
+            if Feedback.FORCE in self._lacking:
                 self._take("force", force)
         round_trip = self._client.round_trip
-        if kind != "joints" and round_trip is not None and round_trip <= QUICK_S:
+        if feedback is not Feedback.JOINTS and round_trip is not None and round_trip <= QUICK_S:
             self._take("joints", self._client.joints())
 
     def stop_servo(self) -> None:
@@ -251,21 +249,22 @@ class KstArm(Arm):
     def abort(self) -> None:
         self._client.abort()
 
-    def _try_out(self, q: np.ndarray) -> None:
-        """Finds out what the server's answers to servo goals can tell, by goals where the arm is."""
-        for kind, (name, remedy) in NEWER.items():
+    def _probe(self, q: np.ndarray) -> None:
+        """Finds out which feedback the server lacks, by servo goals at the joints q of the arm."""
+        for feedback, (name, substitute) in NEWER.items():
             try:
-                _second_try(partial(self._client.servo, q, self.FEEDBACK[kind]))
+                _second_try(partial(self._client.servo, q, feedback))
             except NO_READING:
-                self._untold += (kind,)
+                self._lacking += (feedback,)
                 self._remarks.append(
-                    f"In servo mode this toolbox server does not tell the {name}, as those before May 2019; {remedy}."
+                    f"In servo mode this toolbox server does not tell the {name}, as those before May 2019; "
+                    f"{substitute}."
                 )
-        self._tried_out = True
+        self._probed = True
 
-    def _next(self, kinds: tuple[str, ...]) -> str:
-        self._turn = (self._turn + 1) % len(kinds)
-        return kinds[self._turn]
+    def _next(self, turn: tuple[_T, ...]) -> _T:
+        self._turn = (self._turn + 1) % len(turn)
+        return turn[self._turn]
 
-    def _take(self, kind: str, value: np.ndarray) -> None:
-        self.state = replace(self.state, **{kind: read_only(value)})
+    def _take(self, field: str, value: np.ndarray) -> None:
+        self.state = replace(self.state, **{field: read_only(value)})

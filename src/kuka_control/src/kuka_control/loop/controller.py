@@ -1,4 +1,4 @@
-"""One cycle of a controller: look at the arm, ask the control loop, do what it says."""
+"""One cycle of a controller: read the arm, step the control loop, execute its command."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.loop.reconnect import ReconnectSupervisor
 
 MAX_MISSED = 5
-"""So many answers in a row may fail to come, or be none, before the link is given up."""
+"""This many missing or unusable answers in a row end the link."""
 
 WARN_EVERY_S = 1.0
-"""Missed answers are said no more often than this [s]."""
+"""Shortest time between two warnings about missed answers [s]."""
 
 
 class Controller:
     """Runs a control loop on an arm.
 
     Attributes:
-        missed: answers of the robot's controller that did not come in time, or were none.
+        missed: number of answers of the robot's controller that were late or unusable.
         moving: whether a PTP motion runs.
         in_servo: whether the arm follows servo goals.
     """
@@ -33,7 +33,7 @@ class Controller:
         self.restart(arm, loop)
 
     def restart(self, arm: Arm, loop: ControlLoop | ReconnectSupervisor) -> None:
-        """Begins anew with another arm and loop; what was counted stays."""
+        """Continues with another arm and loop; `missed` stays."""
         self._arm = arm
         self._loop = loop
         self.moving = False
@@ -42,14 +42,10 @@ class Controller:
         self._missed_in_a_row = 0
 
     def cycle(self, inputs: Inputs, now: float) -> Step:
-        """Returns the step that was taken.
-
-        Args:
-            inputs: what came from outside.
-            now: monotonic time [s].
+        """Returns the step of one cycle at the monotonic time `now` [s].
 
         Raises:
-            KstError: the connection is lost, or the robot's controller stays silent or answers nonsense.
+            KstError: the connection is lost, or too many answers in a row were missing or unusable.
         """
         self._watch_motion()
         refused, self._refused = self._refused, None
@@ -68,7 +64,7 @@ class Controller:
         return replace(step, events=step.events + remarks) if remarks else step
 
     def _miss(self, step: Step, error: KstError) -> None:
-        """Counts an answer that did not come or was none; raises it again where that is the end of the link."""
+        """Counts a missing or unusable answer; raises its error again if the link is given up."""
         self.missed += 1
         if isinstance(step.command, (StartPtp, StartServo)):
             self.moving = False

@@ -1,13 +1,13 @@
-"""What the robot's servo loop makes of a goal, and the goal that makes it go where it is wanted.
+"""The law of the robot's servo loop, and the goal that makes the arm go to the wanted joints.
 
 Every millisecond the loop gives the drives a destination: measured joint + f(goal - measured joint). The published
-server has f(e) = sign(e) a (1 - exp(-(e/b)^2)), here called LTS; a build of its has f(e) = e. Under the LTS law small
-distances are worked off ever more slowly. Whoever sends measured joint + f^-1(wanted step) makes the destination the
-wanted one. (Source: docs/handbook/wire-protocols.md, "Servo mode".)
+server has f(e) = sign(e) a (1 - exp(-(e/b)^2)), here called LTS; one build of it has f(e) = e. Under the LTS law small
+distances vanish ever more slowly. A goal of measured joint + f^-1(wanted step) makes the destination the wanted one.
+(Source: docs/handbook/wire-protocols.md, "Servo mode".)
 
-The joints that are known here are some milliseconds old while the loop uses those of the moment. They are carried on at
-the speed that the goal had a moment ago. What remains is of second order: near the goal f is flat, so an error in them
-is weakened.
+The measured joints here are some milliseconds old, while the loop uses the present ones. They are extrapolated at the
+speed that the goal had a moment ago. The remaining error is of second order: near the goal f is flat, which attenuates
+it.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ import numpy as np
 from common.poses import read_only
 
 REACH_RAD = 0.07
-"""a: the loop goes no further than this in one cycle [rad]."""
+"""a: the greatest step of the loop in one cycle [rad]."""
 
 WIDTH_RAD = 0.0525
-"""b: a distance of this size is taken to 63 % of the reach [rad]."""
+"""b: a distance of this size gives a step of 63 % of the reach [rad]."""
 
 STEP_RAD = 0.9 * REACH_RAD
-"""No further step is asked for, so that a goal is never more than 1.5 b away from the arm [rad]."""
+"""The greatest step that is requested, so that a goal is never more than 1.5 b away from the arm [rad]."""
 
 NOISE_RAD = 2e-5
-"""Below this distance the inverse is a straight line: its slope at zero is infinite, and noise would make it ring."""
+"""Below this step the inverse is linear: its slope at zero is infinite, and noise would make it oscillate [rad]."""
 
-CARRIED_S = 0.02
-"""Joints are carried on for no longer than this [s]."""
+EXTRAPOLATED_S = 0.02
+"""Joints are extrapolated by at most this [s]."""
 
 ARM_S = 0.03
-"""The arm is taken to have the speed that its goal had this long ago, on average [s]; for drives of 40 ms."""
+"""Mean delay between the speed of the goal and that of the arm [s]; for drives with a time constant of 40 ms."""
 
 
 def lts(error: np.ndarray) -> np.ndarray:
@@ -41,7 +41,7 @@ def lts(error: np.ndarray) -> np.ndarray:
 
 
 def lts_inverse(step: np.ndarray) -> np.ndarray:
-    """Returns the distance e [rad] of which the LTS law makes a step [rad].
+    """Returns the distance e [rad] for which the LTS law makes a step [rad].
 
     Steps beyond STEP_RAD count as STEP_RAD, those below NOISE_RAD give a proportional distance.
     """
@@ -51,7 +51,7 @@ def lts_inverse(step: np.ndarray) -> np.ndarray:
 
 
 class LtsGoals:
-    """Goals that a server with the LTS law takes for the wanted ones, from the start of servo mode.
+    """Goals with which a server of the LTS law reaches the wanted joints, from the start of servo mode on.
 
     Args:
         lower, upper: joint ranges, shape (7,) [rad], that no goal leaves.
@@ -75,7 +75,7 @@ class LtsGoals:
         """
         if measured is not self._measured:
             self._measured, self._age = measured, 0.0
-        self._age = min(self._age + max(dt, 0.0), CARRIED_S)
+        self._age = min(self._age + max(dt, 0.0), EXTRAPOLATED_S)
         self._speed = self._speed + (speed - self._speed) * min(max(dt, 0.0) / ARM_S, 1.0)
-        carried = measured + np.clip(self._age * self._speed, -STEP_RAD, STEP_RAD)
-        return read_only(np.clip(carried + lts_inverse(wanted - carried), self._lower, self._upper))
+        present = measured + np.clip(self._age * self._speed, -STEP_RAD, STEP_RAD)
+        return read_only(np.clip(present + lts_inverse(wanted - present), self._lower, self._upper))

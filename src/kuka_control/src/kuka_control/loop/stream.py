@@ -1,6 +1,6 @@
-"""The stream of desired tool frames: which one is new, which is refused, and how long none has come.
+"""The stream of desired tool frames: which frame is new, which is refused, and for how long none has come.
 
-Times are of two clocks: stamps and `clock` are ROS time; `now` is monotonic, so that a wall clock that is set does not
+Times are of two clocks: stamps and `clock` are ROS time; `now` is monotonic, so that setting the wall clock does not
 look like a time-out.
 """
 
@@ -14,58 +14,52 @@ MAX_SKEW_S = 0.5
 """How far a stamp may be from the clock [s]."""
 
 REFUSING_S = 0.5
-"""Frames count as refused until so long after the last one that was [s]."""
+"""Frames count as refused until this long after the last refused one [s]."""
 
 
 @dataclass(frozen=True)
 class StreamUpdate:
-    """What the stream made of the newest desired tool frame.
-
-    Attributes:
-        fresh: the frame, if it is new and good.
-        refused: a sentence, the first time that a frame is refused in a row; else None.
-    """
+    """The verdict on the newest desired tool frame."""
 
     fresh: DesiredFrame | None = None
+    """The frame, if it is new and accepted."""
     refused: str | None = None
+    """Why it is refused, a sentence, for the first refused frame in a row."""
 
 
 class DesiredStream:
     """Watches the newest desired tool frame."""
 
     def __init__(self) -> None:
-        self._seen: float | None = None
+        self._last_stamp: float | None = None
         self._last_good: float | None = None
         self._refusing = False
         self._refusal: tuple[str, float] | None = None
 
     def take(self, newest: DesiredFrame | None, clock: float, now: float) -> StreamUpdate:
-        """Looks at the newest frame: only one whose stamp differs from the one before is new.
+        """Checks the newest frame at the ROS time `clock` [s] and the monotonic time `now` [s].
 
-        Args:
-            newest: the newest frame there is, or None.
-            clock: ROS time [s].
-            now: monotonic time [s].
+        A frame is new if its stamp differs from that of the frame before.
         """
-        if newest is None or newest.stamp == self._seen:
+        if newest is None or newest.stamp == self._last_stamp:
             return StreamUpdate()
-        self._seen = newest.stamp
+        self._last_stamp = newest.stamp
         fault = _fault(newest, clock)
         if fault is None:
             self._refusing = False
             self._refusal = None
             self._last_good = now
             return StreamUpdate(newest)
-        said, self._refusing = self._refusing, True
+        reported, self._refusing = self._refusing, True
         self._refusal = (fault, now)
-        return StreamUpdate(refused=None if said else fault)
+        return StreamUpdate(refused=None if reported else fault)
 
     def refusal(self, now: float) -> str | None:
-        """Returns why the frames that come in are refused, a sentence; None if they are not, or none come."""
+        """Returns why incoming frames are refused, a sentence; None if they are accepted, or none come."""
         return self._refusal[0] if self._refusal and now - self._refusal[1] <= REFUSING_S else None
 
     def silent_for(self, now: float) -> float:
-        """Returns how long no new good frame has come [s]; infinite when none ever came."""
+        """Returns the time since the last accepted frame [s]; infinite before the first."""
         return float("inf") if self._last_good is None else now - self._last_good
 
 

@@ -1,4 +1,4 @@
-"""What a person switches by the services, and the sentences of the answers."""
+"""The switches that the operator sets by services, and the sentences of the replies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class SwitchState:
 
 @dataclass(frozen=True)
 class SwitchReply:
-    """Whether a request was carried out, and one sentence about it."""
+    """Whether a request was executed, and one sentence about it."""
 
     success: bool
     message: str
@@ -41,7 +41,7 @@ class Switches:
         return self._now
 
     def report(self, mode: Mode, stopped_because: str | None) -> None:
-        """Tells what the controller does, so that the answers can say it."""
+        """Takes the state of the controller, which the replies quote."""
         self._mode, self._stopped_because = mode, stopped_because
 
     def hold(self, why: str) -> None:
@@ -95,7 +95,7 @@ class Switches:
         return SwitchReply(True, f"The scaling factor is {scale:g}.")
 
     def request_exit(self) -> SwitchReply:
-        """Asks the controller to go to the zero position and to end."""
+        """Requests the motion to the zero position and the exit."""
         if self._now.exit_requested:
             return SwitchReply(True, "The controller is shutting down already.")
         self._now = replace(self._now, control_on=False, gripper_on=False, exit_requested=True)

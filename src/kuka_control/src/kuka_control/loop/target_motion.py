@@ -1,14 +1,14 @@
-"""The joint targets between and after the frames that bring them: where the target is now, and how fast it moves.
+"""Interpolates the joint targets between frames, and extrapolates the last one: position and speed at any time.
 
-Frames come at 74 or 115 Hz and unevenly, goals leave at 250 Hz. Between two frames the target goes on as it did
-before: its stamps say how fast. Goals then pass through the joints of each frame without lag, at any rate of frames.
+Frames come at 74 or 115 Hz and unevenly; goals leave at 250 Hz. After a frame the target continues at the speed that
+the stamps show. So goals pass through the joints of each frame without lag, at any frame rate.
 
-What keeps it from running on: the speed is the smaller one of that over the last frame and that over the last few, none
-where the two differ in sign, so that a hand that slows down or trembles is not carried on; and a frame is continued for
-little longer than frames are apart, then the target comes to rest by itself.
+Two rules limit the extrapolation. The speed is the smaller of that over the last frame and that over the last few, and
+zero where their signs differ, so that a hand that slows down or trembles is not extrapolated. And a frame is continued
+for little longer than the time between frames; then the target comes to rest.
 
-The clock of the stamps may be off, and frames are held up on their way. The frame that was held up least among the last
-ones tells the difference of the clocks; every other one is taken for as much older as it came later.
+The clock of the stamps may differ from ours, and frames are delayed in transit. The least delayed of the recent frames
+gives the difference of the clocks; every other frame counts as older by its additional delay.
 """
 
 from __future__ import annotations
@@ -22,39 +22,36 @@ from common.poses import read_only
 from kuka_control.limits.jump import LOST_S
 
 SHORT_S = 0.006
-"""Frames nearer in time than this do not tell a speed [s]."""
+"""Frames nearer in time than this give no speed [s]."""
 
 LONG_S = 0.024
-"""Time over which the second opinion about the speed is taken [s]."""
+"""Time of the second, longer average of the speed [s]."""
 
 CONTINUED_S = 0.03
-"""A frame is continued for one and a half times the time between frames, but never longer than this [s]."""
+"""A frame is continued for one and a half times the time between frames, but at most for this long [s]."""
 
 FADE_S = 0.02
 """Then the target slows down to rest in this time [s]."""
 
 COMPARED = 64
-"""So many frames are compared to find the one that was held up least."""
+"""Number of recent frames among which the least delayed one is sought."""
 
 
 @dataclass(frozen=True)
 class MovingTarget:
-    """A moving joint target.
-
-    Attributes:
-        q: joints, shape (7,) [rad].
-        v: their speeds, shape (7,) [rad/s].
-    """
+    """A moving joint target."""
 
     q: np.ndarray
+    """Joints, shape (7,) [rad]."""
     v: np.ndarray
+    """Their speeds, shape (7,) [rad/s]."""
 
 
 class TargetMotion:
     """Continues joint targets between frames.
 
     Args:
-        lower, upper: joint ranges, shape (7,) [rad], that no continuation leaves.
+        lower, upper: joint ranges, shape (7,) [rad], that no extrapolation leaves.
         q: joints at the start, shape (7,) [rad], where the target rests.
     """
 
@@ -93,7 +90,7 @@ class TargetMotion:
         self._frames.append((stamp, self._q))
 
     def hold(self) -> None:
-        """Lets the target rest at the joints of the last frame, as when no new ones can be reached."""
+        """Stops the target at the joints of the last frame, because the new frame cannot be reached."""
         self._v = np.zeros(7)
         self._frames.clear()
 
@@ -101,8 +98,8 @@ class TargetMotion:
         """Returns the target at the monotonic time `now` [s]."""
         age = max(now - self._since, 0.0)
         faded = min(max(age - self._horizon, 0.0), FADE_S)
-        way = min(age, self._horizon) + faded - faded * faded / (2.0 * FADE_S)
-        free = self._q + way * self._v
+        duration = min(age, self._horizon) + faded - faded * faded / (2.0 * FADE_S)
+        free = self._q + duration * self._v
         q = np.clip(free, self._lower, self._upper)
         return MovingTarget(read_only(q), read_only(np.where(q == free, (1.0 - faded / FADE_S) * self._v, 0.0)))
 

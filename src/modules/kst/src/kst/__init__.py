@@ -22,13 +22,13 @@ from kst.errors import (
     WrongMode,
 )
 from kst.limits import LBR_IIWA_LIMITS, JointLimits
-from kst.ptp import PtpLimits, PtpProgress, PtpState, PtpSupervisor
+from kst.ptp import PtpApproach, PtpLimits, PtpProgress, PtpState, PtpSupervisor
 from kst.ptp_client import read_joints, run_ptp
 from kst.session import KstTiming, LinkCounts
 
 __all__ = [
     "LBR_IIWA_LIMITS", "BadJoints", "BadVelocity", "ConnectionLost", "Feedback", "JointLimits", "KstClient",
-    "KstError", "KstMode", "KstTiming", "LinkCounts", "MotionRefused", "NoServer", "PtpFailed", "PtpLimits",
-    "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout", "ServerBusy", "ToolNotAttached", "ToolTransform",
-    "UnexpectedReply", "WrongMode", "read_joints", "run_ptp",
+    "KstError", "KstMode", "KstTiming", "LinkCounts", "MotionRefused", "NoServer", "PtpApproach", "PtpFailed",
+    "PtpLimits", "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout", "ServerBusy", "ToolNotAttached",
+    "ToolTransform", "UnexpectedReply", "WrongMode", "read_joints", "run_ptp",
 ]  # fmt: skip

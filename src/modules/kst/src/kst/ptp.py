@@ -15,7 +15,46 @@ import numpy as np
 from kst.poses import read_only
 
 MOVED_RAD = math.radians(0.02)
-"""A smaller change of the joints is not a motion [rad]."""
+"""A smaller approach to the goal is not a motion [rad]."""
+
+
+class PtpApproach:
+    """Whether the joints come nearer to the goal of a motion; its first reading is the start.
+
+    Args:
+        goal: joints after the motion, shape (7,) [rad].
+
+    Attributes:
+        left: absolute distance of each joint to the goal, shape (7,) [rad].
+        still: time since the arm came nearer last [s].
+        samples: readings since then; the same array again is no new reading.
+        begun: whether the arm has come nearer since the start.
+    """
+
+    def __init__(self, goal: np.ndarray) -> None:
+        self._goal = read_only(goal)
+        self._last: np.ndarray | None = None
+        self._nearest = math.inf
+        self._since = 0.0
+        self.left = np.full(7, math.inf)
+        self.still = 0.0
+        self.samples = 0
+        self.begun = False
+
+    @property
+    def remaining(self) -> float:
+        """The largest distance of a joint to the goal [rad]."""
+        return float(np.max(self.left))
+
+    def observe(self, q: np.ndarray, now: float) -> None:
+        """Takes the measured joints, shape (7,) [rad], at the monotonic time `now` [s]."""
+        self.left = np.abs(self._goal - q)
+        if self.remaining < self._nearest - MOVED_RAD:
+            self.begun = self._last is not None
+            self._nearest, self._since, self.samples = self.remaining, now, 0
+        self.samples += q is not self._last
+        self._last = q
+        self.still = now - self._since
 
 
 @dataclass(frozen=True)
@@ -50,7 +89,7 @@ class PtpProgress:
     fraction: float  # of the largest joint step that is done, 0 to 1
     joint: int  # the joint with the largest remaining step, 1 to 7
     remaining: float  # that step, absolute [rad]
-    still: float  # time since the arm moved last [s]
+    still: float  # time since the arm came nearer to its goal [s]
     stall_began: bool = False  # whether the arm is stalled since this reading
 
 
@@ -64,9 +103,9 @@ class PtpSupervisor:
     limits: PtpLimits = field(default_factory=PtpLimits)  # its bounds
 
     def __post_init__(self) -> None:
-        self._last, self._goal = read_only(self.start), read_only(self.goal)
-        self._step = float(np.max(np.abs(self._goal - self._last)))
-        self._moved_at = self.started
+        self._approach = PtpApproach(self.goal)
+        self._approach.observe(self.start, self.started)
+        self._step = self._approach.remaining
         self._stalled = False
         self._missed = 0
 
@@ -80,11 +119,9 @@ class PtpSupervisor:
             interrupted: the user wants to wait no longer; the arm continues to its goal.
         """
         self._missed = 0
-        if np.max(np.abs(q - self._last)) > MOVED_RAD:
-            self._last, self._moved_at = read_only(q), now
-        left = np.abs(self._goal - q)
-        joint, still = int(np.argmax(left)), now - self._moved_at
-        remaining = float(left[joint])
+        approach = self._approach
+        approach.observe(q, now)
+        joint, remaining, still = int(np.argmax(approach.left)), approach.remaining, approach.still
         fraction = 1.0 - remaining / self._step if self._step > 0.0 else 1.0
         state = self._state(remaining, still, now, arrived, interrupted)
         stalled = state is PtpState.STALLED
