@@ -1,16 +1,15 @@
 """The home position: the tool in the workspace centre, its z axis down, upper arm and forearm in one upright plane.
 
 Joint 3 is zero: shoulder, elbow and wrist lie in a plane through the base's z axis, the elbow above the line between
-the others. For a center_line with x >= 0 joint 1 turns that plane towards it and the tool's x axis points back to the
-base; else joint 1 turns the opposite direction there, the arm leans over backwards (the signs of joints 2, 4, 6
-change), and the tool's x axis points along center_line. So joint 1 turns no further than a quarter. With a tool whose
-attitude fits into the plane, such as a mere length, joints 5 and 7 are zero too; else they turn as little as they can.
+the others. For a center_line with x >= 0, joint 1 turns that plane towards it and the tool's x axis points back to the
+base. Otherwise joint 1 turns the plane the opposite way, the arm leans over backwards (joints 2, 4 and 6 change sign),
+and the tool's x axis points along center_line. So joint 1 never turns by more than 90 deg. If the orientation of the
+tool fits into the plane, as for a plain length, joints 5 and 7 are zero too; otherwise they turn as little as possible.
 
-Where the arm does not stand upright, down is the world's (see common.mounting) and the plane contains the base's z
-axis, which the elbow is up along. Base frame, metres, radians.
+If the arm is not mounted upright, "down" is that of the world (see common.mounting); the plane contains the base's z
+axis, and the elbow is up along that axis. Base frame, metres, radians.
 
-All this is of an arm as in its data sheet. A calibrated one has its tool exactly there too, and joints that differ by
-its deviations.
+This holds for an arm as in its data sheet. A calibrated arm has the same tool pose, but other joints.
 """
 
 from __future__ import annotations
@@ -29,31 +28,25 @@ from iiwa_kinematics.robot_model import RobotModel
 from kuka_control.model.workspace import Infeasible, Workspace
 
 ROUNDING_RAD = 1e-12
-"""A joint nearer to zero than this is at zero."""
+"""A joint closer to zero than this counts as zero."""
 
 UPRIGHT_COSINE = 1.0 - 1e-6
-"""Above this cosine of the angle between the base's z axis and the vertical an arm counts as upright."""
+"""An arm counts as upright if the cosine of the angle between its z axis and the vertical exceeds this."""
 
 
 class HomeError(RigError):
-    """There is no home position with these settings."""
+    """These settings have no home position."""
 
 
 @dataclass(frozen=True, eq=False)
 class Home:
-    """Where the arm waits.
-
-    Attributes:
-        q: joints, shape (7,) [rad].
-        T_base_tool: pose of the tool, shape (4, 4) [m].
-        T_base_flange: pose of the flange, shape (4, 4) [m].
-        centre: workspace centre, about which motions are scaled, shape (3,) [m].
-    """
+    """The home position: joints, shape (7,) [rad], and poses of tool and flange, shape (4, 4) [m]."""
 
     q: np.ndarray
     T_base_tool: np.ndarray
     T_base_flange: np.ndarray
     centre: np.ndarray
+    """Workspace centre, about which motions are scaled, shape (3,) [m]."""
 
 
 def home_pose(kinematics: Kinematics, workspace: Workspace, mounting: MountingFrame | None = None) -> Home:
@@ -139,18 +132,18 @@ def _home(kinematics: Kinematics, q: np.ndarray, centre: np.ndarray | None) -> H
 
 
 def _wrist_joints(model: RobotModel, R_forearm_flange: np.ndarray) -> tuple[float, float, float]:
-    """Returns joints 5, 6, 7 [rad] that turn the flange so; of the two ways the one in range, then the lesser."""
+    """Returns joints 5, 6, 7 [rad] for this rotation: of the two solutions the one in range, then the smaller one."""
     R = R_forearm_flange
     across = math.hypot(R[0, 2], R[1, 2])
     if across < ROUNDING_RAD:  # the flange points along the forearm: joints 5 and 7 turn about one line
         return 0.0, math.atan2(across, R[2, 2]), math.atan2(R[1, 0], R[0, 0]) if R[2, 2] > 0.0 else 0.0
-    ways = []
+    solutions = []
     for sign in (1.0, -1.0):
         q5 = math.atan2(sign * R[1, 2], sign * R[0, 2])
         q7 = math.atan2(sign * R[2, 1], -sign * R[2, 0])
         q = (q5, math.atan2(sign * across, R[2, 2]), q7)
-        ways.append((bool(np.any(np.abs(q) > model.upper[4:])), q5 * q5 + q7 * q7, q))
-    return min(ways)[2]
+        solutions.append((bool(np.any(np.abs(q) > model.upper[4:])), q5 * q5 + q7 * q7, q))
+    return min(solutions)[2]
 
 
 def _out_of_range(model: RobotModel, q: np.ndarray) -> str:
@@ -168,7 +161,7 @@ def _tool(T_flange_tool: np.ndarray) -> str:
 
 
 def _cause(up: float, T_flange_tool: np.ndarray, mounting: MountingFrame) -> str:
-    """Returns what is probably wrong, as a part of a sentence; `up` is the height of wrist over shoulder [m]."""
+    """Returns the probable cause, as a part of a sentence; `up` is the height of the wrist above the shoulder [m]."""
     if mounting.up[2] < UPRIGHT_COSINE:
         return (
             "an arm that is not mounted upright needs a workspace of its own: on a ceiling far from the base, "

@@ -1,8 +1,8 @@
 """The workspace of the tool: a segment of a hollow sphere around the origin of joint 2, cut by planes.
 
-A desired position is constrained in a fixed order: side planes, heights, spheres; the result says which bounds acted.
-Behind the base, and below its foot, there is no constraining: such a position is infeasible. Positions are written in
-the base frame [m]; rotations are not looked at.
+A desired position is constrained in a fixed order: side planes, heights, spheres; the result lists the active bounds.
+A position behind the base or below its foot is not constrained: it is infeasible. Positions are in the base frame [m];
+rotations play no role.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from common.errors import ConfigError
 from common.poses import read_only
 
 ON_BOUND = 1e-12
-"""What lies beyond a bound by no more than this counts as on it [m]; so constraining twice changes nothing."""
+"""A position beyond a bound by at most this counts as on it [m]; so constraining twice changes nothing."""
 
 
 class Bound(str, Enum):
-    """What cuts the workspace off."""
+    """The bounds of the workspace."""
 
     OPENING_ANGLE = "opening angle"
     Z_LOWER = "lower z limit"
@@ -43,20 +43,17 @@ class Infeasibility(str, Enum):
 
 @dataclass(frozen=True)
 class Constrained:
-    """A position within the workspace.
-
-    Attributes:
-        position: shape (3,) [m]; the desired one itself if no bound acted.
-        bounds: the bounds that acted, in the order in which they did.
-    """
+    """A position within the workspace."""
 
     position: np.ndarray
+    """Shape (3,) [m]; the desired position itself if no bound was active."""
     bounds: tuple[Bound, ...]
+    """The active bounds, in the order of their application."""
 
 
 @dataclass(frozen=True)
 class Infeasible:
-    """A position that the arm must not be sent towards."""
+    """A position towards which the arm must not move."""
 
     position: np.ndarray
     reason: Infeasibility
@@ -75,9 +72,9 @@ def workspace_faults(
     outer_sphere: float | None,
     joint_2_height: float | None,
 ) -> list[str]:
-    """Returns why no workspace can be made of these settings, one sentence each; arguments as in `Workspace`.
+    """Returns the faults of these settings, one sentence each; arguments as in `Workspace`.
 
-    What is None is not known; the others are judged all the same.
+    None means unknown; the other settings are still checked.
     """
     faults = []
     if center_line is not None:
@@ -123,7 +120,7 @@ def _direction_faults(center_line: np.ndarray) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """The settings of a workspace, and what they do to a position.
+    """The settings of a workspace; constrains positions to it.
 
     Args:
         center_line: horizontal direction from the base axis to the middle, shape (3,); its length does not matter.
@@ -135,7 +132,7 @@ class Workspace:
         joint_2_height: height of the origin of joint 2 (RobotModel.base_shoulder) [m].
 
     Raises:
-        ConfigError: no workspace has these settings; every fault is named.
+        ConfigError: the settings describe no workspace; it lists every fault.
     """
 
     center_line: np.ndarray
@@ -183,7 +180,7 @@ class Workspace:
         return isinstance(result, Constrained) and not result.bounds
 
     def rooms(self, position: np.ndarray) -> tuple[float, ...]:
-        """Returns how far it is to each bound [m], negative beyond it: two side planes, two z limits, two spheres.
+        """Returns the distance to each bound [m], negative beyond it: two side planes, two z limits, two spheres.
 
         Args:
             position: shape (3,) [m].
@@ -195,7 +192,7 @@ class Workspace:
         return (*sides, z - self.z_lower, self.z_upper - z, r - self.inner_sphere, self.outer_sphere - r)
 
     def outward(self, position: np.ndarray) -> np.ndarray:
-        """Returns the unit vectors that lead out of the workspace across each bound of `rooms`, shape (6, 3).
+        """Returns the outward unit normals of the bounds, in the order of `rooms`, shape (6, 3).
 
         Args:
             position: shape (3,) [m], not the origin of joint 2.
@@ -210,7 +207,7 @@ class Workspace:
         return tuple((math.cos(turn), math.sin(turn), 0.0) for turn in turns)
 
     def constrain(self, position: np.ndarray) -> Constrained | Infeasible:
-        """Returns the position itself, the one that the bounds leave of it, or that it is infeasible.
+        """Returns the position constrained to the workspace, or that it is infeasible.
 
         Args:
             position: shape (3,) [m].
@@ -252,7 +249,7 @@ class Workspace:
 
 
 def boundary_lines(workspace: Workspace, heights: int = 5, headings: int = 5, points: int = 33) -> list[np.ndarray]:
-    """Returns polylines on the border of the workspace, each of shape (n, 3) [m], to be drawn.
+    """Returns polylines on the border of the workspace for drawing, each of shape (n, 3) [m].
 
     Args:
         workspace: the workspace.

@@ -35,13 +35,13 @@ from kuka_control.ros.tool_check_service import ToolCheckService
 from kuka_control.ros.workspace_markers import publish_workspace
 
 PARAMETERS_S = 15.0
-"""How long some of the parameters may be there before the others, such as those for leap_kuka alone [s]."""
+"""If only some parameters are set, such as those for leap_kuka alone, wait this long for the others [s]."""
 
 RETRY_POLL_S = 0.05
-"""How often the switches are looked at while the robot is out of reach [s]."""
+"""Polling interval of the switches while the robot is out of reach [s]."""
 
 SWITCH_INTERVAL_S = 5e-4
-"""How long the control loop waits at most for another thread of this process [s]."""
+"""The control loop waits at most this long for another thread of this process [s]."""
 
 
 def real_time_main() -> None:

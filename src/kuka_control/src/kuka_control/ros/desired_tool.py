@@ -1,4 +1,4 @@
-"""The one input of a controller: the tf transform to the desired tool frame, from anybody and through any chain."""
+"""The only input of a controller: the tf transform to the desired tool frame, from any node, through any chain."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class DesiredTool(tf2_ros.TransformListener):
         super().__init__(tf2_ros.Buffer(debug=False), tcp_nodelay=True)
 
     def callback(self, data) -> None:
-        """Takes tf messages in; numbers that are none are refused here."""
+        """Receives tf messages; drops transforms that are not finite."""
         self._leave_out_conflicts(data)
         good = [t for t in data.transforms if _finite(t.transform)]
         if len(good) < len(data.transforms):
@@ -69,7 +69,7 @@ class DesiredTool(tf2_ros.TransformListener):
         ]
 
     def _look(self) -> bool:
-        """Looks the frame up; returns whether it is another one than before."""
+        """Looks the frame up; returns whether it is new."""
         conflict = self._sources.conflict(TOOL_DESIRED, time.monotonic())
         if conflict is not None:
             if conflict is self._conflict:
@@ -94,7 +94,7 @@ class DesiredTool(tf2_ros.TransformListener):
 
 
 def _name(frame: str) -> str:
-    """Returns the name of a frame as tf2 has it, without the slash that old nodes put before it."""
+    """Returns the tf2 name of a frame, without the leading slash of old nodes."""
     return frame.lstrip("/")
 
 

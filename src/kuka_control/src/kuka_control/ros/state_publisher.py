@@ -1,5 +1,5 @@
-"""Publishes the state of the arm and of its controller from a thread of its own, so that a slow subscriber never holds
-the stream of servo goals up."""
+"""Publishes the state of the arm and its controller from a separate thread, so that a slow subscriber never delays the
+stream of servo goals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ JOINT_NAMES = [f"kuka/joint_{i}" for i in range(1, 8)]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What there is to publish after a cycle of the control loop."""
+    """The state after a cycle of the control loop, for publication."""
 
     arm: ArmState
     step: Step
@@ -41,10 +41,7 @@ class Snapshot:
 
 
 class StatePublisher:
-    """Publishes kuka/joint_positions at each reading, all else from the newest snapshot at the configured rates.
-
-    `show` hands a snapshot over and returns at once.
-    """
+    """Publishes kuka/joint_positions at each reading, and everything else at the configured rates."""
 
     def __init__(self, rig: Rig, rate_joints: float, rate_state: float) -> None:
         self._rig = rig
@@ -52,7 +49,7 @@ class StatePublisher:
         self._state_period = 1.0 / rate_state
         self._newest: Snapshot | None = None
         self._read = threading.Event()
-        self._told: np.ndarray | None = None
+        self._published_joints: np.ndarray | None = None
         self._published = ArmState()
         self._target = None
         self._mode = None
@@ -73,7 +70,7 @@ class StatePublisher:
         self._thread = threading.Thread(target=self._loop, name="state", daemon=True)
 
     def start(self) -> None:
-        """Publishes the home frames once and begins to publish snapshots."""
+        """Publishes the home frames once and starts the publishing thread."""
         home, now = self._rig.home, rospy.Time.now()
         self._static.sendTransform(
             [
@@ -84,7 +81,7 @@ class StatePublisher:
         self._thread.start()
 
     def show(self, snapshot: Snapshot) -> None:
-        """Hands the newest snapshot over; a new mode is published at once."""
+        """Passes the newest snapshot to the thread and returns immediately; publishes a new mode itself."""
         before, self._newest = self._newest, snapshot
         if (before is None or snapshot.arm.joints is not before.arm.joints) and self._joints.get_num_connections():
             self._read.set()
@@ -93,7 +90,7 @@ class StatePublisher:
             self._modes.publish(self._mode.value)
 
     def stop(self) -> None:
-        """Publishes the last state and ends."""
+        """Publishes the last state and stops the thread."""
         self._stop.set()
         self._read.set()
         if self._thread.is_alive():
@@ -103,7 +100,7 @@ class StatePublisher:
         try:
             self._publish()
         except rospy.ROSException:
-            if not rospy.core.is_shutdown_requested():  # then the topics close under this thread
+            if not rospy.core.is_shutdown_requested():  # during a shutdown the topics close while this thread runs
                 raise
 
     def _publish(self) -> None:
@@ -125,23 +122,23 @@ class StatePublisher:
             self._publish_state(self._newest)
 
     def _publish_positions(self, joints: np.ndarray) -> None:
-        if joints is not self._told:
-            self._told = joints
+        if joints is not self._published_joints:
+            self._published_joints = joints
             self._joints.publish(_joints_message(jointPositions, joints, rospy.Time.now()))
 
     def _publish_readings(self, snapshot: Snapshot) -> None:
-        """Joints, frames, torques and forces, each only if it was read anew."""
+        """Publishes joints, frames, torques and forces, each only after a new reading."""
         arm, now, transforms = snapshot.arm, rospy.Time.now(), []
-        # The robot's controller cannot always tell the pose, and it knows of no calibration.
-        reckoned = arm.T_base_tool is None or self._rig.kinematics.calibrated
+        # The robot's controller cannot always report the pose, and it does not know the calibration.
+        calculated = arm.T_base_tool is None or self._rig.kinematics.calibrated
         if arm.joints is not self._published.joints:
             message = JointState(name=JOINT_NAMES, position=arm.joints.tolist())
             message.header.stamp = now
             self._joint_states.publish(message)
-            if reckoned:
+            if calculated:
                 T_base_tool = self._rig.kinematics.forward(arm.joints)
                 transforms.append(stamped_transform(self._rig.T_base_flange(T_base_tool), BASE, FLANGE_MEASURED, now))
-        if arm.T_base_tool is not self._published.T_base_tool and not reckoned:
+        if arm.T_base_tool is not self._published.T_base_tool and not calculated:
             T_base_flange = self._rig.T_base_flange(arm.T_base_tool)
             transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
         target = snapshot.step.target
@@ -156,7 +153,7 @@ class StatePublisher:
         ):
             if new is not None and new is not old:
                 publisher.publish(_joints_message(kind, new, now))
-        R_flange_tool = self._rig.T_flange_tool[:3, :3]  # the toolbox tells both in the tool's axes
+        R_flange_tool = self._rig.T_flange_tool[:3, :3]  # the toolbox reports both in the tool's axes
         for publisher, new, old in (
             (self._force, arm.force, self._published.force),
             (self._torque, arm.moment, self._published.moment),
