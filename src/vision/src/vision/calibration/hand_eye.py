@@ -43,17 +43,11 @@ class DegenerateViews(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationView:
-    """The arm at one pose, and the marker board in the camera there.
+    """The arm at one pose, and the marker board in the camera there."""
 
-    Attributes:
-        T_base_flange: measured by the arm, shape (4, 4) [m].
-        T_camera_board: measured by the camera, shape (4, 4) [m].
-        covariance: of small changes of T_camera_board, errors of the arm included, shape (6, 6).
-    """
-
-    T_base_flange: np.ndarray
-    T_camera_board: np.ndarray
-    covariance: np.ndarray
+    T_base_flange: np.ndarray  # measured by the arm, shape (4, 4) [m]
+    T_camera_board: np.ndarray  # measured by the camera, shape (4, 4) [m]
+    covariance: np.ndarray  # of small changes of T_camera_board, errors of the arm included, shape (6, 6)
 
 
 @dataclass(frozen=True, eq=False)

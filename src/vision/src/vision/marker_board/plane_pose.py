@@ -42,23 +42,14 @@ class PoseEstimate:
 
 @dataclass(frozen=True, eq=False)
 class RgbdPose:
-    """The marker board in a pair of images.
+    """The marker board in a pair of images."""
 
-    Attributes:
-        colour: pose by the corners alone; its covariance includes the camera's own errors.
-        plane: pose with tilt and range by depth, or None.
-        fused: pose by both, or None.
-        fit: the plane in the depth camera's frame.
-        disagreement: range by colour minus range by depth [m]; nan without a plane.
-        reason: why there is no fused pose, without a full stop; empty if there is one.
-    """
-
-    colour: PoseEstimate
-    plane: PoseEstimate | None
-    fused: PoseEstimate | None
-    fit: PlaneFit
-    disagreement: float
-    reason: str
+    colour: PoseEstimate  # pose by the corners alone; its covariance includes the camera's own errors
+    plane: PoseEstimate | None  # pose with tilt and range by depth, or None
+    fused: PoseEstimate | None  # pose by both, or None
+    fit: PlaneFit  # the plane in the depth camera's frame
+    disagreement: float  # range by colour minus range by depth [m]; nan without a plane
+    reason: str  # why there is no fused pose, without a full stop; empty if there is one
 
 
 def rgbd_pose(

@@ -41,17 +41,11 @@ class PoseErrors:
 
 @dataclass(frozen=True)
 class PoseTrial:
-    """One pair of images.
+    """One pair of images."""
 
-    Attributes:
-        distance: of the marker board [m].
-        tilt: between its normal and the line of sight [deg].
-        errors: by method; a method without a pose is missing.
-    """
-
-    distance: float
-    tilt: float
-    errors: dict[str, PoseErrors]
+    distance: float  # of the marker board [m]
+    tilt: float  # between its normal and the line of sight [deg]
+    errors: dict[str, PoseErrors]  # by method; a method without a pose is missing
 
 
 def trial(distance: float, tilt: float, T_truth: np.ndarray, poses: RgbdPose | None) -> PoseTrial:
