@@ -29,15 +29,10 @@ FLAT_M = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """A pose and its uncertainty.
+    """A pose and its uncertainty."""
 
-    Attributes:
-        T_camera_board: shape (4, 4) [m].
-        covariance: of x, y, z and of small rotations about the camera's axes, shape (6, 6) [m^2, m rad, rad^2].
-    """
-
-    T_camera_board: np.ndarray
-    covariance: np.ndarray
+    T_camera_board: np.ndarray  # shape (4, 4) [m]
+    covariance: np.ndarray  # of x, y, z and rotations about the camera's axes, shape (6, 6) [m^2, m rad, rad^2]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,19 +24,12 @@ CSV_HEAD = (
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors of one pose.
+    """Errors of one pose."""
 
-    Attributes:
-        position: of the centre [mm].
-        rotation: of the orientation [deg].
-        reach: of a point REACH_M away [mm].
-        square: squared error, normalised by its covariance and its 6 degrees of freedom; 1 on average if that is right.
-    """
-
-    position: float
-    rotation: float
-    reach: float
-    square: float
+    position: float  # of the centre [mm]
+    rotation: float  # of the orientation [deg]
+    reach: float  # of a point REACH_M away [mm]
+    square: float  # squared error over covariance and 6 degrees of freedom; about 1 if these are right
 
 
 @dataclass(frozen=True)
