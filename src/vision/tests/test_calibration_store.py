@@ -10,6 +10,7 @@ import pytest
 import yaml
 from hand_eye_scene import SD, scene
 
+from common.config import parse
 from common.errors import ConfigError, DeviceError
 from common.poses import pose
 from vision.calibration.hand_eye import CalibrationView
@@ -68,14 +69,22 @@ def test_a_full_disk_leaves_no_file_and_the_old_one_whole(store, record, monkeyp
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(DeviceError, match="No space left"):
+    with pytest.raises(DeviceError, match="space"):
         store.save(replace(record, date="2026-02-01T08:00:00"))
     assert [file.name for file in store.folder.iterdir()] == [good.name]
     assert yaml.safe_load(good.read_text())["date"] == record.date
 
 
+def test_a_relative_folder_is_refused():
+    """A node's working folder is not the user's."""
+    from vision.ros.calibration.store import StoreConfig
+
+    with pytest.raises(ConfigError, match="folder"):
+        parse(StoreConfig, {"folder": "calibrations", "camera": "1", "robot": "LBR7R800", "flange": "MF_elektrisch"})
+
+
 def test_a_folder_that_cannot_be_made(store, record, tmp_path):
     (tmp_path / "new").write_text("a file in the way")
-    with pytest.raises(DeviceError, match="Cannot write"):
+    with pytest.raises(DeviceError, match="folder"):
         store.save(record)
     assert store.newest() is None

@@ -8,6 +8,7 @@ import yaml
 
 from common.camera_model import from_calibration
 from common.config import parse
+from common.errors import ConfigError
 from vision.camera.frames import CameraFramesConfig, camera_frames
 from vision.camera.stream_watch import WatchConfig
 
@@ -50,6 +51,11 @@ def test_optical_frames_look_ahead_with_y_down():
         assert parent == f"camera_{name}_optical_frame"
         np.testing.assert_array_equal(T, np.eye(4))
     assert frames["camera_rgb_frame"][0] == frames["camera_depth_frame"][0] == "camera_link"
+
+
+def test_a_position_needs_three_numbers():
+    with pytest.raises(ConfigError, match="depth"):
+        parse(CameraFramesConfig, {**load("camera_frames.yaml"), "depth": [0.0, 0.0]})
 
 
 def test_beside_a_driver_with_frames_of_its_own_only_our_names_are_added():

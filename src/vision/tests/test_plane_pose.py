@@ -191,7 +191,7 @@ def test_the_majority_makes_the_plane(share, seed):
 
 def test_broken_contracts_are_named():
     T = board_pose(1.0, 20.0)
-    with pytest.raises(ValueError, match="depth image"):
+    with pytest.raises(ValueError, match="depth"):
         see(T, image=np.ones((10, 10), np.float32))
     bent = POINTS + np.linspace(0.0, 0.01, len(POINTS))[:, None] * [0.0, 0.0, 1.0]
     with pytest.raises(ValueError, match="tags.yaml"):
@@ -199,5 +199,5 @@ def test_broken_contracts_are_named():
 
 
 def test_the_file_fits_its_schema_and_bad_values_are_named():
-    with pytest.raises(ConfigError, match="min_inliers is 0.5"):
+    with pytest.raises(ConfigError, match="min_inliers"):
         parse(PlanePoseConfig, {**load("plane_pose.yaml"), "min_inliers": 0.5})

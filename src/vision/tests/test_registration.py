@@ -101,9 +101,9 @@ def test_nothing_and_nonsense_register_to_nothing():
 
 
 def test_images_of_another_size_are_named():
-    with pytest.raises(ValueError, match="depth image is"):
+    with pytest.raises(ValueError, match="depth"):
         REGISTRATION.register(np.ones((240, 320), np.float32))
-    with pytest.raises(ValueError, match="colour image is"):
+    with pytest.raises(ValueError, match="colour"):
         REGISTRATION.rectify(np.ones((240, 320, 3), np.uint8))
 
 

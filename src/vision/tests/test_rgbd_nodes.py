@@ -168,7 +168,6 @@ def test_what_does_not_belong_together_is_waited_for(ros, camera, start, wait_un
     [
         ({"panel/frame": "box"}, ("the marker board box",)),
         ({"plane_pose/noise": 0.0, "plane_pose/nose": 1.0}, ("~plane_pose/noise is 0", "~plane_pose/nose")),
-        ({"detector/tag_family": "tag99"}, ("~detector/tag_family",)),
         ({"slop": -1.0, "slip": 1.0}, ("~slop is -1", "~slip")),
     ],
 )

@@ -30,19 +30,12 @@ class TargetDetection:
 
 @dataclass(frozen=True)
 class DetectionResult:
-    """All detections in an image.
+    """All detections in an image."""
 
-    Attributes:
-        targets: the targets with their poses.
-        tags: every decoded tag, including those that belong to no target.
-        unknown: ids of the tags that belong to no target.
-        failed: one sentence for each target whose corners fit no pose.
-    """
-
-    targets: tuple[TargetDetection, ...]
-    tags: tuple[TagDetection, ...]
-    unknown: tuple[int, ...]
-    failed: tuple[str, ...]
+    targets: tuple[TargetDetection, ...]  # the targets with their poses
+    tags: tuple[TagDetection, ...]  # every decoded tag, including those that belong to no target
+    unknown: tuple[int, ...]  # ids of the tags that belong to no target
+    failed: tuple[str, ...]  # one sentence for each target whose corners fit no pose
 
 
 class TagDetector:

@@ -24,19 +24,12 @@ SUBPIXEL_BITS = 4
 
 @dataclass(frozen=True, eq=False)
 class TagDetection:
-    """A tag in an image.
+    """A tag in an image."""
 
-    Attributes:
-        id: number in the family.
-        corners: corners of the black square, shape (4, 2) [px].
-        hamming: number of corrected bits.
-        margin: decision margin between black and white [grey levels].
-    """
-
-    id: int
-    corners: np.ndarray
-    hamming: int
-    margin: float
+    id: int  # number in the family
+    corners: np.ndarray  # corners of the black square, shape (4, 2) [px]
+    hamming: int  # number of corrected bits
+    margin: float  # decision margin between black and white [grey levels]
 
 
 class TagFinder:

@@ -130,25 +130,15 @@ class PhotometricRefiner:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A pose with its rendering, compared to the image at the best brightness and contrast for each tag.
+    """A pose with its rendering, compared to the image at the best brightness and contrast for each tag."""
 
-    Attributes:
-        T: pose, shape (4, 4) [m].
-        blur: [px].
-        differences: image minus rendering, shape (n,) [grey levels].
-        J: derivatives of the rendering by pose and blur, shape (n, 7).
-        gains: white minus black of each tag [grey levels].
-        rms: rms difference of each tag [grey levels].
-        settled: whether the last step of the search was small.
-    """
-
-    T: np.ndarray
-    blur: float
-    differences: np.ndarray
-    J: np.ndarray
-    gains: tuple[float, ...]
-    rms: tuple[float, ...]
-    settled: bool = False
+    T: np.ndarray  # pose, shape (4, 4) [m]
+    blur: float  # [px]
+    differences: np.ndarray  # image minus rendering, shape (n,) [grey levels]
+    J: np.ndarray  # derivatives of the rendering by pose and blur, shape (n, 7)
+    gains: tuple[float, ...]  # white minus black of each tag [grey levels]
+    rms: tuple[float, ...]  # rms difference of each tag [grey levels]
+    settled: bool = False  # whether the last step of the search was small
 
     @property
     def square(self) -> float:

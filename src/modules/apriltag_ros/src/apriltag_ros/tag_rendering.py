@@ -51,27 +51,16 @@ class TagPattern:
 
 @dataclass(frozen=True, eq=False)
 class TagView:
-    """The part of the image round one tag.
+    """The part of the image round one tag."""
 
-    Attributes:
-        T_target_tag: pose of the tag, shape (4, 4) [m].
-        bitmap: the pattern, shape (b, b).
-        A: matrix from x, y, 1 in the tag's plane to the bitmap's pixels, shape (3, 3).
-        rays: directions x, y of the samples, shape (SUB h, SUB w, 2).
-        compared: mask of the n compared pixels, shape (h, w), bool.
-        grey: their grey values, shape (n,).
-        directions: their rays x, y, 1, shape (n, 3).
-        to_pixels: derivative of the pixel by the direction, shape (n, 2, 2).
-    """
-
-    T_target_tag: np.ndarray
-    bitmap: np.ndarray
-    A: np.ndarray
-    rays: np.ndarray
-    compared: np.ndarray
-    grey: np.ndarray
-    directions: np.ndarray
-    to_pixels: np.ndarray
+    T_target_tag: np.ndarray  # pose of the tag, shape (4, 4) [m]
+    bitmap: np.ndarray  # the pattern, shape (b, b)
+    A: np.ndarray  # matrix from x, y, 1 in the tag's plane to the bitmap's pixels, shape (3, 3)
+    rays: np.ndarray  # directions x, y of the samples, shape (SUB h, SUB w, 2)
+    compared: np.ndarray  # mask of the n compared pixels, shape (h, w), bool
+    grey: np.ndarray  # their grey values, shape (n,)
+    directions: np.ndarray  # their rays x, y, 1, shape (n, 3)
+    to_pixels: np.ndarray  # derivative of the pixel by the direction, shape (n, 2, 2)
 
     @staticmethod
     def of(pattern: TagPattern, grey: np.ndarray, camera: CameraModel, T_start: np.ndarray) -> TagView | None:

@@ -18,17 +18,11 @@ CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, 
 
 @dataclass(frozen=True, eq=False)
 class TargetTag:
-    """A tag of a target.
+    """A tag of a target."""
 
-    Attributes:
-        id: number in the family.
-        size: edge of the black square [m].
-        T_target_tag: pose of the tag, shape (4, 4) [m].
-    """
-
-    id: int
-    size: float
-    T_target_tag: np.ndarray = field(default_factory=lambda: read_only(np.eye(4)))
+    id: int  # number in the family
+    size: float  # edge of the black square [m]
+    T_target_tag: np.ndarray = field(default_factory=lambda: read_only(np.eye(4)))  # pose of the tag, shape (4, 4) [m]
 
     @property
     def corners(self) -> np.ndarray:

@@ -72,28 +72,16 @@ class ViewRejected(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """A calibration and whether it is good enough.
+    """A calibration and whether it is good enough."""
 
-    Attributes:
-        result: the calibration.
-        failed: for each failed check the key of its limit in the configuration ("dependence": the result depends on a
-            single view) and a sentence.
-        rms: rms errors of the consistent views [mm, deg], shape (2,).
-        predicted: distance of each view from the prediction of the others [mm, deg], shape (n, 2); nan if unknown.
-        point_sd_mm: standard deviation of a point in the middle of the board positions [mm].
-        size: factor by which everything appears too large, as with tags of a wrong size.
-        depth: factor by which the marker board appears too far away, as with a wrong focal length.
-        board: distance of the marker board from its drawing [mm, deg], shape (2,).
-    """
-
-    result: HandEyeSolution
-    failed: dict[str, str]
-    rms: np.ndarray
-    predicted: np.ndarray
-    point_sd_mm: float
-    size: float
-    depth: float
-    board: np.ndarray
+    result: HandEyeSolution  # the calibration
+    failed: dict[str, str]  # sentence of each failed check, by its limit or "dependence" (on a single view)
+    rms: np.ndarray  # rms errors of the consistent views [mm, deg], shape (2,)
+    predicted: np.ndarray  # distance of each view from the others' prediction [mm, deg], shape (n, 2); nan: unknown
+    point_sd_mm: float  # standard deviation of a point in the middle of the board positions [mm]
+    size: float  # factor by which everything appears too large, as with tags of a wrong size
+    depth: float  # factor by which the marker board appears too far away, as with a wrong focal length
+    board: np.ndarray  # distance of the marker board from its drawing [mm, deg], shape (2,)
 
     @property
     def accepted(self) -> bool:

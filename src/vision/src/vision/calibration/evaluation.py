@@ -26,20 +26,13 @@ class BoardObservation:
 
 @dataclass(frozen=True)
 class CalibrationAccuracy:
-    """Errors of one calibration.
+    """Errors of one calibration."""
 
-    Attributes:
-        position, rotation: of the camera [mm], [deg].
-        point: of a point in the middle of the views, as the camera measures it [mm].
-        stated: standard deviation of that point by the calibration [mm].
-        accepted: whether the calibration passed its checks.
-    """
-
-    position: float
-    rotation: float
-    point: float
-    stated: float
-    accepted: bool
+    position: float  # of the camera [mm], [deg]
+    rotation: float  # of the camera [mm], [deg]
+    point: float  # of a point in the middle of the views, as the camera measures it [mm]
+    stated: float  # standard deviation of that point by the calibration [mm]
+    accepted: bool  # whether the calibration passed its checks
 
 
 def calibrate(

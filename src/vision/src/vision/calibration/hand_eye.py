@@ -43,37 +43,23 @@ class DegenerateViews(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationView:
-    """The arm at one pose, and the marker board in the camera there.
+    """The arm at one pose, and the marker board in the camera there."""
 
-    Attributes:
-        T_base_flange: measured by the arm, shape (4, 4) [m].
-        T_camera_board: measured by the camera, shape (4, 4) [m].
-        covariance: of small changes of T_camera_board, errors of the arm included, shape (6, 6).
-    """
-
-    T_base_flange: np.ndarray
-    T_camera_board: np.ndarray
-    covariance: np.ndarray
+    T_base_flange: np.ndarray  # measured by the arm, shape (4, 4) [m]
+    T_camera_board: np.ndarray  # measured by the camera, shape (4, 4) [m]
+    covariance: np.ndarray  # of small changes of T_camera_board, errors of the arm included, shape (6, 6)
 
 
 @dataclass(frozen=True, eq=False)
 class HandEyeSolution:
-    """The two poses that fit the views best.
+    """The two poses that fit the views best."""
 
-    Attributes:
-        T_base_camera, T_flange_board: shape (4, 4) [m].
-        covariance: of small changes of T_flange_board, then of T_base_camera, shape (12, 12).
-        fits: which views are consistent and used, shape (n,), bool.
-        errors: translation and rotation from the measured to the expected board in each view, shape (n, 6) [m, rad].
-        chi2_ratio: mean square of the used views' weighted errors; about 1 if their covariances are right.
-    """
-
-    T_base_camera: np.ndarray
-    T_flange_board: np.ndarray
-    covariance: np.ndarray
-    fits: np.ndarray
-    errors: np.ndarray
-    chi2_ratio: float
+    T_base_camera: np.ndarray  # shape (4, 4) [m]
+    T_flange_board: np.ndarray  # shape (4, 4) [m]
+    covariance: np.ndarray  # of small changes of T_flange_board, then of T_base_camera, shape (12, 12)
+    fits: np.ndarray  # which views are consistent and used, shape (n,), bool
+    errors: np.ndarray  # of each view, from the measured to the expected board, shape (n, 6) [m, rad]
+    chi2_ratio: float  # mean square of the used views' weighted errors; about 1 if their covariances are right
 
 
 def solve(views: list[CalibrationView], seed: int = 0) -> HandEyeSolution:

@@ -29,37 +29,22 @@ class CameraPoseConfig:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationRecord:
-    """The content of one file.
+    """The content of one file."""
 
-    Attributes:
-        date: as year-month-dayThour:minute:second.
-        kind: VIEWS for a calibration by several views, LIVE for one by the board's drawing and a single view.
-        robot, flange: the arm and the media flange.
-        panel: frame of the marker board.
-        camera: serial number of the camera.
-        camera_frame: the optical frame whose pose this is.
-        T_base_camera: in kuka/base_frame, shape (4, 4) [m].
-        T_flange_board: shape (4, 4) [m].
-        rms_mm, rms_deg: rms errors of the views; None for LIVE, where no second view contradicts the first.
-        point_sd_mm: standard deviation of a point at the marker board.
-        errors: error of each view [mm, deg], shape (n, 2); shape (0, 2) for LIVE.
-        views: the views that it was computed from.
-    """
-
-    date: str
-    kind: str
-    robot: str
-    flange: str
-    panel: str
-    camera: str
-    camera_frame: str
-    T_base_camera: np.ndarray
-    T_flange_board: np.ndarray
-    rms_mm: float | None
-    rms_deg: float | None
-    point_sd_mm: float
-    errors: np.ndarray
-    views: tuple[CalibrationView, ...]
+    date: str  # as year-month-dayThour:minute:second
+    kind: str  # VIEWS for a calibration by several views, LIVE for one by the board's drawing and a single view
+    robot: str  # the arm and the media flange
+    flange: str  # the arm and the media flange
+    panel: str  # frame of the marker board
+    camera: str  # serial number of the camera
+    camera_frame: str  # the optical frame whose pose this is
+    T_base_camera: np.ndarray  # in kuka/base_frame, shape (4, 4) [m]
+    T_flange_board: np.ndarray  # shape (4, 4) [m]
+    rms_mm: float | None  # rms errors of the views; None for LIVE, where no second view contradicts the first
+    rms_deg: float | None  # rms errors of the views; None for LIVE, where no second view contradicts the first
+    point_sd_mm: float  # standard deviation of a point at the marker board
+    errors: np.ndarray  # error of each view [mm, deg], shape (n, 2); shape (0, 2) for LIVE
+    views: tuple[CalibrationView, ...]  # the views that it was computed from
 
     @property
     def accuracy(self) -> str:

@@ -39,15 +39,10 @@ class XtionConfig:
 
 @dataclasses.dataclass(frozen=True)
 class OpenniFrame:
-    """One image.
+    """One image."""
 
-    Attributes:
-        name: rgb or depth.
-        image: RGB, shape (height, width, 3), uint8; or depth, shape (height, width), uint16 [mm], 0 where unknown.
-    """
-
-    name: str
-    image: np.ndarray
+    name: str  # rgb or depth
+    image: np.ndarray  # RGB, (height, width, 3), uint8; or depth, (height, width), uint16 [mm], 0: unknown
 
 
 class OpenniCamera:

@@ -25,15 +25,10 @@ class WatchConfig:
 
 @dataclasses.dataclass(frozen=True)
 class StreamHealth:
-    """The state of a stream.
+    """The state of a stream."""
 
-    Attributes:
-        state: waiting (none arrived yet), alive, slow, empty, garbled, frozen or vanished.
-        sentence: the problem and its cure, or that there is none.
-    """
-
-    state: str
-    sentence: str
+    state: str  # waiting (none arrived yet), alive, slow, empty, garbled, frozen or vanished
+    sentence: str  # the problem and its cure, or that there is none
 
     @property
     def usable(self) -> bool:

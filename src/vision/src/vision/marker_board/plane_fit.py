@@ -51,25 +51,15 @@ class PlanePoseConfig:
 
 @dataclass(frozen=True, eq=False)
 class PlaneFit:
-    """A plane, or the reason why there is none.
+    """A plane, or the reason why there is none."""
 
-    Attributes:
-        a: the plane, shape (3,) [1/m], or None.
-        covariance: of a, from noise and the unit's errors, shape (3, 3) [1/m^2], or None.
-        pixels: number of outline pixels with a depth near the marker board's.
-        cover: fraction of the outline that they cover.
-        inliers: fraction of them in the plane.
-        rms: rms of the inliers' errors along the axis, in the middle of the marker board [m].
-        reason: why there is no plane, without a full stop; empty for a plane.
-    """
-
-    a: np.ndarray | None
-    covariance: np.ndarray | None
-    pixels: int
-    cover: float
-    inliers: float
-    rms: float
-    reason: str = ""
+    a: np.ndarray | None  # the plane, shape (3,) [1/m], or None
+    covariance: np.ndarray | None  # of a, from noise and the unit's errors, shape (3, 3) [1/m^2], or None
+    pixels: int  # number of outline pixels with a depth near the marker board's
+    cover: float  # fraction of the outline that they cover
+    inliers: float  # fraction of them in the plane
+    rms: float  # rms of the inliers' errors along the axis, in the middle of the marker board [m]
+    reason: str = ""  # why there is no plane, without a full stop; empty for a plane
 
 
 def fit_board(

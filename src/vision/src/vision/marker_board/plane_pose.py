@@ -29,36 +29,22 @@ FLAT_M = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """A pose and its uncertainty.
+    """A pose and its uncertainty."""
 
-    Attributes:
-        T_camera_board: shape (4, 4) [m].
-        covariance: of x, y, z and of small rotations about the camera's axes, shape (6, 6) [m^2, m rad, rad^2].
-    """
-
-    T_camera_board: np.ndarray
-    covariance: np.ndarray
+    T_camera_board: np.ndarray  # shape (4, 4) [m]
+    covariance: np.ndarray  # of x, y, z and rotations about the camera's axes, shape (6, 6) [m^2, m rad, rad^2]
 
 
 @dataclass(frozen=True, eq=False)
 class RgbdPose:
-    """The marker board in a pair of images.
+    """The marker board in a pair of images."""
 
-    Attributes:
-        colour: pose by the corners alone; its covariance includes the camera's own errors.
-        plane: pose with tilt and range by depth, or None.
-        fused: pose by both, or None.
-        fit: the plane in the depth camera's frame.
-        disagreement: range by colour minus range by depth [m]; nan without a plane.
-        reason: why there is no fused pose, without a full stop; empty if there is one.
-    """
-
-    colour: PoseEstimate
-    plane: PoseEstimate | None
-    fused: PoseEstimate | None
-    fit: PlaneFit
-    disagreement: float
-    reason: str
+    colour: PoseEstimate  # pose by the corners alone; its covariance includes the camera's own errors
+    plane: PoseEstimate | None  # pose with tilt and range by depth, or None
+    fused: PoseEstimate | None  # pose by both, or None
+    fit: PlaneFit  # the plane in the depth camera's frame
+    disagreement: float  # range by colour minus range by depth [m]; nan without a plane
+    reason: str  # why there is no fused pose, without a full stop; empty if there is one
 
 
 def rgbd_pose(

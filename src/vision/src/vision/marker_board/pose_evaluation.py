@@ -24,34 +24,21 @@ CSV_HEAD = (
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors of one pose.
+    """Errors of one pose."""
 
-    Attributes:
-        position: of the centre [mm].
-        rotation: of the orientation [deg].
-        reach: of a point REACH_M away [mm].
-        square: squared error, normalised by its covariance and its 6 degrees of freedom; 1 on average if that is right.
-    """
-
-    position: float
-    rotation: float
-    reach: float
-    square: float
+    position: float  # of the centre [mm]
+    rotation: float  # of the orientation [deg]
+    reach: float  # of a point REACH_M away [mm]
+    square: float  # squared error over covariance and 6 degrees of freedom; about 1 if these are right
 
 
 @dataclass(frozen=True)
 class PoseTrial:
-    """One pair of images.
+    """One pair of images."""
 
-    Attributes:
-        distance: of the marker board [m].
-        tilt: between its normal and the line of sight [deg].
-        errors: by method; a method without a pose is missing.
-    """
-
-    distance: float
-    tilt: float
-    errors: dict[str, PoseErrors]
+    distance: float  # of the marker board [m]
+    tilt: float  # between its normal and the line of sight [deg]
+    errors: dict[str, PoseErrors]  # by method; a method without a pose is missing
 
 
 def trial(distance: float, tilt: float, T_truth: np.ndarray, poses: RgbdPose | None) -> PoseTrial:

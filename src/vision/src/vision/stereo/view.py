@@ -25,16 +25,11 @@ COLOUR = (255, 200, 60)
 
 @dataclass(frozen=True, eq=False)
 class EyeImages:
-    """The images for the two eyes.
+    """The images for the two eyes."""
 
-    Attributes:
-        left, right: RGB, shape (height, width, 3), uint8, of a rectified camera at each eye.
-        deep: whether they differ by depth, rather than by one shift of the whole image.
-    """
-
-    left: np.ndarray
-    right: np.ndarray
-    deep: bool
+    left: np.ndarray  # RGB, shape (height, width, 3), uint8, of a rectified camera at each eye
+    right: np.ndarray  # RGB, shape (height, width, 3), uint8, of a rectified camera at each eye
+    deep: bool  # whether they differ by depth, rather than by one shift of the whole image
 
     def aged(self, age: float | None) -> EyeImages:
         """Returns the images marked with their age [s]."""

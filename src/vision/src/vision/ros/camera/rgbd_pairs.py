@@ -26,22 +26,14 @@ THROTTLE_S = 10.0
 
 @dataclass(frozen=True, eq=False)
 class RgbdPair:
-    """A pair of images.
+    """A pair of images."""
 
-    Attributes:
-        header: of the colour image.
-        colour: RGB, shape (height, width, 3), uint8.
-        depth: raw, shape (height, width), float32 [m], NaN where unknown.
-        rgb_info, depth_info: camera_info of both.
-        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
-    """
-
-    header: Header
-    colour: np.ndarray
-    depth: np.ndarray
-    rgb_info: CameraInfo
-    depth_info: CameraInfo
-    T_rgb_depth: np.ndarray
+    header: Header  # of the colour image
+    colour: np.ndarray  # RGB, shape (height, width, 3), uint8
+    depth: np.ndarray  # raw, shape (height, width), float32 [m], NaN where unknown
+    rgb_info: CameraInfo  # camera_info of both
+    depth_info: CameraInfo  # camera_info of both
+    T_rgb_depth: np.ndarray  # pose of the depth camera in the colour camera, shape (4, 4) [m]
 
     @property
     def rgb(self) -> CameraModel:

@@ -41,21 +41,14 @@ class BoardImagePair:
 
 @dataclass(frozen=True, eq=False)
 class BoardImageSet:
-    """A folder of images.
-
-    Attributes:
-        entries: the description of each pair.
-        plate: edge of the marker board [m].
-        rgb, depth: the cameras.
-        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
-    """
+    """A folder of images."""
 
     folder: Path
-    entries: list[dict]
-    plate: float
-    rgb: CameraModel
-    depth: CameraModel
-    T_rgb_depth: np.ndarray
+    entries: list[dict]  # the description of each pair
+    plate: float  # edge of the marker board [m]
+    rgb: CameraModel  # the cameras
+    depth: CameraModel  # the cameras
+    T_rgb_depth: np.ndarray  # pose of the depth camera in the colour camera, shape (4, 4) [m]
 
     def pairs(self) -> Iterator[BoardImagePair]:
         """Reads one pair after the other.

@@ -24,19 +24,12 @@ THROTTLE_S = 10.0
 
 @dataclass(frozen=True, eq=False)
 class ShownView:
-    """What the operator sees now.
+    """What the operator sees now."""
 
-    Attributes:
-        eyes: the images.
-        view: the view that made them.
-        new: whether this image was not returned before.
-        stamp: time stamp of the image.
-    """
-
-    eyes: EyeImages
-    view: StereoView
-    new: bool
-    stamp: rospy.Time
+    eyes: EyeImages  # the images
+    view: StereoView  # the view that made them
+    new: bool  # whether this image was not returned before
+    stamp: rospy.Time  # time stamp of the image
 
 
 class StereoImageSource:

@@ -42,17 +42,11 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 @dataclass(frozen=True)
 class StereoFrame:
-    """An image for the page.
+    """An image for the page."""
 
-    Attributes:
-        jpeg: both eyes side by side.
-        tangents: tan(angle) of the edges of each eye image, to the left, right, up and down.
-        deep: whether the eye images differ by depth.
-    """
-
-    jpeg: bytes
-    tangents: tuple[float, float, float, float]
-    deep: bool
+    jpeg: bytes  # both eyes side by side
+    tangents: tuple[float, float, float, float]  # tan(angle) to the edges: left, right, up, down
+    deep: bool  # whether the eye images differ by depth
 
 
 class StereoWeb:
