@@ -1,7 +1,7 @@
 """The robot behind one interface: what the control loop asks of it, and that over the toolbox's client.
 
 Joints q have shape (7,) [rad]. All calls come from one thread and return within the client's time-outs. The client's
-errors (kst.KstError) pass through: a lost connection ends the controller.
+errors (kst.KstError) pass through: a lost connection reaches the reconnect supervisor.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The joint targets between and after the frames that bring them: where the target is now, and how fast it moves.
 
-Frames come at 74 or 115 Hz and unevenly, goals leave at 250 Hz. Between two frames the target goes on as it did
+Frames come at 74 or 115 Hz and unevenly, goals leave at 250 Hz. Between two frames the target continues as it did
 before: its stamps say how fast. Goals then pass through the joints of each frame without lag, at any rate of frames.
 
 What keeps it from running on: the speed is the smaller one of that over the last frame and that over the last few, none

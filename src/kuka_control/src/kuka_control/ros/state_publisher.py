@@ -93,7 +93,7 @@ class StatePublisher:
             self._modes.publish(self._mode.value)
 
     def stop(self) -> None:
-        """Publishes the last state and ends."""
+        """Publishes the last state and stops."""
         self._stop.set()
         self._read.set()
         if self._thread.is_alive():

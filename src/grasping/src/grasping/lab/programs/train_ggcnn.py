@@ -1,6 +1,6 @@
 """Trains a grasp network from scratch on a synthetic data set; may be stopped and resumed at any time.
 
-The folder of the run holds checkpoint.pt (to go on, with the same data and settings), weights.pt (the best so far),
+The folder of the run holds checkpoint.pt (to resume, with the same data and settings), weights.pt (the best so far),
 settings.json, curves.csv and curves.png.
 """
 

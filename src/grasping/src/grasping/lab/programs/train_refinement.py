@@ -1,6 +1,6 @@
 """Trains the refinement network on episodes of an operator's grasps; may be stopped and resumed at any time.
 
-The folder of the run holds checkpoint.pt (to go on, with the same episodes and settings), weights.pt (the best so far),
+The folder of the run holds checkpoint.pt (to resume with the same episodes and settings), weights.pt (the best so far),
 taste.pt (the same without the constant offset and the lean about the view's axes, which are of this operator's hand and
 place alone), settings.json, curves.csv and curves.png. One in five episodes, by its file's name, is kept to say when
 training is over.

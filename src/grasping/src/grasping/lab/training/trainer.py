@@ -1,7 +1,7 @@
 """The training of a grasp network as steps: each takes a batch and leaves the weights a little better.
 
 Adam with a constant rate after a short warm-up and a linear decay at the end, and beside it the running mean of the
-weights, which is what is kept: it is good at any time, so that training may stop or go on as the machine allows.
+weights, which is what is kept: it is good at any time, so that training may stop or resume as the machine allows.
 """
 
 from __future__ import annotations
