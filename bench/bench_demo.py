@@ -20,7 +20,7 @@ from common.ports import free_port
 
 PORTS = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port")
 AT_HOME = " s | arm "
-"""What the demo prints once the arm is at home and the person begins."""
+"""What the demo prints once the arm is at home and the operator begins."""
 
 READY_S = 100.0
 END_S = 120.0

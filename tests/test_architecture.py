@@ -193,18 +193,13 @@ def test_every_package_has_a_layer():
     assert {p.parent.name for p in ROOT.glob("src/**/package.xml")} <= LAYER.keys()
 
 
-SHARED_CLASS_NAMES = {"Counters", "Frame", "Link", "SpeedChange", "Step", "Target"}
-"""Names that two classes still have; none may be added."""
-
-
 def test_a_class_name_means_one_thing():
     places = defaultdict(list)
     for path in FILES:
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].append(str(path.relative_to(ROOT)))
-    shared = {name: files for name, files in places.items() if len(files) > 1}
-    assert not {name: files for name, files in shared.items() if name not in SHARED_CLASS_NAMES}
+    assert not {name: files for name, files in places.items() if len(files) > 1}
 
 
 def test_every_folder_says_what_is_in_it():

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Node that does what a person does at the simulated rig. (A script `operator.py` would hide Python's own module.)"""
+"""Node that simulates the operator of the rig. (A script `operator.py` would hide Python's own module.)"""
 
 from common.ros.node import run
 from rig_simulation.ros.operator import NAME, main

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Takes pictures of the marker panel with the truth beside them; needs no ROS master. See --help."""
+"""Renders images of the marker board with their true poses; needs no ROS master. See --help."""
 
 import sys
 

@@ -171,7 +171,7 @@ class ExecutionNode:
             self._let_go()
 
     def _let_go(self) -> None:
-        """Ends the hold; unanswered, it ends by itself when its time is over."""
+        """Cancels the hold; without an answer, the hold stops when its time is over."""
         try:
             call("leap_kuka/hold_tool", HoldTool, PoseStamped(), 0.0, timeout=self._config.answer_time)
         except DeviceError as error:

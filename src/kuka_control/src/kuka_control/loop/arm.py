@@ -1,7 +1,7 @@
 """The robot behind one interface, and its implementation over the toolbox's client.
 
 Joints q have shape (7,) [rad]. All calls come from one thread and return within the client's time-outs. The client's
-errors (kst.KstError) pass through: a lost connection stops the controller.
+errors (kst.KstError) pass through: a lost connection reaches the reconnect supervisor.
 """
 
 from __future__ import annotations

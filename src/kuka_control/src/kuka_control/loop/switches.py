@@ -100,5 +100,5 @@ class Switches:
             return SwitchReply(True, "The controller is shutting down already.")
         self._now = replace(self._now, control_on=False, gripper_on=False, exit_requested=True)
         if self._held_by is not None:
-            return SwitchReply(True, f"The controller ends and leaves the arm as it is: {self._held_by}.")
-        return SwitchReply(True, "The arm goes to the zero position, then the controller ends.")
+            return SwitchReply(True, f"The controller exits and leaves the arm as it is: {self._held_by}.")
+        return SwitchReply(True, "The arm goes to the zero position, then the controller exits.")

@@ -1,6 +1,6 @@
 """The parameters of the two controllers under `kuka/`, each with its unit and range.
 
-Angles that a person sets are in degrees; properties give them in radians. Whether the home position can be reached is
+Angles in the files are in degrees; properties give them in radians. Whether the home position can be reached is
 checked where it is calculated: home_pose.py.
 """
 

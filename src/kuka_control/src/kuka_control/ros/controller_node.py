@@ -90,7 +90,7 @@ class _Node:
         self._tool_check = ToolCheckService(rig, self._for_tool_check)
 
     def spin(self) -> None:
-        """Runs the control loop until it ends, or ROS does; a lost robot is waited for.
+        """Runs the control loop until it completes or ROS shuts down; waits for a lost robot.
 
         Raises:
             RigError: the controller ended because of a fault.

@@ -54,4 +54,4 @@ class Services:
         timer = threading.Timer(ANSWER_S, os._exit, [EMERGENCY_EXIT_CODE])
         timer.daemon = True
         timer.start()
-        return True, "The controller ends at once; the robot holds its last goal, a motion to a point runs to its end."
+        return True, "The controller exits at once; the robot holds its last goal or completes its PTP motion."

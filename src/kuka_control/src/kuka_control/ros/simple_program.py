@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> int:
         return _move(client, model, T_flange_tool, name, target, options)
     finally:
         client.close()
-        print("The connection is closed and the server on the robot ends with it; start it again for the next program.")
+        print("The connection is closed, and the server on the robot has stopped; start it again for the next program.")
 
 
 def _move(

@@ -1,1 +1,1 @@
-"""The ROS side of the demo: starts the launch files, listens to the rig, ends it."""
+"""The ROS side of the demo: starts the launch files, listens to the rig, stops it."""

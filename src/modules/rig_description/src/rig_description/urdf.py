@@ -62,7 +62,7 @@ def urdf(robot: str, flange: str, ring: bool = False) -> str:
     if ring:
         _ring(root)
     _hand(root, hand.CONNECTOR_LENGTH + (marker_ring.LENGTH if ring else 0.0))
-    tools = f"{flange}, ring of the marker panel" if ring else flange
+    tools = f"{flange}, ring of the marker board" if ring else flange
     note = f"{robot} with {tools} and ReFlex TakkTile hand. Written by tools/generate.py of rig_description."
     root.insert(0, ET.Comment(f" {note} "))
     return minidom.parseString(ET.tostring(root)).toprettyxml(indent="  ", encoding="utf-8").decode()

@@ -1,4 +1,4 @@
-"""The control port of a simulated device: its true state, and what a person or a test does to it.
+"""The control port of a simulated device: its true state, and physical interventions by users and tests.
 
 Loopback TCP, one JSON object a line in each direction. `{"do": "state"}` is answered by `{"ok": true, ...}` with what
 the handler of that name returns, a request that fails by `{"ok": false, "error": "one sentence"}`. The handbook offers

@@ -44,7 +44,7 @@ class WorldViewConfig(WorldConfig):
 class CameraConfig:
     """Of the node camera, beside its sections."""
 
-    rate: float = number("Hz", above=0.0, high=60.0, doc="pictures a second")
+    rate: float = number("Hz", above=0.0, high=60.0, doc="images per second")
     samples: int = integer(
         low=0,
         high=8,

@@ -1,1 +1,1 @@
-"""Pictures of the workspace, with matplotlib; no ROS here."""
+"""Plots of the workspace, with matplotlib; no ROS here."""

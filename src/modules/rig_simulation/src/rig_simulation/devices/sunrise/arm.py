@@ -227,7 +227,7 @@ class SimulatedArm:
         self._backing_off = False
 
     def back_off(self) -> None:
-        """Moves an arm in a safety stop slowly back along its path, as a person does with the jog keys.
+        """Moves an arm in a safety stop slowly back along its path, as with the jog keys of the smartPad.
 
         It stops once no external torque exceeds FREE_FRACTION of the limit.
 
