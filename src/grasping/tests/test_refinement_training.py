@@ -225,7 +225,7 @@ def turned(said, error, concentration=CONCENTRATION):
     return found
 
 
-@pytest.mark.parametrize("name", [n for n in CHANGES if not n.endswith("_spread") and n not in ("turn_cos", "follow")])
+@pytest.mark.parametrize("name", [n for n in CHANGES if not n.endswith("_scale") and n not in ("turn_cos", "follow")])
 @settings(max_examples=5)
 @given(st.floats(0.05, 0.5), st.booleans())
 def test_losses_are_smallest_at_the_label(name, size, negative):
@@ -271,7 +271,7 @@ def test_who_errs_is_to_be_unsure(output, wrong):
         said[:, OF[wrong]] += error * CHANGES[wrong]
         found = []
         for log in LOGS:
-            said[:, OF[f"{output}_spread"]] = float(log)
+            said[:, OF[f"{output}_scale"]] = float(log)
             found.append(float(getattr(losses(seen, said, target), output)))
         return LOGS[int(np.argmin(found))]
 
