@@ -18,7 +18,9 @@ import sys
 import tempfile
 import time
 import urllib.request
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rosgraph
@@ -199,7 +201,7 @@ def _page(stage: ProgramGroup, folder: Path) -> None:
     control = _wait(lambda: active.exists() and active.read_text().split(), START_S, "Chromium")[0]
     with connect(_wait(lambda: _address(control), START_S, "the page"), max_size=None) as connection:
 
-        def ask(method: str, **parameters) -> dict:
+        def ask(method: str, **parameters: Any) -> dict:
             connection.send(json.dumps({"id": 1, "method": method, "params": parameters}))
             return json.loads(connection.recv(timeout=START_S)).get("result", {})
 
@@ -232,12 +234,12 @@ def _shoot(file: Path, area: tuple[int, int, int, int] | None = None) -> None:
 
 def _write(file: Path, pixels: np.ndarray) -> None:
     height, width = pixels.shape[:2]
-    small = Picture.fromarray(pixels).resize((WIDTH, round(WIDTH * height / width)), Picture.LANCZOS)
+    small = Picture.fromarray(pixels).resize((WIDTH, round(WIDTH * height / width)), Picture.Resampling.LANCZOS)
     small.quantize(COLOURS, kmeans=1, dither=Picture.Dither.NONE).save(file, optimize=True)
     print(f"{NAME}: {file}, {file.stat().st_size / 1000:.0f} kB")
 
 
-def _wait(condition, timeout: float, what: str):
+def _wait(condition: Callable[[], Any], timeout: float, what: str) -> Any:
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
         found = condition()

@@ -23,7 +23,7 @@ from grasping.lab.programs import (
     runs,
     train_refinement,
 )
-from grasping.lab.synthetic import episodes
+from grasping.lab.synthetic import episodes, simulated_operator
 from grasping.network import refinement_file
 from grasping.network.refinement import RefinementNetwork
 from grasping.network.refinement_file import Origin
@@ -77,7 +77,7 @@ def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(data, tmp_
 
 def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
     """Without bias, tremor and lean the grasp lies on the surface that the camera sees, and comes straight down."""
-    who = episodes.simulated_operator.SimulatedOperator(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0, lean=0.0, follow=0.0)
+    who = simulated_operator.SimulatedOperator(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0, lean=0.0, follow=0.0)
     network, sha256 = make_episodes.network(WEIGHTS)
     episode = episodes.episode("person", NUMBERS[1], network, sha256, who, 1)
     frame = episode.frame(0)

@@ -229,6 +229,7 @@ class KstArm(Arm):
         if feedback in self._lacking:
             feedback = Feedback.JOINTS
         value = self._client.servo(q, feedback)
+        assert value is not None, "each feedback of the turn has a value"
         self._take(FIELD[feedback], value)
         if feedback is Feedback.EXTERNAL_TORQUES:
             force, moment = self._wrench(self.measured_joints, value)
