@@ -36,7 +36,7 @@ CLOCK = time.thread_time
 def rows(quick: bool) -> list[Row]:
     """Returns the time of each stage [ms] of the published pipeline and of the live chain."""
     count = 3 if quick else 40
-    images = [depth_picture(seed) for seed in range(count + 1)]
+    images = [synthetic_depth_image(seed) for seed in range(count + 1)]
     before = torch.get_num_threads(), cv2.getNumThreads()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
@@ -88,7 +88,7 @@ def _table(name: str, times: dict[str, list]) -> list[Row]:
     return table
 
 
-def depth_picture(seed: int) -> np.ndarray:
+def synthetic_depth_image(seed: int) -> np.ndarray:
     """Returns a noisy depth image, float32 [m], of boxes on a table below, with shadows, NaN, beside them."""
     random = np.random.default_rng(seed)
     depth = 0.8 + 0.0015 * random.standard_normal((480, 640)).astype(np.float32)

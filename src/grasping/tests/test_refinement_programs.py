@@ -144,9 +144,9 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert "| untrained less GGCNN alone | " + " | ".join(["+0.0 (+0.0 to +0.0)"] * 6) + " |" in text
     assert "| untrained | " in text.partition("log-likelihood")[2]
     assert "| +0.00 (+0.00 to +0.00) |" in text
-    attitudes = text.partition("rotation error at the operator's place")[2]
-    assert all(f"| {name} | " in attitudes for name in ("GGCNN alone", "GGCNN + constant offset", "trained"))
-    assert "| trained less GGCNN + constant offset | " in attitudes
+    orientations = text.partition("rotation error at the operator's place")[2]
+    assert all(f"| {name} | " in orientations for name in ("GGCNN alone", "GGCNN + constant offset", "trained"))
+    assert "| trained less GGCNN + constant offset | " in orientations
     assert not (results / "curve.png").exists()
     call(monkeypatch, train_refinement, data, tmp_path / "few", *options, "--episodes", "2")
     curve = ["--refinement", "few", tmp_path / "few" / "weights.pt", "--refinement", "all", run / "weights.pt"]

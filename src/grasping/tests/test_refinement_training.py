@@ -14,7 +14,8 @@ from common.poses import pose
 from common.rotations import rotation_about
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import pose_from_label
-from grasping.lab.evaluation.attitude import (
+from grasping.lab.evaluation.operator_errors import Neighbours, miss
+from grasping.lab.evaluation.orientation import (
     CONCENTRATIONS,
     Expected,
     errors,
@@ -23,7 +24,6 @@ from grasping.lab.evaluation.attitude import (
     operators,
     with_constant_scale,
 )
-from grasping.lab.evaluation.operator_errors import Neighbours, miss
 from grasping.lab.training.refinement_batches import batch, place_target
 from grasping.lab.training.refinement_examples import OperatorOffset, constant_offset, example, offset_label
 from grasping.lab.training.refinement_losses import RefinementLosses, losses
@@ -340,7 +340,7 @@ def test_training_learns_what_the_person_prefers():
     assert after["depth"] < 0.7 * before["depth"]
 
 
-def test_training_learns_an_attitude_that_depends_on_the_place():
+def test_training_learns_an_orientation_that_depends_on_the_place():
     """On things 4 cm high the operator turns the line by 0.6 rad and leans by 0.3 rad; low things neither."""
     examples = []
     for high in (True, False):
@@ -378,7 +378,7 @@ def test_training_goes_on_where_it_was_left():
 
 
 def drawn(n: int, concentration: float, scale: float, seed: int = 0) -> tuple[Expected, Expected]:
-    """Returns n expected attitudes, and as many operators' about them."""
+    """Returns n expected orientations, and as many operators' about them."""
     rng = np.random.default_rng(seed)
     nothing, flat = np.zeros(n), np.ones(n)
     found = Expected(rng.uniform(-3.0, 3.0, n), nothing, nothing, nothing, concentration * flat, scale * flat)
@@ -398,7 +398,7 @@ def test_the_constant_spread_that_suits_best_is_the_true_one():
         assert log_likelihoods(other, did).mean() < best - 0.03
 
 
-def test_the_density_of_an_attitude_has_the_integral_one():
+def test_the_density_of_an_orientation_has_the_integral_one():
     angle, x, y = np.meshgrid(np.arange(60) * np.pi / 60, *[np.linspace(-1.5, 1.5, 121)] * 2, indexing="ij")
     nothing = np.zeros(angle.size)
     did = Expected(angle.ravel(), x.ravel(), y.ravel(), nothing, nothing, nothing)
@@ -406,7 +406,7 @@ def test_the_density_of_an_attitude_has_the_integral_one():
     assert np.exp(log_likelihoods(found, did)).sum() * np.pi / 60 * 0.025**2 == pytest.approx(1.0, abs=0.02)
 
 
-def test_an_attitude_does_not_mind_which_finger_is_which():
+def test_an_orientation_does_not_mind_which_finger_is_which():
     found, did = drawn(50, 10.0, 0.1)
     turned = did._replace(angle=did.angle + np.pi)
     np.testing.assert_allclose(errors(found, did), errors(found, turned), atol=1e-6)

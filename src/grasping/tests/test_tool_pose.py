@@ -23,14 +23,14 @@ places = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
 grasps = st.builds(
     lambda a, b, c, p: pose(DOWN @ rotation_from_zyx(a, b, c), p), angles, tilts, tilts, places
 )  # from above, tilted
-attitudes = st.builds(rotation_from_zyx, angles, tilts, angles)
+orientations = st.builds(rotation_from_zyx, angles, tilts, angles)
 
 
 def settings(**changes) -> ToolPoseConfig:
     return parse(ToolPoseConfig, {**YAML, **changes})
 
 
-@given(grasps, attitudes, angles, st.sampled_from(["vertical", "grasp"]))
+@given(grasps, orientations, angles, st.sampled_from(["vertical", "grasp"]))
 def test_the_grip_is_at_the_grasp_and_the_fingers_close_along_it(T_base_grasp, near, closing, approach):
     s = settings(closing_angle=np.degrees(closing), approach=approach)
     T = check_pose(tool_pose(T_base_grasp, s, near))
@@ -42,24 +42,24 @@ def test_the_grip_is_at_the_grasp_and_the_fingers_close_along_it(T_base_grasp, n
     np.testing.assert_allclose(abs(fingers @ across), np.linalg.norm(across), atol=1e-9)
 
 
-@given(grasps, attitudes)
-def test_of_both_attitudes_it_is_the_nearer(T_base_grasp, near):
+@given(grasps, orientations)
+def test_of_both_orientations_it_is_the_nearer(T_base_grasp, near):
     R = tool_pose(T_base_grasp, settings(), near)[:3, :3]
     other = R @ rotation_about(2, np.pi)
     assert rotation_angle(near.T @ R) <= rotation_angle(near.T @ other) + 1e-9
 
 
-@given(grasps, attitudes)
+@given(grasps, orientations)
 def test_a_grasp_and_the_same_turned_by_half_a_turn_are_one(T_base_grasp, near):
     first = tool_pose(T_base_grasp, settings(), near)
     again = tool_pose(T_base_grasp @ pose(rotation_about(2, np.pi)), settings(), near)
     turns = [rotation_angle(near.T @ T[:3, :3]) for T in (first, again)]
     np.testing.assert_allclose(turns[0], turns[1], atol=1e-6)
-    if turns[0] < np.pi / 2 - 1e-3:  # else both attitudes may be equally far away
+    if turns[0] < np.pi / 2 - 1e-3:  # else both orientations may be equally far away
         np.testing.assert_allclose(first, again, atol=1e-9)
 
 
-@given(grasps, attitudes, st.floats(0.0, 0.5))
+@given(grasps, orientations, st.floats(0.0, 0.5))
 def test_above_is_against_the_approach(T_base_grasp, near, clearance):
     T = tool_pose(T_base_grasp, settings(), near)
     lifted = above(T, clearance)

@@ -47,8 +47,8 @@ def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarr
     assert result.view is not None and result.maps is not None, "there is something to draw"
     quality = result.maps.quality
     colours = cv2.applyColorMap((255.0 * np.clip(quality, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_JET)
-    share = np.clip(1.5 * quality, 0.0, 0.6)[..., None]
-    mixed = (1.0 - share) * grey(result.view.image.depth)[..., None] + share * colours
+    opacity = np.clip(1.5 * quality, 0.0, 0.6)[..., None]
+    mixed = (1.0 - opacity) * grey(result.view.image.depth)[..., None] + opacity * colours
     image = cv2.resize(mixed.astype(np.uint8), None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_LINEAR)
     for proposal in reversed(result.grasps):
         best, peak = proposal is result.grasps[0], proposal.peak

@@ -85,8 +85,8 @@ def _gripper(width: float) -> list[Point]:
 
 
 def _colour(quality: float) -> ColorRGBA:
-    share = min(1.0, max(0.0, quality)) if math.isfinite(quality) else 0.0
-    return ColorRGBA(min(1.0, 2.0 - 2.0 * share), min(1.0, 2.0 * share), 0.1, 1.0)
+    fraction = min(1.0, max(0.0, quality)) if math.isfinite(quality) else 0.0
+    return ColorRGBA(min(1.0, 2.0 - 2.0 * fraction), min(1.0, 2.0 * fraction), 0.1, 1.0)
 
 
 def _grey() -> ColorRGBA:

@@ -1,7 +1,7 @@
 """The states of a control loop and the one table of their transitions.
 
 A handler of the present state (control_loop.py, real_time_loop.py) names the trigger that ends the state. The table
-says which state follows, what the arm is told, and why. A pair of state and trigger that has no row is an error.
+names the next state, the command to the arm, and the reason. A pair of state and trigger that has no row is an error.
 docs/reference/control-loop.md is made from this table.
 """
 
@@ -67,7 +67,7 @@ class Trigger(Enum):
 
 
 class Action(Enum):
-    """What the arm is told at a transition."""
+    """The command to the arm at a transition."""
 
     NONE = "nothing"
     PTP = "PTP motion"

@@ -18,7 +18,7 @@ def draw(
     others: Mapping[str, Sequence[float]],
     near_mm: float,
 ) -> None:
-    """Draws the median error, and the share of errors below a distance, each with its 95 % interval.
+    """Draws the median error, and the fraction of errors below a distance, each with its 95 % interval.
 
     Args:
         learned: errors of the refinement network [mm] by the number of episodes.

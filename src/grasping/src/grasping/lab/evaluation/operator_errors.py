@@ -24,7 +24,7 @@ class Miss(NamedTuple):
     """A predicted grasp against the operator's."""
 
     position: float  # distance [m]
-    rotation: float  # angle between the attitudes, half a turn about the approach being none [rad]
+    rotation: float  # angle between the orientations, half a turn about the approach being none [rad]
 
     @property
     def is_near(self) -> bool:
@@ -39,7 +39,7 @@ def miss(T_wanted: np.ndarray, T_found: np.ndarray) -> Miss:
 
 
 def rotation_miss(R_wanted: np.ndarray, R_found: np.ndarray) -> float:
-    """Returns the angle between attitudes, shape (3, 3), half a turn about the approach being none [rad]."""
+    """Returns the angle between orientations, shape (3, 3), half a turn about the approach being none [rad]."""
     R = R_wanted.T @ R_found
     return float(min(rotation_angle(R), rotation_angle(R @ HALF_TURN)))
 

@@ -6,9 +6,9 @@ are those that the episodes recorded, and all are smoothed alike. Where the epis
 by lifting in MuJoCo too, hand wide open, and the bound is what the simulated operator intended: the grasp without the
 tremor, which nobody can foresee. Results go to results.csv, one line a grasp, and table.md, with the differences over
 the same episodes, and with the likelihood of the operator's places: which of several equal grasps it is to be, nobody
-can foresee either; and, taking the place as known, how far attitude and opening of the hand are from the operator's,
-and how likely the attitude was. Where refinement networks learned from different numbers of episodes, as settings.json
-beside their files says, curve.png shows what more of them bring.
+can foresee either; and, taking the place as known, how far orientation and opening of the hand are from the operator's,
+and how likely the orientation was. Where refinement networks learned from different numbers of episodes (settings.json
+beside their files), curve.png shows what more of them bring.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from common.poses import inverse
 from common.statistics import median, paired_difference, proportion
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import own_grasp, pose_from_label
-from grasping.lab.evaluation import attitude, learning_curve
+from grasping.lab.evaluation import learning_curve, orientation
 from grasping.lab.evaluation.likelihood import calibrated, log_likelihoods
 from grasping.lab.evaluation.operator_errors import NEAR_M, Neighbours, miss
 from grasping.lab.programs import episode_reading
@@ -204,7 +204,7 @@ def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, M
     return markdown_table(("map", "log-likelihood of the operator's place [nats], mean", "more than GGCNN's"), lines)
 
 
-def attitudes(
+def orientations(
     known: EvaluationData, test: EvaluationData, offset: OperatorOffset, second: dict[str, MapRefiner]
 ) -> str:
     """Returns, as Markdown, how well orientation and opening of the hand are predicted at the operator's pixels.
@@ -213,16 +213,16 @@ def attitudes(
         known: images that give the standard deviation of the orientation where a method has none.
     """
     untrained = RefinementNetwork()
-    did = attitude.operators(test.target, offset)
+    did = orientation.operators(test.target, offset)
     metres = WIDTH_SCALE_PX * test.pixel_size
 
     def measured(network: RefinementNetwork, added: OperatorOffset, own_spread: bool) -> list[np.ndarray]:
-        found = attitude.expected(test.seen, test.target, network, added)
+        found = orientation.expected(test.seen, test.target, network, added)
         if not own_spread:
-            before = attitude.expected(known.seen, known.target, network, added)
-            found = attitude.with_constant_scale(found, before, attitude.operators(known.target, offset))
-        turned = np.degrees(attitude.errors(found, did))
-        return [turned, attitude.log_likelihoods(found, did), 1000.0 * metres * np.abs(found.opening - did.opening)]
+            before = orientation.expected(known.seen, known.target, network, added)
+            found = orientation.with_constant_scale(found, before, orientation.operators(known.target, offset))
+        turned = np.degrees(orientation.errors(found, did))
+        return [turned, orientation.log_likelihoods(found, did), 1000.0 * metres * np.abs(found.opening - did.opening)]
 
     of = {ALONE: measured(untrained, OperatorOffset(), False), OFFSET: measured(untrained, offset, False)}
     of.update({name: measured(one.network, offset, True) for name, one in second.items()})
@@ -312,6 +312,6 @@ def main() -> None:
     text = tables(rows, list(found), [name for name, _ in arguments.refinement])
     if known:
         shown = seen_of(known, offset), seen_of(test, offset)
-        text += "\n" + likelihoods(*shown, second) + "\n" + attitudes(*shown, offset, second)
+        text += "\n" + likelihoods(*shown, second) + "\n" + orientations(*shown, offset, second)
     (arguments.folder / "table.md").write_text(text)
     curve(rows, arguments.refinement, arguments.folder / "curve.png")

@@ -2,7 +2,7 @@
 
 Stands in for a teleoperating operator where none is at hand; whatever was found with it is to be called simulated. The
 operator sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a
-constant bias and a tremor. Attitude and opening of the hand are a matter of the place, too: the higher it is, the more
+constant bias and a tremor. Orientation and opening of the hand depend on the place, too: the higher it is, the more
 the wrist turns and the wider the hand opens, and the less it leans away from the operator, who sits below the image;
 and it leans with the surface. All that is visible, and is there to be learned; how people do it, nobody has measured
 here.
@@ -36,7 +36,7 @@ class SimulatedOperator(NamedTuple):
     turn: float = 4.0  # of the line through the fingers, anticlockwise in the image, by the height [rad/m]
     lean: float = 0.3  # away from the operator, on the table [rad]; less with the height, none from
     upright: float = 0.12  # this height on [m]
-    follow: float = 0.4  # share of the surface's lean that the hand leans, too
+    follow: float = 0.4  # fraction of the surface's lean that the hand takes over
     margin: float = 0.005  # that the hand opens wider than it must, on the table [m]
     generous: float = 0.15  # how much more by the height [m/m]
     bias: tuple[float, float, float] = (0.008, 0.006, 0.0)  # x, y, z [m] beside the chosen place, in the base frame

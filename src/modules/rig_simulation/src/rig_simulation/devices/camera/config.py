@@ -34,7 +34,7 @@ class DepthConfig:
     max_range: float = number("m", above=0.5, high=20.0, doc="no depth farther than this")
     max_angle: float = number("deg", above=0.0, high=90.0, doc="no depth where the surface is steeper; 90 = no limit")
     min_signal: float = number(low=0.0, high=1.0, doc="no depth where less light returns; 1 = white, 1 m away; 0 = off")
-    dark_return: float = number(low=0.0, high=1.0, doc="share of the light that a black surface returns")
+    dark_return: float = number(low=0.0, high=1.0, doc="fraction of the light that a black surface returns")
     scale_error_sd: float = number(low=0.0, high=0.05, doc="spread of a unit's error of scale; 0 = none")
     warp_sd: float = number("m", low=0.0, high=0.02, doc="spread of a unit's smooth warp at 1 m; 0 = none")
 

@@ -79,12 +79,12 @@ def operators(target: RefinementTargets, offset: OperatorOffset) -> Expected:
 
 
 def errors(found: Expected, did: Expected) -> np.ndarray:
-    """Returns the angles between attitudes, half a turn about the approach being none, shape (n,) [rad]."""
+    """Returns the angles between orientations, half a turn about the approach being none, shape (n,) [rad]."""
     return np.array([rotation_miss(a, b) for a, b in zip(_rotations(did), _rotations(found))])
 
 
 def log_likelihoods(found: Expected, did: Expected) -> np.ndarray:
-    """Returns the log-likelihood of each attitude, angle and lean together, shape (n,) [nats, of densities by rad]."""
+    """Returns the log-likelihood of each orientation, of angle and lean, shape (n,) [nats, of densities by rad]."""
     k, b = found.concentration, found.tilt_scale
     off = 2.0 * (did.angle - found.angle)
     scale = np.log(torch.special.i0e(torch.from_numpy(k)).numpy()) + k
