@@ -306,7 +306,7 @@ def test_the_node_waits_for_the_controller_and_says_so(ros, node, tracker, wait_
             ["leap/min_confidence is 'high'", "leap/run_tol_yav is not"],
         ),
         ({}, {"center_line": [0, 0, 0]}, ["kuka/center_line is the zero vector"]),
-        ({"z_clearance": 0.0}, {"ws_center": [0.5, 0, 0.21]}, ["reach into it"]),
+        ({"z_clearance": 0.0}, {"ws_center": [0.5, 0, 0.21]}, ["leap/z_clearance"]),
     ],
 )
 def test_bad_parameters_end_the_node_with_a_sentence(ros, node, leap, arm, words, wait_until):

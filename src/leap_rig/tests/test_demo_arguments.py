@@ -12,8 +12,8 @@ pytestmark = pytest.mark.ros
     [
         (["--recording", "no_such.jsonl"], "the recording no_such.jsonl is not a file"),
         (["--record", "film.avi"], "the film film.avi must end with .mp4"),
-        (["--record", "/no_folder/film.mp4"], "/no_folder/film.mp4 cannot be written: there is no folder /no_folder"),
-        (["--report", "/no_folder/x.json"], "/no_folder/x.json cannot be written: there is no folder /no_folder"),
+        (["--record", "/no_folder/film.mp4"], "/no_folder/film.mp4 cannot be written"),
+        (["--report", "/no_folder/x.json"], "/no_folder/x.json cannot be written"),
         (["--duration", "-1"], "the duration -1.0 must be a positive number of seconds"),
         (["--duration", "nan"], "the duration nan must be a positive number of seconds"),
         (["--scenario", "pick_cups"], "there is no scenario 'pick_cups'; known are pick_cup and assisted_grasp"),
@@ -63,8 +63,7 @@ def test_the_rig_goes_on_without_a_film_or_a_camera_and_without_no_other_node():
     deaths = Deaths()
     for name in ("viewer-3", "recorder-4", "camera/driver-6", "leap_driver-5"):
         deaths.process_died(name, 1)
-    assert deaths.remarks == [
-        "The film was not taken to the end: recorder ended with exit code 1.",
-        "The rig went on without its camera: camera/driver ended with exit code 1.",
-    ]
+    film, camera = deaths.remarks
+    assert "film" in film and "recorder ended with exit code 1" in film
+    assert "without its camera" in camera and "camera/driver ended with exit code 1" in camera
     assert deaths.sentences == ["leap_driver ended with exit code 1"]
