@@ -253,7 +253,7 @@ def test_what_is_refused(rig, node, wait_until):
     rig.out_of_reach = ""
     refused("The tool is not held: a hand is followed.")
     rig.answers.clear()
-    refused("It is unknown whether the arm gets there: the service kuka/check_tool_pose did not answer within 2 s")
+    refused("It is unknown whether the arm reaches the grasp: the service kuka/check_tool_pose")
     rig.answers.set()
     rig.say_hold("taken")
     refused("The arm follows a hand; take it away first.")
