@@ -150,7 +150,7 @@ def test_the_simulated_person_picks_a_cup_up_and_puts_it_down(demo, wait_until, 
     assert summary["faults"] == [] and summary["nodes_died"] == []
     cup = summary["objects"]["cup"]
     assert cup["picked_and_placed"] and cup["lifted_mm"] > 195.0 and cup["tilt_deg"] < 5.0
-    assert summary["servo_goals_sent"] > 500 and summary["frames_received"] > 500
+    assert summary["servo_goals_sent"] > 100 and summary["frames_received"] > 500
     assert summary["streams"] and summary["safety_stops"] == 0
     assert summary["tracking_error"]["commanded"]["rms_mm"] < 50.0
     assert max(summary["hand_travel_rad"]) > 0.5
