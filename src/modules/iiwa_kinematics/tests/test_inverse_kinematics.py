@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from common.poses import pose, translation
@@ -117,10 +117,12 @@ def smooth(rng, steps, size, count=3):
 @arms
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
+@example(60161)
 def test_smooth_paths_are_followed_without_a_flip(arm, seed):
     """As a hand moves the tool: up to 0.5 m and 30 deg about home, some of it out of reach.
 
-    No joint moves much farther than the step of the tool asks for, but next to the ends of their ranges.
+    Except next to the ends of their ranges, no joint moves much farther than the step of the tool asks for. Beside a
+    zero of joint 2 or 6 its two neighbours turn about almost one axis and may turn against each other.
     """
     rng = np.random.default_rng(seed)
     T_home = arm.forward(HOME)
@@ -133,7 +135,7 @@ def test_smooth_paths_are_followed_without_a_flip(arm, seed):
         if result.q is not None:
             check(arm, result, T)
             if not lost:
-                step = np.abs(result.q - q).max()
+                step = joint_step(q, result.q)
                 if result.branch != Branch.of(q):
                     assert step < np.radians(25.0), "the branch may change through a zero only"
                 if min(room(arm, q), room(arm, result.q)) > np.radians(5.0):
@@ -142,6 +144,15 @@ def test_smooth_paths_are_followed_without_a_flip(arm, seed):
             q = result.q
         lost, T_before = result.q is None, T
     assert followed > 0
+
+
+def joint_step(q, q_next):
+    """The largest step of a joint [rad]; two neighbours of a joint that is near zero count by their sum."""
+    step = q_next - q
+    for joint in (1, 5):
+        if min(abs(q[joint]), abs(q_next[joint])) < np.radians(5.0):
+            step[joint - 1], step[joint + 1] = step[joint - 1] + step[joint + 1], 0.0
+    return np.abs(step).max()
 
 
 def room(arm, q):

@@ -159,6 +159,6 @@ class EpisodeFiles:
         return next((file for file, time in times if abs(time - t_grasp) < SAME_GRASP_S), None)
 
     def _lose(self, why: str) -> None:
-        self.lost += 1
         self._loss = f"An episode is lost: {why}"
+        self.lost += 1  # last: who sees the count also sees why
         rospy.logerr(self._loss)
