@@ -1,18 +1,13 @@
 #!/usr/bin/env bash
-# All tests: first, side by side, those without the whole rig; then those with it, one at a time, as it fills a small machine.
-# What fails is tried once more, alone: the real time-outs of nodes can still expire on a machine that is busy otherwise.
+# All tests: those without ROS, on the processor alone; those of single nodes, many side by side, as they mostly wait;
+# those of the whole rig, one at a time, as it fills a small machine. Options of pytest may follow.
 set -uo pipefail
 
-run() {  # run MARKERS [PYTEST'S OPTIONS]...
-  local markers=$1 code=0
-  shift
-  python -m pytest -m "$markers" "$@" || code=$?
-  [ $code -eq 1 ] || return $code  # the other codes of pytest mean that it could not run
-  echo "Once more, one at a time, what failed. A test that passes only now is a fault to look for, of the test or of the code."
-  python -m pytest -m "$markers" --last-failed --last-failed-no-failures none
-}
-
 code=0
-run "not rig" -n 3 --dist loadfile "$@" || code=$?
-run rig "$@" || code=$?
-exit $code
+run() {  # run MARKERS [PYTEST'S OPTIONS]...
+  python -m pytest -m "$@" || code=$?
+}
+run "not ros and not rig" -n 2 --dist worksteal "$@"
+run "ros and not rig" -n 8 --dist worksteal "$@"
+run rig "$@"
+exit "$code"

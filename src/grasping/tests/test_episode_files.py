@@ -91,6 +91,6 @@ def test_memory_is_bounded_and_the_end_names_what_is_lost(disk, files, monkeypat
     wait_until(lambda: files.waiting == 1, 10.0, "that it waits")
     files.put(other)
     wait_until(lambda: files.lost == 1, 10.0, "the second one")
-    assert "fill the memory" in files.fault and "waits in memory" in files.fault
+    assert "memory. Make room" in files.fault and "waits in memory" in files.fault
     files.close()
     assert files.lost == 2 and "could not be written until the end" in files.fault

@@ -391,7 +391,7 @@ def test_a_second_network_of_an_older_version_or_none_is_refused(tmp_path):
         load_refinement(file, rig())
     with pytest.raises(RigError, match="version 2"):
         load_refinement("ggcnn2.pt", rig())
-    with pytest.raises(RigError, match=r"none comes with the package: train one .* with train_refinement.py"):
+    with pytest.raises(RigError, match="train_refinement.py"):
         load_refinement("refinement.pt", rig())
 
 
