@@ -67,7 +67,7 @@ def descendants(pid: int) -> set[int]:
 
 
 def test_a_scripted_hand_moves_arm_and_hand_and_nothing_is_left_behind(demo, wait_until, tmp_path):
-    process = demo("--duration", "15")
+    process = demo("--duration", "25")
     assert process.wait(200) == 0, process.log_path.read_text()
     summary = json.loads(process.report.read_text())
     assert summary["faults"] == [] and summary["nodes_died"] == []

@@ -171,16 +171,58 @@ def test_the_tool_stays_in_the_workspace_and_comes_back_without_a_lurch(rig):
     rig.wait(lambda: rig.count("kuka_control", "workspace_clips") >= clips + 2, "the clips to be counted")
 
 
-def test_after_a_safety_stop_the_arm_stands_until_control_goes_off_and_on(rig):
-    rig.follow(right=-0.08)
-    stops = rig.arm.now.stops
+def push_the_arm(rig):
     rig.hand.sway(1.0, right=0.08)
     rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
     rig.arm.ask("set_external_torque", value=[0.0, -25.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def move_too_fast(rig):
+    rig.hand.sway(0.55, right=0.12)
+
+
+@pytest.fixture
+def unlimited_controller(rig):
+    """A controller that sends every target as it is, so that only the robot itself limits the speed of the tool."""
+    from kuka_msgs.srv import setScalingFactor
+
+    def end_controller():
+        rig.signal(CONTROLLER, signal.SIGINT)
+        assert rig.exit_code(CONTROLLER) == 0
+
+    end_controller()
+    rig.set(shaping="none")
+    rig.calm()
+    assert rig.call("kuka/scaling_factor", setScalingFactor, 1.5).success
+    yield
+    end_controller()
+    rig.set(shaping="ruckig")
+
+
+def test_after_an_external_torque_the_arm_stands_until_control_goes_off_and_on(rig):
+    stop_and_recover(rig, push_the_arm, "joint 2 is 25.5 Nm", fraction=0.35)
+
+
+def test_after_a_fast_tool_the_arm_stands_until_control_goes_off_and_on(rig, unlimited_controller):
+    # Without motion limits the arm closes the last two degrees to the hand as fast as it can.
+    stop_and_recover(rig, move_too_fast, "m/s (limit 0.8)", fraction=0.9)
+
+
+def stop_and_recover(rig, provoke, cause, fraction):
+    """Provokes a safety stop in servo mode; then the arm stands until control goes off and on, and follows again.
+
+    Args:
+        provoke: what brings the stop about.
+        cause: a part of what the robot says of it.
+        fraction: of the full joint speeds, below which the arm stays from then on, although the hand moves.
+    """
+    rig.follow(right=-0.08)
+    stops = rig.arm.now.stops
+    provoke(rig)
     rig.wait(lambda: rig.arm.now.safety_stop, "the safety stop")
-    assert "joint 2 is 25.5 Nm" in rig.arm.now.safety_stop
+    assert cause in rig.arm.now.safety_stop
     rig.wait(lambda: rig.mode == "stopped", "the controller to notice")
-    rig.wait(lambda: "does not follow, perhaps because of a safety stop" in rig.status.reason, "the reason")
+    rig.wait(lambda: "safety stop" in rig.status.reason, "the reason")
     rig.wait(lambda: rig.arm.now.speed == 0.0, "the arm to stand")
     stands = rig.arm.now.time
 
@@ -200,7 +242,7 @@ def test_after_a_safety_stop_the_arm_stands_until_control_goes_off_and_on(rig):
     rig.hand.glide(1.0, right=0.0)
     rig.settle()
     np.testing.assert_allclose(rig.arm.now.T_base_tool[:3, 3], rig.commanded[-1][:3, 3], atol=2e-3)
-    assert highest_share_of_joint_speed(rig.arm.since(released)) < 0.35
+    assert highest_share_of_joint_speed(rig.arm.since(released)) < fraction
     assert rig.arm.now.stops == stops + 1
 
 
@@ -294,8 +336,8 @@ def test_a_node_that_is_killed_in_a_stream_sends_the_arm_home(rig):
     assert "No new desired tool frame came" in rig.log
 
 
-@pytest.mark.parametrize("controller", ["answers", "hangs"])
-def test_the_emergency_button_ends_the_controller_and_the_arm_stands(rig, controller):
+@pytest.mark.parametrize("stop", ["service", "button", "button, the controller hangs"])
+def test_an_emergency_stop_ends_the_controller_and_the_arm_stands(rig, stop):
     from common.ros.service_calls import ServiceClient
     from kuka_control.ros import controller_process, emergency
     from kuka_msgs.srv import exitAppEmergency
@@ -304,13 +346,16 @@ def test_the_emergency_button_ends_the_controller_and_the_arm_stands(rig, contro
     rig.hand.sway(1.0, right=0.06)
     rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
     pressed = rig.arm.now.time
-    process = controller_process.find(rig.status.pid)
-    if controller == "hangs":
-        rig.suspend(CONTROLLER)
-    client = ServiceClient(emergency.SERVICE, exitAppEmergency)
-    ended, sentence = emergency.stop(client, process, socket.gethostname())
-    assert ended, sentence
-    assert rig.exit_code(CONTROLLER) == (-signal.SIGKILL if controller == "hangs" else 2)
+    if stop == "service":
+        assert rig.call("kuka/exit_app_emergency", exitAppEmergency).success
+    else:
+        process = controller_process.find(rig.status.pid)
+        if "hangs" in stop:
+            rig.suspend(CONTROLLER)
+        client = ServiceClient(emergency.SERVICE, exitAppEmergency)
+        ended, sentence = emergency.stop(client, process, socket.gethostname())
+        assert ended, sentence
+    assert rig.exit_code(CONTROLLER) == (-signal.SIGKILL if "hangs" in stop else 2)
     rig.wait(lambda: rig.arm.now.speed == 0.0, "the arm to stand")
     stands = rig.arm.now.time
     rig.watch(1.0)
@@ -318,12 +363,15 @@ def test_the_emergency_button_ends_the_controller_and_the_arm_stands(rig, contro
     assert (rig.arm.now.mode, rig.arm.now.connected, rig.arm.now.safety_stop) == ("idle", False, None)
 
 
-def test_an_infeasible_position_shuts_the_controller_down(rig):
+@pytest.mark.parametrize(
+    ("to", "reason"), [({"up": -0.45}, "below the foot of the base"), ({"back": 0.65}, "behind the base")]
+)
+def test_an_infeasible_position_shuts_the_controller_down(rig, to, reason):
     rig.follow()
-    rig.hand.glide(3.0, up=-0.45)
+    rig.hand.glide(3.0, **to)
     assert rig.exit_code(CONTROLLER) == 1
     np.testing.assert_allclose(rig.arm.now.q, np.zeros(7), atol=1e-3)
-    assert "below the foot of the base" in rig.log
+    assert reason in rig.log
     assert "zero" in rig.modes and rig.modes[-1] == "stopped"
     assert not rig.arm.now.connected and max(outside(T[:3, 3]) for T in rig.commanded) < 1e-6
 

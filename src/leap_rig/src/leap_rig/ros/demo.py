@@ -192,11 +192,12 @@ class Interrupts:
     def _interrupt(self, _signal, _frame) -> None:
         self._came = True
         if not self._waits:
+            self._waits = True  # the first one stops the rig; another one would only cut off the report
             raise KeyboardInterrupt
 
     def heed(self) -> None:
-        """Raises KeyboardInterrupt if an interrupt waits; later ones are raised at once."""
-        self._waits = False
+        """Raises KeyboardInterrupt if an interrupt waits; else the next one is raised at once."""
+        self._waits = self._came
         if self._came:
             raise KeyboardInterrupt
 
