@@ -40,7 +40,7 @@ def rows(quick: bool) -> list[Row]:
         times, _ = timed(read_message, [(text,) for text in recorded])
         table.append(row("leap codec, recorded frames", times, "us", f"{_size(recorded)}, early field set"))
     else:
-        table.append(Row("leap codec, recorded frames", None, None, "us", "no recordings in ../shared/data/leap"))
+        table.append(Row("leap codec, recorded frames", None, None, "us", "the recordings are not on this machine"))
     texts = simulated_texts(count)
     times, frames = timed(read_message, [(text,) for text in texts])
     table.append(row("leap codec, simulated frames", times, "us", f"{_size(texts)}, one hand"))

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from common import poses
 from common import rotations as rot
-from common.averaging import Window
 
 angles = st.floats(-10.0, 10.0)
 
@@ -95,24 +94,3 @@ def test_what_is_no_pose_is_refused():
     for T in (np.eye(3), np.diag([1, 1, 1, 2.0]), np.diag([1, 1, -1, 1.0]), np.full((4, 4), np.nan)):
         with pytest.raises(ValueError):
             poses.check_pose(T)
-
-
-@given(st.integers(1, 12), st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40))
-def test_window_is_the_mean_of_the_newest(size, samples):
-    window = Window(size)
-    for n, sample in enumerate(samples, 1):
-        window.add([sample])
-        assert window.full == (n >= size)
-        if window.full:
-            np.testing.assert_allclose(window.mean(), np.mean(samples[n - size : n]), atol=1e-9)
-        else:
-            assert window.mean() is None
-    window.reset()
-    assert not window.full
-
-
-def test_window_refuses_what_is_not_finite():
-    with pytest.raises(ValueError, match="not finite"):
-        Window(2).add([1.0, np.nan])
-    with pytest.raises(ValueError):
-        Window(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 
 import pytest
@@ -100,8 +101,6 @@ def test_a_service_that_comes_later_is_waited_for(ros, offer):
 
 def test_a_node_that_hangs_never_executes_a_call_that_was_given_up(ros):
     """The handshake is never answered, as by a suspended process; then the node continues."""
-    import socket
-
     from std_srvs.srv import SetBool
 
     from common.ros.service_calls import ServiceClient, ServiceFailed
@@ -119,3 +118,19 @@ def test_a_node_that_hangs_never_executes_a_call_that_was_given_up(ros):
             header = b"".join(len(f).to_bytes(4, "little") + f for f in (b"md5sum=*", b"type=*"))
             connection.sendall(len(header).to_bytes(4, "little") + header)
             assert connection.recv(4096) == b"", "closed without a request"
+
+
+def test_listens():
+    from common.ros.service_calls import listens
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        uri = f"http://127.0.0.1:{server.getsockname()[1]}/"
+        assert listens(uri)
+    assert not listens(uri)
+
+
+@pytest.mark.parametrize("uri", ["", "http://", "http://127.0.0.1:port/", "nonsense"])
+def test_what_is_no_address_does_not_listen(uri):
+    from common.ros.service_calls import listens
+
+    assert not listens(uri)

@@ -231,9 +231,9 @@ def test_a_process_that_dies_while_it_writes_leaves_no_episode_but_a_sentence(st
     whole.write_bytes(encode(one))
     died = folder / whole.name.replace("episode_1970", "episode_1971")
     code = (
-        "import os, signal, sys; from pathlib import Path; from common.ros.files import write_bytes_whole;"
+        "import os, signal, sys; from pathlib import Path; from common.ros.files import write_whole;"
         "os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL);"
-        "write_bytes_whole(Path(sys.argv[1]), b'half of an episode')"
+        "write_whole(Path(sys.argv[1]), b'half of an episode')"
     )
     assert processes.start(sys.executable, "-c", code, str(died)).wait(60.0) == -signal.SIGKILL
     assert files(folder) == [whole] and len(os.listdir(folder)) == 2

@@ -34,7 +34,7 @@ def disk(monkeypatch):
             file.write_bytes(content)
 
     disk = Disk()
-    monkeypatch.setattr(episode_files, "write_bytes_whole", disk.write)
+    monkeypatch.setattr(episode_files, "write_whole", disk.write)
     monkeypatch.setattr(episode_files, "RETRY_S", 0.05)
     return disk
 

@@ -16,8 +16,7 @@ from common.config import parse
 from common.errors import ConfigError
 from common.rotations import rotation_from_zyx
 from leap_hand.config import HandConfig
-from leap_hand.flexion import angle_between, flexion
-from leap_hand.mapping import map_angles
+from leap_hand.flexion import angle_between, flexion, map_angles
 from leap_hand.teleop import MAX_BAD_FRAMES, GripperState, HandTeleop
 from leap_motion.tracking import FingerPoints, TrackedHand, TrackingFrame
 

@@ -9,7 +9,7 @@ import pytest
 from common.config import parse
 from common.rotations import rotation_from_zyx
 from leap_kuka.config import ArmPlacement, LeapConfig
-from leap_kuka.desired_tool import R_LEAP_REFERENCE
+from leap_kuka.virtual_leap import R_LEAP_REFERENCE
 from leap_motion.tracking import TrackedHand, TrackingFrame
 
 LEAP = {

@@ -237,12 +237,6 @@ def test_no_frame_at_all_is_said(play):
     assert play.teleop.silence(0.0).reason == "no tracking frames come in"
 
 
-def test_reset_ends_the_stream(play, sample):
-    play.steps(10, sample())
-    play.teleop.reset()
-    assert play.step(sample()).state == StreamState.WAITING
-
-
 @settings(max_examples=30)
 @given(st.floats(-math.pi, math.pi), st.lists(st.tuples(*[st.floats(-40.0, 40.0)] * 3), min_size=1, max_size=15))
 def test_turning_the_device_about_the_vertical_changes_nothing_in_the_base_frame(

@@ -143,7 +143,6 @@ def frozen(play):
         (lambda play: play.teleop.control(False), "control of the arm is off"),
         (lambda play: play.teleop.end_hold(), "it was ended"),
         (lambda play: play.teleop.silence(play.now + 0.3), "no tracking frames come in"),
-        (lambda play: play.teleop.reset(), "no tracking frames come in"),
     ],
 )
 def test_what_ends_a_hold(holding, happens, reason):

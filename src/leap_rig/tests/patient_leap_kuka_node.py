@@ -4,13 +4,13 @@
 What the limits of the node as shipped do is tested in leap_kuka, where the test has the clock.
 """
 
-from common import frame_watch
+from common import hand_tracking
 from leap_kuka import hand_average, teleop
 from leap_kuka.ros.teleop_node import main
 
 if __name__ == "__main__":
     teleop.MAX_SILENCE_S = 1.0
-    frame_watch.MAX_SKEW_S = 2.0
+    hand_tracking.MAX_SKEW_S = 2.0
     # An outlier is one whenever it comes, and a hand may move far between two frames.
     hand_average.MAX_STEP_M, hand_average.MAX_SPEED_M_S = 0.18, 0.0
     main()

@@ -23,9 +23,9 @@ from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig as KukaRig
 from leap_kuka.config import ArmPlacement, LeapConfig
-from leap_kuka.desired_tool import R_LEAP_REFERENCE
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.tool_hold import HoldState
+from leap_kuka.virtual_leap import R_LEAP_REFERENCE
 from leap_motion.tracking import TrackedHand, TrackingFrame
 
 SRC = Path(__file__).parents[2]

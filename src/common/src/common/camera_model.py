@@ -25,29 +25,20 @@ TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class CameraModel:
-    """Intrinsics of one camera.
+    """Intrinsics of one camera."""
 
-    Attributes:
-        name: of the camera in its calibration file.
-        width, height: of the image [px].
-        K: camera matrix, shape (3, 3) [px].
-        D: distortion k1, k2, p1, p2, k3, shape (5,).
-        R: rotation from the camera to the rectified camera, shape (3, 3).
-        P: projection of the rectified camera, shape (3, 4) [px, and px m in the last column].
-    """
-
-    name: str
-    width: int
+    name: str  # in its calibration file
+    width: int  # of the image [px]
     height: int
-    K: np.ndarray
-    D: np.ndarray
-    R: np.ndarray
-    P: np.ndarray
+    K: np.ndarray  # camera matrix, shape (3, 3) [px]
+    D: np.ndarray  # distortion k1, k2, p1, p2, k3, shape (5,)
+    R: np.ndarray  # rotation from the camera to the rectified camera, shape (3, 3)
+    P: np.ndarray  # projection of the rectified camera, shape (3, 4) [px, and px m in the last column]
 
     def project(self, points: ArrayLike) -> np.ndarray:
         """Returns the pixels, shape (..., 2) [px], of points in the optical frame, shape (..., 3), z > 0 [m]."""
         points = np.asarray(points, dtype=float)
-        return self._to_pixels(self._distort(points[..., :2] / points[..., 2:]))
+        return self._distort(points[..., :2] / points[..., 2:]) * self._focal + self.K[:2, 2]
 
     def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Returns the directions x, y, 1, shape (..., 3), of the pixels, shape (..., 2) [px].
@@ -55,10 +46,7 @@ class CameraModel:
         Raises:
             ValueError: the distortion is not invertible there.
         """
-        pixels = np.asarray(pixels, dtype=float)
-        distorted = np.stack(
-            ((pixels[..., 0] - self.K[0, 2]) / self.K[0, 0], (pixels[..., 1] - self.K[1, 2]) / self.K[1, 1]), axis=-1
-        )
+        distorted = (np.asarray(pixels, dtype=float) - self.K[:2, 2]) / self._focal
         direction = distorted
         for _ in range(MAX_ITERATIONS):
             step = distorted - self._distort(direction)
@@ -66,6 +54,10 @@ class CameraModel:
             if np.max(np.abs(step), initial=0.0) < TOLERANCE:
                 return np.concatenate((direction, np.ones((*direction.shape[:-1], 1))), axis=-1)
         raise ValueError(f"the distortion {self.D.tolist()} of {self.name} is not invertible; calibrate it again")
+
+    @property
+    def _focal(self) -> np.ndarray:
+        return self.K[[0, 1], [0, 1]]
 
     def rectified(self) -> CameraModel:
         """Returns the camera of the rectified image: without distortion, with the matrix of P."""
@@ -77,16 +69,9 @@ class CameraModel:
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return np.stack(
-            (
-                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ),
-            axis=-1,
-        )
-
-    def _to_pixels(self, xy: np.ndarray) -> np.ndarray:
-        return xy * (self.K[0, 0], self.K[1, 1]) + (self.K[0, 2], self.K[1, 2])
+        dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        return np.stack((x * radial + dx, y * radial + dy), axis=-1)
 
 
 def pinhole(name: str, width: int, height: int, K: ArrayLike) -> CameraModel:
@@ -97,10 +82,7 @@ def pinhole(name: str, width: int, height: int, K: ArrayLike) -> CameraModel:
 
 
 def from_calibration(values: Mapping[str, Any]) -> CameraModel:
-    """Returns the camera that a calibration file in the format of camera_calibration_parsers describes.
-
-    Args:
-        values: the mapping of the yaml file.
+    """Returns the camera that the yaml mapping of camera_calibration_parsers describes.
 
     Raises:
         ConfigError: with all faults.
@@ -111,11 +93,10 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
     name = values.get("camera_name")
     if not isinstance(name, str) or not name.strip():
         faults.append(f"camera_name is {name!r}, but must be a text.")
-    size: list[Any] = []
     for key in ("image_width", "image_height"):
-        size.append(values.get(key))
-        if isinstance(size[-1], bool) or not isinstance(size[-1], int) or not 0 < size[-1] <= 16384:
-            faults.append(f"{key} is {size[-1]!r}, but must be a whole number of pixels.")
+        size = values.get(key)
+        if isinstance(size, bool) or not isinstance(size, int) or not 0 < size <= 16384:
+            faults.append(f"{key} is {size!r}, but must be a whole number of pixels.")
     if values.get("distortion_model") != PLUMB_BOB:
         faults.append(f"distortion_model is {values.get('distortion_model')!r}, but must be {PLUMB_BOB}.")
     K = _matrix(values, "camera_matrix", (3, 3), faults)
@@ -127,7 +108,7 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
             faults.append(f"{key} has the focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g}, but they must be > 0.")
     if faults or K is None or D is None or R is None or P is None:
         raise ConfigError(faults)
-    return CameraModel(str(name), int(size[0]), int(size[1]), K, read_only(D[0]), R, P)
+    return CameraModel(str(name), values["image_width"], values["image_height"], K, read_only(D[0]), R, P)
 
 
 def _matrix(values: Mapping[str, Any], key: str, shape: tuple[int, int], faults: list[str]) -> np.ndarray | None:

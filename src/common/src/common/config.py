@@ -23,38 +23,26 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, Callable, NamedTuple, Optional, TypeVar
+from typing import Any, Callable, NamedTuple, TypeVar
 
 import numpy as np
 
 from common.errors import ConfigError
 
 Schema = TypeVar("Schema")
-Bound = Optional[float]
-"""An end of a range; None: unbounded."""
-
 REQUIRED = object()
 """Stands for the value of a key that must be given."""
 
 
-def number(
-    unit: str = "",
-    *,
-    low: Bound = None,
-    high: Bound = None,
-    above: Bound = None,
-    below: Bound = None,
-    doc: str = "",
-    absent: Any = REQUIRED,
-) -> Any:
-    """A finite number. `low` and `high` belong to the range, `above` and `below` do not."""
-    limits = _Range(low, high, above, below)
+def number(unit: str = "", *, doc: str = "", absent: Any = REQUIRED, **bounds: float) -> Any:
+    """A finite number within `bounds`: `low` and `high` belong to the range, `above` and `below` do not."""
+    limits = _Range(**bounds)
     return _field(_Kind(limits.number, f"a finite number{limits.within}", "number", str(limits), unit), doc, absent)
 
 
-def integer(unit: str = "", *, low: Bound = None, high: Bound = None, doc: str = "", absent: Any = REQUIRED) -> Any:
-    """A whole number within [low, high]."""
-    limits = _Range(low, high)
+def integer(unit: str = "", *, doc: str = "", absent: Any = REQUIRED, **bounds: float) -> Any:
+    """A whole number within `bounds`, as of `number`."""
+    limits = _Range(**bounds)
 
     def read(value: Any) -> int:
         return int(limits.number(_instance(value, int)))
@@ -62,19 +50,9 @@ def integer(unit: str = "", *, low: Bound = None, high: Bound = None, doc: str =
     return _field(_Kind(read, f"a whole number{limits.within}", "whole number", str(limits), unit), doc, absent)
 
 
-def vector(
-    length: int,
-    unit: str = "",
-    *,
-    low: Bound = None,
-    high: Bound = None,
-    above: Bound = None,
-    below: Bound = None,
-    doc: str = "",
-    absent: Any = REQUIRED,
-) -> Any:
-    """A list of `length` finite numbers, each in the range; becomes a read-only array, shape (length,)."""
-    limits = _Range(low, high, above, below)
+def vector(length: int, unit: str = "", *, doc: str = "", absent: Any = REQUIRED, **bounds: float) -> Any:
+    """A list of `length` finite numbers, each within `bounds` as of `number`; becomes a read-only array."""
+    limits = _Range(**bounds)
 
     def read(value: Any) -> np.ndarray:
         if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != length:
@@ -133,7 +111,7 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     Args:
         schema: a frozen dataclass whose fields were made by the functions above.
         values: of the yaml file or the parameter server.
-        prefix: stands before each key in the messages, such as "kuka/".
+        prefix: of each key in the messages, such as "kuka/".
         others: keys of another owner that may stand beside the schema's own.
 
     Raises:
@@ -159,15 +137,14 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
             faults.append(f"{prefix}{name} is missing; it must be {kind.allowed_with_unit}.")
         else:
             read[name] = field.metadata["absent"]
-    if not faults:
-        config = schema(**read)
-        faults = [f"{prefix}{fault}" for fault in getattr(config, "faults", list)()]
-        if not faults:
-            return config
-    else:
+    if faults:
         among: list[str] = getattr(schema, "faults_among", lambda read: [])(read)
-        faults += [f"{prefix}{fault}" for fault in among]
-    raise ConfigError(faults)
+        raise ConfigError(faults + [f"{prefix}{fault}" for fault in among])
+    config = schema(**read)
+    faults = [f"{prefix}{fault}" for fault in getattr(config, "faults", list)()]
+    if faults:
+        raise ConfigError(faults)
+    return config
 
 
 def parse_part(
@@ -218,17 +195,15 @@ class _Kind(NamedTuple):
 
 
 class _Range(NamedTuple):
-    low: Bound = None
-    high: Bound = None
-    above: Bound = None
-    below: Bound = None
+    """An end of a range that is None is unbounded."""
+
+    low: float | None = None
+    high: float | None = None
+    above: float | None = None
+    below: float | None = None
 
     def number(self, value: Any) -> float:
-        """Returns a finite number in the range.
-
-        Raises:
-            ValueError: it is not one.
-        """
+        """Returns a finite number in the range, or raises a ValueError."""
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise ValueError
         if (

@@ -8,11 +8,7 @@ class RigError(Exception):
 
 
 class ConfigError(RigError):
-    """A configuration has invalid values.
-
-    Attributes:
-        faults: all faults, one sentence each.
-    """
+    """A configuration has invalid values; `faults` has all of them, one sentence each."""
 
     def __init__(self, faults: list[str] | tuple[str, ...]) -> None:
         self.faults = tuple(faults)

@@ -44,17 +44,11 @@ def rotation_of_mounting(mounting: ArrayLike) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class MountingFrame:
-    """The operator's directions in the base frame.
+    """The operator's directions in the base frame."""
 
-    Attributes:
-        up: unit vector, shape (3,).
-        forward: unit vector across `up`, shape (3,): where a hand points that points away from the operator.
-        tool_reversed: whether the tool's x axis points against `forward` when the hand points forward.
-    """
-
-    up: np.ndarray
-    forward: np.ndarray
-    tool_reversed: bool
+    up: np.ndarray  # unit vector, shape (3,)
+    forward: np.ndarray  # unit vector across `up`, shape (3,): of a hand that points away from the operator
+    tool_reversed: bool  # whether the tool's x axis points against `forward` when the hand points forward
 
     @property
     def R_base_hand(self) -> np.ndarray:
@@ -74,9 +68,7 @@ class MountingFrame:
 def mounting_frame(center_line: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)) -> MountingFrame:
     """Returns the operator's directions.
 
-    Args:
-        center_line: horizontal in the base frame, shape (3,), any length.
-        mounting: roll, pitch, yaw [deg].
+    `center_line` is horizontal in the base frame, shape (3,), of any length; `mounting` is roll, pitch, yaw [deg].
 
     Raises:
         ValueError: center_line is zero.

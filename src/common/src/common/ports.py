@@ -5,18 +5,13 @@ from __future__ import annotations
 import random
 import socket
 
-FIRST = 15000
-LAST = 29999
+FIRST, LAST = 15000, 29999
 """Below the ports from 32768 on, which Linux gives to outgoing connections and for port 0."""
-
 TRIES = 200
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """Returns a port of this machine's loopback address that is free now.
-
-    Args:
-        kind: `SOCK_STREAM` for TCP, `SOCK_DGRAM` for UDP.
+    """Returns a port of the loopback address, `SOCK_STREAM` for TCP or `SOCK_DGRAM` for UDP, that is free now.
 
     Raises:
         OSError: no free port was found.

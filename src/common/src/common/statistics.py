@@ -99,16 +99,10 @@ class Difference(NamedTuple):
 def paired_difference(
     one: ArrayLike, other: ArrayLike, statistic: Callable[..., np.ndarray] = np.mean, seed: int = 0
 ) -> Difference:
-    """Returns the statistic of `one` less that of `other`.
+    """Returns the statistic (numpy's mean or median) of `one` less that of `other`, both for the same cases.
 
     The bootstrap draws whole cases, so that what is common to both, such as the difficulty of a case, does not widen
     the interval.
-
-    Args:
-        one: a value for each case, shape (n,).
-        other: likewise for the same cases, shape (n,).
-        statistic: numpy's mean or median.
-        seed: of the bootstrap.
 
     Raises:
         ValueError: no cases, or different numbers of values.

@@ -11,12 +11,6 @@ CELLS = 8
 
 
 def black_cells(tag: int) -> np.ndarray:
-    """Returns which cells of a tag are black, shape (8, 8), first row on top.
-
-    Args:
-        tag: id, an index of CODES.
-    """
-    bits = [CODES[tag] >> (35 - i) & 1 for i in range(36)]
-    cells = np.ones((CELLS, CELLS), dtype=bool)
-    cells[1:7, 1:7] = ~np.array(bits, dtype=bool).reshape(6, 6)
-    return cells
+    """Returns which cells of the tag with that id are black, shape (8, 8), first row on top."""
+    bits = np.array([CODES[tag] >> (35 - i) & 1 for i in range(36)])
+    return np.pad(bits.reshape(6, 6) == 0, 1, constant_values=True)

@@ -34,18 +34,18 @@ class ToolConfig:
         if not self.use_tool_transform:
             return []
         try:
-            T = check_pose(self.tool_transform.reshape(4, 4))
+            point = check_pose(self.tool_transform.reshape(4, 4))[:3, 3]
         except ValueError as error:
             return [
                 f"tool_transform is not a pose: {error}; give a rotation without scale or reflection, with at least "
                 "seven digits, and a position in m."
             ]
-        if np.linalg.norm(T[:3, 3]) > MAX_TOOL_M:
-            return [
-                f"tool_transform has its tool point at {T[:3, 3].tolist()} m, farther than {MAX_TOOL_M:g} m from the "
-                "flange; give metres."
-            ]
-        return []
+        if np.linalg.norm(point) <= MAX_TOOL_M:
+            return []
+        return [
+            f"tool_transform has its tool point at {point.tolist()} m, farther than {MAX_TOOL_M:g} m from the flange; "
+            "give metres."
+        ]
 
     def faults(self) -> list[str]:
         """Returns the faults that no single parameter can show, one sentence each."""

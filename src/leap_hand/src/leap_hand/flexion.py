@@ -1,4 +1,4 @@
-"""Flexion and spread of the fingers, as four angles at the palm centre.
+"""Flexion and spread of the operator's fingers, as four angles at the palm centre, and the robot hand's from them.
 
 The angles are between vectors of one hand, so they depend neither on its pose nor on its side.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from leap_motion.tracking import FingerPoints
 
@@ -22,22 +23,14 @@ def flexion(palm: np.ndarray, normal: np.ndarray, fingers: FingerPoints) -> np.n
     90 deg for a flat hand, less for a closed one. delta: between the vectors to the intermediate bones of index and
     middle finger.
 
-    Args:
-        palm: palm centre, shape (3,) [m].
-        normal: unit vector out of the palm, shape (3,).
-        fingers: in the same frame as the palm.
+    Takes the palm centre, shape (3,) [m], the unit vector out of the palm, and the fingers in the same frame.
 
     Raises:
         ValueError: a number is not finite, or a point lies in the palm centre.
     """
-    return np.array(
-        [
-            angle_between(normal, fingers.index_tip - palm),
-            angle_between(normal, fingers.middle_tip - palm),
-            angle_between(normal, fingers.thumb_tip - palm),
-            angle_between(fingers.index_bone - palm, fingers.middle_bone - palm),
-        ]
-    )
+    tips = (fingers.index_tip, fingers.middle_tip, fingers.thumb_tip)
+    spread = angle_between(fingers.index_bone - palm, fingers.middle_bone - palm)
+    return np.array([*(angle_between(normal, tip - palm) for tip in tips), spread])
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
@@ -51,3 +44,12 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
         if not np.isfinite(length) or length < MIN_LENGTH_M:
             raise ValueError(f"the vector {np.asarray(v).tolist()} has no direction")
     return math.atan2(float(np.linalg.norm(np.cross(a, b))), float(np.dot(a, b)))
+
+
+def map_angles(angles: ArrayLike, human: np.ndarray, robot: np.ndarray) -> np.ndarray:
+    """Returns the robot's angles, shape (n,) [rad], of those of the human hand: linear, clipped at open and closed.
+
+    `human` and `robot` are the angles of the open and the closed hand, shape (n, 2) [rad]; the human's two differ.
+    """
+    closed = np.clip((angles - human[:, 0]) / (human[:, 1] - human[:, 0]), 0.0, 1.0)
+    return (1.0 - closed) * robot[:, 0] + closed * robot[:, 1]

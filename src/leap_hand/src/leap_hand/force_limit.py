@@ -22,32 +22,20 @@ FEELING = FINGERS[:3]
 
 @dataclass(frozen=True)
 class FingerFeedback:
-    """What the robot hand measures at index, middle and thumb.
+    """What the robot hand measures at index, middle and thumb."""
 
-    Attributes:
-        angles: of the fingers [rad].
-        pressures: nine taxels each [counts].
-        loads: of their motors, closing positive [0.1 % of the largest torque].
-    """
-
-    angles: tuple[float, ...]
-    pressures: tuple[tuple[float, ...], ...]
-    loads: tuple[float, ...]
+    angles: tuple[float, ...]  # of the fingers [rad]
+    pressures: tuple[tuple[float, ...], ...]  # nine taxels each [counts]
+    loads: tuple[float, ...]  # of their motors, closing positive [0.1 % of the largest torque]
 
 
 @dataclass(frozen=True)
 class LimitedCommand:
-    """A command within the force limit.
+    """A command within the force limit."""
 
-    Attributes:
-        command: angles of index, middle, thumb, spread, shape (4,) [rad].
-        limited: reason by name of the finger.
-        silence: why all fingers are limited, or empty.
-    """
-
-    command: np.ndarray
-    limited: dict[str, str]
-    silence: str
+    command: np.ndarray  # angles of index, middle, thumb, spread, shape (4,) [rad]
+    limited: dict[str, str]  # reason by name of the finger
+    silence: str  # why all fingers are limited, or empty
 
 
 class ForceLimit:
@@ -62,14 +50,9 @@ class ForceLimit:
         self.trips = 0
 
     def update(self, feedback: FingerFeedback, now: float) -> bool:
-        """Updates the limits; feedback with numbers that are not finite is ignored.
+        """Updates the limits; returns whether this stops a finger that was free before.
 
-        Args:
-            feedback: the newest one.
-            now: time of its arrival on a monotonic clock [s].
-
-        Returns:
-            Whether this stops a finger that was free before.
+        Takes the time of the feedback's arrival on a monotonic clock [s]. Numbers that are not finite are ignored.
         """
         if not self._config.force_limit:
             return False

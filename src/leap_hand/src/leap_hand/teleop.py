@@ -12,12 +12,10 @@ from enum import Enum
 
 import numpy as np
 
-from common.frame_watch import FrameWatch
-from common.hand_choice import HandChoice
+from common.hand_tracking import FrameWatch, HandChoice
 from common.poses import read_only
 from leap_hand.config import HandConfig
-from leap_hand.flexion import flexion
-from leap_hand.mapping import map_angles
+from leap_hand.flexion import flexion, map_angles
 from leap_motion.tracking import FingerPoints, TrackedHand, TrackingFrame
 
 GRIPPER_OFF = "the control of the gripper is off"
@@ -39,28 +37,17 @@ class GripperState(Enum):
 
 @dataclass(frozen=True)
 class GripperResult:
-    """The result of a frame.
-
-    Attributes:
-        state: of the robot hand.
-        reason: one sentence.
-        command: angles of index, middle, thumb, spread, shape (4,) [rad]; None if nothing is to be sent.
-    """
+    """The result of a frame."""
 
     state: GripperState
-    reason: str
-    command: np.ndarray | None
+    reason: str  # one sentence
+    command: np.ndarray | None  # angles of index, middle, thumb, spread, shape (4,) [rad]; None: send nothing
 
 
 class HandTeleop:
-    """The chain of steps with its state.
+    """The chain of steps with its state; `open_pose` has the angles of the open robot hand, shape (4,) [rad].
 
-    Args:
-        config: limits of the human and the robot hand.
-        hand_only: start without a message on kuka/gripper_control.
-
-    Attributes:
-        open_pose: angles of the open robot hand, shape (4,) [rad].
+    With `hand_only` it starts without a message on kuka/gripper_control.
     """
 
     def __init__(self, config: HandConfig, hand_only: bool) -> None:
@@ -79,11 +66,9 @@ class HandTeleop:
         return self._open(GRIPPER_OFF) if changed and not gripper_on else None
 
     def step(self, frame: TrackingFrame, now: float) -> GripperResult | None:
-        """Processes a frame; returns None for a repeated frame and for one with an old or future stamp.
+        """Processes a frame that arrived at `now` on a monotonic clock [s].
 
-        Args:
-            frame: the newest frame.
-            now: time of its arrival on a monotonic clock [s].
+        Returns None for a repeated frame and for one with an old or future stamp.
         """
         if not self._watch.arrived(frame.id, frame.age, now).usable:
             return None

@@ -47,18 +47,14 @@ class ArmPlacement(ToolConfig):
             faults.append(f"center_line is {self.center_line.tolist()}, but its z must be zero.")
         if not np.any(self.center_line[:2]):
             faults.append("center_line is the zero vector and has no direction.")
-        if self.ws_center[2] <= self.z_lower_limit:
-            faults.append(
-                f"ws_center has z {self.ws_center[2]:g} m, but must be above z_lower_limit {self.z_lower_limit:g} m."
-            )
+        z, low, high = self.ws_center[2], self.z_lower_limit, self.z_upper_limit
+        if z <= low:
+            faults.append(f"ws_center has z {z:g} m, but must be above z_lower_limit {low:g} m.")
         if not faults and self.hangs:
-            if self.z_upper_limit is None:
+            if high is None:
                 faults.append("z_upper_limit is missing; an arm that hangs needs it.")
-            elif self.ws_center[2] >= self.z_upper_limit:
-                faults.append(
-                    f"ws_center has z {self.ws_center[2]:g} m, but must be below z_upper_limit "
-                    f"{self.z_upper_limit:g} m."
-                )
+            elif z >= high:
+                faults.append(f"ws_center has z {z:g} m, but must be below z_upper_limit {high:g} m.")
         return faults
 
     @property

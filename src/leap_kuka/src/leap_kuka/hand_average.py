@@ -1,4 +1,7 @@
-"""The mean of the newest samples of one hand, without outliers.
+"""The mean of the newest samples of one hand, without outliers, as the hand frame.
+
+The hand frame has x along the hand, z out of the palm, and y completes it; the same for left and right hands. All
+vectors are in the Leap frame: x to the user's right, y up, z towards the user; metres.
 
 An outlier is a palm that moves more than 20 mm from one frame to the next, and faster than 2 m/s over a longer gap, or
 a hand with invalid numbers (docs/handbook/wire-protocols.md, "Tracker: Leap service"). The mean does not change while
@@ -12,10 +15,10 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from common.averaging import Window
 from common.poses import pose, read_only
-from leap_kuka.hand_frame import hand_fault, hand_rotation
+from common.rotations import UNIT_TOLERANCE, unit
 from leap_motion.tracking import TrackedHand
 
 MAX_STEP_M = 0.02
@@ -29,20 +32,20 @@ MIN_MEAN_LENGTH = 0.8
 """Shortest mean of unit vectors that counts as a direction. Above 1/sqrt(2) the means of direction and normal cannot
 be parallel: the samples are orthogonal, so the cosine between the means is at most (1 - l^2) / l^2."""
 
+ORTHOGONAL_TOLERANCE = 0.01
+"""Largest cosine between direction and normal; the tracker prints them to six digits."""
+
+MAX_DISTANCE_M = 2.0
+"""Largest distance of a palm from the Leap; the tracker's documented range is 0.6 m."""
+
 
 @dataclass(frozen=True)
 class MeanHand:
-    """The averaged hand.
+    """The averaged hand."""
 
-    Attributes:
-        T_leap_hand: pose of the hand frame in the Leap frame, shape (4, 4) [m].
-        confidence: 0 to 1.
-        speed: of the palm over the newest samples [m/s]; infinite while it is unknown.
-    """
-
-    T_leap_hand: np.ndarray
-    confidence: float
-    speed: float
+    T_leap_hand: np.ndarray  # pose of the hand frame in the Leap frame, shape (4, 4) [m]
+    confidence: float  # 0 to 1
+    speed: float  # of the palm over the newest samples [m/s]; infinite while it is unknown
 
     @property
     def palm(self) -> np.ndarray:
@@ -55,15 +58,20 @@ class HandAverage:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._window = Window(size)
-        self.reset()
+        self._samples: deque[np.ndarray] = deque(maxlen=size)
+        self._newest: deque[tuple[np.ndarray, float]] = deque(maxlen=SPEED_SAMPLES)
+        self.left_out = 0
 
     def reset(self) -> None:
         """Forgets all samples."""
-        self._window.reset()
-        self._newest: deque[tuple[np.ndarray, float]] = deque(maxlen=SPEED_SAMPLES)
-        self.count = 0
+        self._samples.clear()
+        self._newest.clear()
         self.left_out = 0
+
+    @property
+    def count(self) -> int:
+        """Number of samples in the mean."""
+        return len(self._samples)
 
     @property
     def lost(self) -> bool:
@@ -78,14 +86,15 @@ class HandAverage:
             return fault
         self.left_out = 0
         self._newest.append((hand.palm, now))
-        self._window.add(np.concatenate([hand.palm, hand.direction, hand.normal, [hand.confidence]]))
-        self.count = min(self.count + 1, self.size)
+        self._samples.append(_numbers(hand))
         return None
 
     def mean(self) -> MeanHand | None:
         """Returns the mean hand, or None while the window fills or the hand turns too fast for a mean."""
-        mean = self._window.mean()
-        if mean is None or min(np.linalg.norm(mean[3:6]), np.linalg.norm(mean[6:9])) < MIN_MEAN_LENGTH:
+        if self.count < self.size:
+            return None
+        mean = np.mean(self._samples, axis=0)
+        if min(np.linalg.norm(mean[3:6]), np.linalg.norm(mean[6:9])) < MIN_MEAN_LENGTH:
             return None
         return MeanHand(read_only(pose(hand_rotation(mean[3:6], mean[6:9]), mean[:3])), float(mean[9]), self._speed())
 
@@ -102,3 +111,37 @@ class HandAverage:
         if step <= max(MAX_STEP_M, MAX_SPEED_M_S * elapsed):
             return None
         return f"the palm jumped by {1e3 * step:.0f} mm within {1e3 * elapsed:.0f} ms"
+
+
+def hand_fault(hand: TrackedHand) -> str | None:
+    """Returns why the numbers of a hand are invalid, or None."""
+    numbers = _numbers(hand)
+    if not np.all(np.isfinite(numbers)):
+        return f"not all numbers of the hand are finite: {numbers.tolist()}"
+    if np.linalg.norm(hand.palm) > MAX_DISTANCE_M:
+        return f"the palm is {np.linalg.norm(hand.palm):.1f} m away from the Leap"
+    for name in ("direction", "normal"):
+        norm = np.linalg.norm(getattr(hand, name))
+        if abs(norm - 1.0) > UNIT_TOLERANCE:
+            return f"the {name} of the hand has length {norm:.4g} instead of 1"
+    if abs(hand.direction @ hand.normal) > ORTHOGONAL_TOLERANCE:
+        angle = math.degrees(math.acos(np.clip(hand.direction @ hand.normal, -1.0, 1.0)))
+        return f"direction and normal of the hand enclose {angle:.1f} deg instead of 90"
+    if not 0.0 <= hand.confidence <= 1.0:
+        return f"the confidence is {hand.confidence:g} and not within 0 and 1"
+    return None
+
+
+def hand_rotation(direction: ArrayLike, normal: ArrayLike) -> np.ndarray:
+    """Returns R_leap_hand, shape (3, 3), with x along `direction` and z closest to `normal`, shape (3,), of any length.
+
+    Raises:
+        ValueError: a vector has no direction, or both have the same.
+    """
+    x, normal = unit(direction), unit(normal)
+    z = unit(normal - (normal @ x) * x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _numbers(hand: TrackedHand) -> np.ndarray:
+    return np.concatenate([hand.palm, hand.direction, hand.normal, [hand.confidence]])

@@ -14,9 +14,8 @@ import numpy as np
 from common.errors import ConfigError
 from common.poses import read_only
 from leap_kuka.config import ArmPlacement, LeapConfig
-from leap_kuka.desired_tool import attitude
 from leap_kuka.hand_average import MeanHand
-from leap_kuka.virtual_leap import heading
+from leap_kuka.virtual_leap import attitude, heading
 
 START_SPEED_M_S = 0.3
 """A faster palm passes through the box and starts no stream."""
@@ -27,15 +26,10 @@ SIDES = (("left of", "right of"), ("below", "above"), ("behind", "in front of"))
 
 @dataclass(frozen=True)
 class InteractionBox:
-    """The box in which a stream starts; its axes are the Leap's.
+    """The box in which a stream starts; its axes are the Leap's."""
 
-    Attributes:
-        center: in the Leap frame, shape (3,) [m].
-        size: lengths of its edges, shape (3,) [m].
-    """
-
-    center: np.ndarray
-    size: np.ndarray
+    center: np.ndarray  # in the Leap frame, shape (3,) [m]
+    size: np.ndarray  # lengths of its edges, shape (3,) [m]
 
     def outside(self, point: np.ndarray) -> np.ndarray:
         """Returns the signed distance of a point, shape (3,) [m], beyond the box along each axis; zero inside."""
@@ -60,33 +54,19 @@ class StartGate:
     """Decides whether the stream runs, with hysteresis: its start has more conditions than its continuation."""
 
     def __init__(self, leap: LeapConfig, box: InteractionBox) -> None:
-        self._leap = leap
-        self._box = box
-        self.running = False
-
-    def reset(self) -> None:
-        """Ends the stream."""
+        self._leap, self._box = leap, box
         self.running = False
 
     def step(self, hand: MeanHand) -> list[str]:
         """Updates `running` from the averaged hand; returns the unmet conditions, none while the stream runs."""
-        faults = self._low_confidence(hand)
-        if not self.running:
-            faults = self._outside(hand) + self._tilted(hand) + self._fast(hand) + faults
+        faults = [] if self.running else self._outside(hand) + self._tilted(hand)
+        if not self.running and not hand.speed < START_SPEED_M_S:
+            too_fast = f"the hand moves too fast for a start, at {hand.speed:.2f} m/s"
+            faults.append(f"{too_fast}, and must be below {START_SPEED_M_S:g} m/s")
+        if not hand.confidence > self._leap.min_confidence:
+            faults.append(f"the confidence is {hand.confidence:.2f} and must be above {self._leap.min_confidence:g}")
         self.running = not faults
         return faults
-
-    def _low_confidence(self, hand: MeanHand) -> list[str]:
-        if hand.confidence > self._leap.min_confidence:
-            return []
-        return [f"the confidence is {hand.confidence:.2f} and must be above {self._leap.min_confidence:g}"]
-
-    def _fast(self, hand: MeanHand) -> list[str]:
-        if hand.speed < START_SPEED_M_S:
-            return []
-        return [
-            f"the hand moves too fast for a start, at {hand.speed:.2f} m/s, and must be below {START_SPEED_M_S:g} m/s"
-        ]
 
     def _outside(self, hand: MeanHand) -> list[str]:
         beyond = self._box.outside(hand.palm)
@@ -100,11 +80,9 @@ class StartGate:
     def _tilted(self, hand: MeanHand) -> list[str]:
         R_leap_hand = hand.T_leap_hand[:3, :3]
         angles = attitude(R_leap_hand, heading(R_leap_hand[:, 0]))
+        limits = {"pitch": self._leap.start_tol_pitch, "roll": self._leap.start_tol_roll}
         return [
-            f"the {name} is {math.degrees(angle):.1f} deg and must be within {limit:g} deg"
-            for name, angle, limit in (
-                ("pitch", angles.pitch, self._leap.start_tol_pitch),
-                ("roll", angles.roll, self._leap.start_tol_roll),
-            )
-            if abs(angle) >= math.radians(limit)
+            f"the {name} is {math.degrees(getattr(angles, name)):.1f} deg and must be within {limit:g} deg"
+            for name, limit in limits.items()
+            if abs(getattr(angles, name)) >= math.radians(limit)
         ]

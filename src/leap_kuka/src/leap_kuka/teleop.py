@@ -14,18 +14,14 @@ from enum import Enum
 
 import numpy as np
 
-from common.frame_watch import FrameWatch
-from common.hand_choice import HandChoice
+from common.hand_tracking import FrameWatch, HandChoice
 from common.poses import inverse, pose, read_only
 from leap_kuka.config import ArmPlacement, LeapConfig
-from leap_kuka.desired_tool import Attitude, attitude, tool_rotation
 from leap_kuka.hand_average import HandAverage, MeanHand
 from leap_kuka.start_gate import StartGate, interaction_box
 from leap_kuka.tool_hold import HandOver, HoldAnswer, HoldState, ToolHold, hand_over
-from leap_kuka.virtual_leap import heading, virtual_leap_pose
+from leap_kuka.virtual_leap import Attitude, attitude, heading, tool_rotation, virtual_leap_pose
 from leap_motion.tracking import TrackedHand, TrackingFrame
-
-NO_FRAMES = "no tracking frames come in"
 
 MAX_SILENCE_S = 0.2
 """Longest time between two tracking frames of one stream."""
@@ -40,29 +36,17 @@ class StreamState(Enum):
 
 @dataclass(frozen=True)
 class TeleopResult:
-    """The result of a frame.
+    """The result of a frame; poses have shape (4, 4)."""
 
-    Attributes:
-        state: RUNNING while the hand steers.
-        reason: one sentence: which hand is followed, or what the stream waits for.
-        usable: whether the frame was new and current; only then its poses are to be published.
-        T_base_virtual: pose of the virtual Leap in the base frame, shape (4, 4).
-        T_virtual_hand: pose of the averaged hand, shape (4, 4), or None without one.
-        T_virtual_tool: pose of the desired tool, shape (4, 4), or None unless the stream runs or the tool is held.
-        measured: attitude of the hand relative to the heading of its stream, or None unless the stream runs.
-        clipped: the same with each angle within its limit.
-        hold: HELD while the tool is held, TAKEN while the hand that took it over steers, else NONE.
-    """
-
-    state: StreamState
-    reason: str
-    usable: bool
-    T_base_virtual: np.ndarray
-    T_virtual_hand: np.ndarray | None = None
-    T_virtual_tool: np.ndarray | None = None
-    measured: Attitude | None = None
-    clipped: Attitude | None = None
-    hold: HoldState = HoldState.NONE
+    state: StreamState  # RUNNING while the hand steers
+    reason: str  # one sentence: which hand is followed, or what the stream waits for
+    usable: bool  # whether the frame was new and current; only then its poses are to be published
+    T_base_virtual: np.ndarray  # pose of the virtual Leap in the base frame
+    T_virtual_hand: np.ndarray | None = None  # pose of the averaged hand, if there is one
+    T_virtual_tool: np.ndarray | None = None  # pose of the desired tool while the stream runs or the tool is held
+    measured: Attitude | None = None  # of the hand relative to the heading of its stream, while that runs
+    clipped: Attitude | None = None  # the same with each angle within its limit
+    hold: HoldState = HoldState.NONE  # HELD while the tool is held, TAKEN while the hand that took it over steers
 
 
 @dataclass
@@ -79,14 +63,8 @@ class TeleopCounts:
 class ArmTeleop:
     """The chain of steps with its state.
 
-    Args:
-        leap: the parameters of this package.
-        arm: the parameters of the arm.
-
-    Attributes:
-        box: the interaction box in the Leap frame.
-        T_tool_flange: pose of the flange in the tool frame, shape (4, 4).
-        counts: events since the start.
+    `box` is the interaction box in the Leap frame, `T_tool_flange` the pose of the flange in the tool frame, shape
+    (4, 4), and `counts` has the events since the start.
 
     Raises:
         ConfigError: the interaction box would reach into the Leap.
@@ -104,16 +82,10 @@ class ArmTeleop:
         self._average = HandAverage(leap.buffer_size)
         self._gate = StartGate(leap, self.box)
         self._hand: TrackedHand | None = None
-        self._reason = NO_FRAMES
+        self._reason = "no tracking frames come in"
         self._hold = ToolHold(self._mounting.up)
         self._hand_over: HandOver | None = None
         self._turn(0.0)
-
-    def reset(self) -> None:
-        """Ends stream and hold and forgets all frames; the virtual Leap stays where the last stream placed it."""
-        self._watch.reset()
-        self._choice.reset()
-        self._break(NO_FRAMES)
 
     def hold(self, T_base_tool: np.ndarray, duration: float, now: float) -> HoldAnswer:
         """Holds the tool at a pose, shape (4, 4) [m], for at most `duration` [s], until a hand takes it over there."""
@@ -213,9 +185,8 @@ class ArmTeleop:
 
     def _lose(self, reason: str) -> None:
         self._average.reset()
-        self._gate.reset()
-        self._hand = None
-        self._reason = reason
+        self._gate.running = False
+        self._hand, self._reason = None, reason
 
     def _tool(self, mean: MeanHand) -> tuple[np.ndarray, Attitude, Attitude]:
         """Returns T_virtual_tool as the hand asks for it without a hold, and its attitude, measured and clipped."""
@@ -229,24 +200,17 @@ class ArmTeleop:
         T_virtual_hand = None if mean is None else mean.T_leap_hand
         hold_end = self._hold.end_reason()
         if mean is None or not self._gate.running:
-            T_held, hold = self._hold.T_base_tool, HoldState.NONE
-            T_virtual_tool = None
+            T_held, T_virtual_tool, hold = self._hold.T_base_tool, None, HoldState.NONE
             if T_held is not None:
                 T_virtual_tool, hold = read_only(inverse(self._T_base_virtual) @ T_held), HoldState.HELD
-            reason = hold_end or self._reason
             poses = (self._T_base_virtual, T_virtual_hand, T_virtual_tool)
-            return TeleopResult(StreamState.WAITING, reason, usable, *poses, hold=hold)
+            return TeleopResult(StreamState.WAITING, hold_end or self._reason, usable, *poses, hold=hold)
         T_virtual_tool, measured, clipped = self._tool(mean)
         hold = HoldState.NONE
         if self._hand_over is not None:
             T_virtual_tool[:3, :3] = self._hand_over.rotation(T_virtual_tool[:3, :3], now)
             hold = HoldState.TAKEN
-        reason = self._reason + _at_limit(measured, clipped)
+        held = [name for name in ("yaw", "pitch", "roll") if getattr(measured, name) != getattr(clipped, name)]
+        reason = self._reason + (f"; {' and '.join(held)} at the limit" if held else "")
         poses = (self._T_base_virtual, T_virtual_hand, read_only(T_virtual_tool))
         return TeleopResult(StreamState.RUNNING, reason, usable, *poses, measured, clipped, hold)
-
-
-def _at_limit(measured: Attitude, clipped: Attitude) -> str:
-    """Returns which angles are clipped, as the end of a sentence."""
-    held = [name for name in ("yaw", "pitch", "roll") if getattr(measured, name) != getattr(clipped, name)]
-    return f"; {' and '.join(held)} at the limit" if held else ""

@@ -114,17 +114,11 @@ def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray) -> str 
 
 @dataclass(frozen=True)
 class HandOver:
-    """The difference between a stream that took over a held tool and any other stream.
+    """The difference between a stream that took over a held tool and any other stream."""
 
-    Attributes:
-        T_base_virtual: pose of the virtual Leap, shape (4, 4) [m].
-        R_rest: additional rotation of the tool at the start, shape (3, 3); it fades out.
-        start: start of the stream [s].
-    """
-
-    T_base_virtual: np.ndarray
-    R_rest: np.ndarray
-    start: float
+    T_base_virtual: np.ndarray  # pose of the virtual Leap, shape (4, 4) [m]
+    R_rest: np.ndarray  # additional rotation of the tool at the start, shape (3, 3); it fades out
+    start: float  # start of the stream [s]
 
     def rotation(self, R_virtual_tool: np.ndarray, now: float) -> np.ndarray:
         """Returns the orientation of the tool, shape (3, 3), from the one that the hand alone asks for."""
@@ -139,14 +133,10 @@ def hand_over(
     R_virtual_level: np.ndarray,
     now: float,
 ) -> HandOver:
-    """Returns the hand-over of a held tool to a hand.
+    """Returns the hand-over of a held tool to a hand whose stream starts `now` [s].
 
-    Args:
-        T_base_held: pose of the held tool, shape (4, 4) [m].
-        T_base_virtual: pose of the virtual Leap without a hold, shape (4, 4) [m].
-        T_virtual_tool: tool pose that the hand asks for at its start, shape (4, 4) [m].
-        R_virtual_level: tool orientation for a level hand of the same heading, shape (3, 3).
-        now: start of the stream [s].
+    `T_base_virtual` is the virtual Leap's pose without a hold, `T_virtual_tool` the pose that the hand asks for at its
+    start, shape (4, 4) [m], and `R_virtual_level` the tool's orientation for a level hand of that heading.
     """
     R_base_level, R_base_held = T_base_virtual[:3, :3] @ R_virtual_level, T_base_held[:3, :3]
     R_level_held = R_base_level.T @ R_base_held

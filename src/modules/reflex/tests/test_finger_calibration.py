@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from reflex.calibration import FingerCalibration
 from reflex.codec import StatePacket
 from reflex.conversions import ENCODER_RAD, SIGNS, joint_angle
-from reflex.finger_calibration import FingerCalibration
 
 PERIOD_S = 0.025
 START = StatePacket(

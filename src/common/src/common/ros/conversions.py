@@ -5,24 +5,16 @@ from __future__ import annotations
 import numpy as np
 import rospy
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, TransformStamped, Vector3
+from std_msgs.msg import Header
 
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 
-def transform_from_pose(T: np.ndarray) -> Transform:
-    """Returns the message of the pose T, shape (4, 4)."""
-    return Transform(Vector3(*T[:3, 3]), Quaternion(*quaternion_from_rotation(T[:3, :3])))
-
-
 def stamped_transform(T: np.ndarray, parent: str, child: str, stamp: rospy.Time) -> TransformStamped:
     """Returns the tf message of the pose T, shape (4, 4), of `child` in `parent`."""
-    message = TransformStamped()
-    message.header.stamp = stamp
-    message.header.frame_id = parent
-    message.child_frame_id = child
-    message.transform = transform_from_pose(T)
-    return message
+    transform = Transform(Vector3(*T[:3, 3]), Quaternion(*quaternion_from_rotation(T[:3, :3])))
+    return TransformStamped(Header(0, stamp, parent), child, transform)
 
 
 def pose_from_transform(transform: Transform) -> np.ndarray:
@@ -50,18 +42,11 @@ def message_from_pose(T: np.ndarray) -> Pose:
 
 def stamped_pose(T: np.ndarray, frame: str, stamp: rospy.Time) -> PoseStamped:
     """Returns the message of the pose T, shape (4, 4), in `frame`."""
-    message = PoseStamped(pose=message_from_pose(T))
-    message.header.stamp = stamp
-    message.header.frame_id = frame
-    return message
+    return PoseStamped(Header(0, stamp, frame), message_from_pose(T))
 
 
 def pose_in(frame: str, message: PoseStamped) -> np.ndarray:
-    """Returns the pose, shape (4, 4), of a message that must be in `frame`.
-
-    Raises:
-        ValueError: it is in another frame, a number is not finite, or the quaternion is not a unit quaternion.
-    """
+    """Returns the pose, shape (4, 4), of a message that must be in `frame`; raises as `pose_from_message` does."""
     if message.header.frame_id.lstrip("/") != frame:
         raise ValueError(f"its frame is {message.header.frame_id!r} instead of {frame}")
     return pose_from_message(message.pose)

@@ -8,13 +8,8 @@ import tempfile
 from pathlib import Path
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Writes a text file as `write_bytes_whole` does, in UTF-8."""
-    write_bytes_whole(path, text.encode("utf-8"))
-
-
-def write_bytes_whole(path: Path, content: bytes) -> None:
-    """Replaces a file, which stays as it is if that fails; makes its folder.
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Replaces a file, a text in UTF-8, which stays as it is if that fails; makes its folder.
 
     A process that is killed meanwhile leaves a file named by a dot, the file's name, and eight characters.
 
@@ -25,7 +20,7 @@ def write_bytes_whole(path: Path, content: bytes) -> None:
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}", dir=str(path.parent))
     try:
         with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
+            stream.write(content.encode("utf-8") if isinstance(content, str) else content)
             stream.flush()
             os.fsync(stream.fileno())
         os.chmod(temporary, 0o644)

@@ -1,24 +1,27 @@
-"""Between camera messages and arrays, without a copy where the message allows it."""
+"""Between camera messages and arrays, without a copy where the message allows it, and the topics of an RGB-D camera."""
 
 from __future__ import annotations
+
+import copy
+from typing import Callable
 
 import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
 from common.camera_model import PLUMB_BOB, CameraModel
+from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
 from common.poses import read_only
 
+Outgoing = Callable[[Image], Image]
+
+_BYTE, _WORD, _FLOAT = np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32)
 TYPES = {
-    "mono8": (np.dtype(np.uint8), 1),
-    "8UC1": (np.dtype(np.uint8), 1),
-    "rgb8": (np.dtype(np.uint8), 3),
-    "bgr8": (np.dtype(np.uint8), 3),
-    "mono16": (np.dtype(np.uint16), 1),
-    "16UC1": (np.dtype(np.uint16), 1),
-    "32FC1": (np.dtype(np.float32), 1),
-}
+    "mono8": (_BYTE, 1), "8UC1": (_BYTE, 1), "rgb8": (_BYTE, 3), "bgr8": (_BYTE, 3),
+    "mono16": (_WORD, 1), "16UC1": (_WORD, 1), "32FC1": (_FLOAT, 1),
+}  # fmt: skip
 """Supported encodings: type of an element, elements per pixel."""
+RGBD_FRAMES = {"rgb": RGB_OPTICAL, "depth": DEPTH_OPTICAL, "depth_registered": RGB_OPTICAL}
 
 
 def image_message(array: np.ndarray, encoding: str, frame: str, stamp: rospy.Time) -> Image:
@@ -112,16 +115,57 @@ def camera_model_from_info(message: CameraInfo) -> CameraModel:
     if message.distortion_model not in (PLUMB_BOB, "") or D.shape not in ((5,), (0,)):
         raise ValueError(f"the distortion model {message.distortion_model!r} with {D.tolist()} is not {PLUMB_BOB}")
     K, P = np.reshape(message.K, (3, 3)), np.reshape(message.P, (3, 4))
-    if not (np.all(np.isfinite(K)) and np.all(np.isfinite(P)) and np.all(np.isfinite(D))):
+    if not all(np.all(np.isfinite(matrix)) for matrix in (K, P, D)):
         raise ValueError("the numbers of the camera_info are not finite")
     if not (K[0, 0] > 0.0 and K[1, 1] > 0.0 and P[0, 0] > 0.0 and P[1, 1] > 0.0):
         raise ValueError("the camera is not calibrated: its focal lengths are 0; give its driver a calibration file")
-    return CameraModel(
-        message.header.frame_id,
-        message.width,
-        message.height,
-        read_only(K),
-        read_only(D if D.size else np.zeros(5)),
-        read_only(np.reshape(message.R, (3, 3))),
-        read_only(P),
-    )
+    matrices = (K, D if D.size else np.zeros(5), np.reshape(message.R, (3, 3)), P)
+    return CameraModel(message.header.frame_id, message.width, message.height, *map(read_only, matrices))
+
+
+class RgbdTopics:
+    """Publishes the images of an RGB-D camera, each only while it has subscribers, as openni2_camera names them.
+
+    `rgb/image_raw` (rgb8); `depth/image_raw` (16UC1, mm, 0 = none) and `depth/image` (32FC1, m, NaN = none);
+    `depth_registered/image_raw` (16UC1, in the colour camera's pixels); `camera_info` beside each of the three images.
+
+    Args:
+        rgb, depth: intrinsics of the two cameras.
+        outgoing: applied to each image message before it is published.
+    """
+
+    def __init__(self, rgb: CameraModel, depth: CameraModel, outgoing: Outgoing = lambda message: message) -> None:
+        self._outgoing = outgoing
+        models = {"rgb": rgb, "depth": depth, "depth_registered": rgb}
+        self._raw = {name: rospy.Publisher(f"{name}/image_raw", Image, queue_size=1) for name in RGBD_FRAMES}
+        self._metric = rospy.Publisher("depth/image", Image, queue_size=1)
+        self._infos = {name: rospy.Publisher(f"{name}/camera_info", CameraInfo, queue_size=1) for name in RGBD_FRAMES}
+        self._templates = {
+            name: camera_info_message(models[name], frame, rospy.Time()) for name, frame in RGBD_FRAMES.items()
+        }
+
+    def wanted(self, name: str) -> bool:
+        """Returns whether rgb, depth or depth_registered has subscribers."""
+        metric = name == "depth" and self._metric.get_num_connections() > 0
+        return metric or self._raw[name].get_num_connections() > 0
+
+    def publish(self, name: str, image: np.ndarray, stamp: rospy.Time) -> None:
+        """Publishes an image: uint8 with three channels, red first, for rgb, else uint16 [mm]."""
+        encoding = "rgb8" if name == "rgb" else "16UC1"
+        if self._raw[name].get_num_connections():
+            self._raw[name].publish(self._outgoing(image_message(image, encoding, RGBD_FRAMES[name], stamp)))
+        if name == "depth" and self._metric.get_num_connections():
+            metric = image_message(metres_from_millimetres(image), "32FC1", DEPTH_OPTICAL, stamp)
+            self._metric.publish(self._outgoing(metric))
+
+    def publish_info(self, name: str, stamp: rospy.Time) -> None:
+        """Publishes the camera_info of the image with this stamp."""
+        info = copy.copy(self._templates[name])
+        info.header = copy.copy(info.header)
+        info.header.stamp = stamp
+        self._infos[name].publish(info)
+
+    def close(self) -> None:
+        """Unregisters the topics."""
+        for publisher in (*self._raw.values(), self._metric, *self._infos.values()):
+            publisher.unregister()

@@ -25,11 +25,8 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     The exit code is 0 when main returns or ROS shuts down, 1 after a RigError: its sentence goes to the log and to the
     standard error stream. Any other exception is a defect of the program and keeps its traceback.
 
-    Args:
-        name: of the node.
-        main: what it does.
-        disposable: the process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done,
-            wherever main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
+    A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
+    main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
     """
     try:
         rospy.init_node(name)
@@ -48,7 +45,6 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
 
 
 def _code_of(main: Callable[[], None]) -> int:
-    """Runs main and returns the exit code."""
     try:
         _wait_for_clock()
         main()
@@ -64,7 +60,6 @@ def _code_of(main: Callable[[], None]) -> int:
 
 
 def _leave(code: int) -> None:
-    """Exits the process immediately."""
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # the reader is gone
@@ -73,12 +68,7 @@ def _leave(code: int) -> None:
 
 
 def _wait_for_clock() -> None:
-    """Waits until ROS time is known.
-
-    Raises:
-        RigError: time is simulated, and nobody publishes it.
-        rospy.ROSInterruptException: ROS shut down while waiting.
-    """
+    """Waits until ROS time is known; raises a RigError if it is simulated and nobody publishes it."""
     deadline = time.monotonic() + CLOCK_S
     while not rospy.rostime.is_wallclock() and rospy.get_rostime().is_zero():
         if rospy.is_shutdown():
@@ -95,10 +85,8 @@ def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands.
 
     rospy's handler closes the topics in the main thread. If that thread is publishing, it holds the lock of a topic's
-    queue, and the handler waits for this lock for ever: the node neither exits nor continues.
-
-    Args:
-        leave: exit the process afterwards.
+    queue, and the handler waits for this lock for ever: the node neither exits nor continues. With `leave` the process
+    exits afterwards.
     """
 
     def shut_down(reason: str) -> None:

@@ -28,12 +28,7 @@ def private_values() -> dict[str, Any]:
 
 
 def private_config(schema: type[Schema], section: str = "", others: Iterable[str] = ()) -> Schema:
-    """Returns the node's private parameters, or those of one section.
-
-    Args:
-        schema: a frozen dataclass of common.config; a missing key has its value `absent`.
-        section: the parameters ~section/...; empty: those of the node itself.
-        others: keys that may stand beside the schema's own.
+    """Returns the node's private parameters, or those of ~section/; `others` may stand beside the schema's own.
 
     Raises:
         ConfigError: a parameter is missing, unknown or out of range.
@@ -43,11 +38,7 @@ def private_config(schema: type[Schema], section: str = "", others: Iterable[str
 
 
 def wait_for_param(name: str):
-    """Returns the parameter `name`; waits for it and reports that.
-
-    Raises:
-        rospy.ROSInterruptException: ROS shut down while waiting.
-    """
+    """Returns the parameter `name`; waits for it and reports that, until ROS shuts down."""
     next_reminder = 0.0
     while not rospy.has_param(name):
         if rospy.is_shutdown():
@@ -64,13 +55,8 @@ def wait_for_config(
 ) -> Schema:
     """Returns the configuration under `namespace`; waits for its parameters and reports that.
 
-    A launch file uploads a yaml key by key: this waits until the last key of the schema is there.
-
-    Args:
-        schema: a frozen dataclass of common.config.
-        namespace: of the parameters.
-        others: keys that may stand beside the schema's own.
-        patience: longest wait after the first key [s].
+    A launch file uploads a yaml key by key: this waits until the last key of the schema is there, at most `patience`
+    [s] after the first. The keys `others` may stand beside the schema's own.
 
     Raises:
         ConfigError: values are missing, unknown or out of range.

@@ -11,6 +11,7 @@ import http.client
 import socket
 import threading
 import xmlrpc.client
+from urllib.parse import urlparse
 
 import rosgraph
 import rosgraph.network
@@ -20,6 +21,7 @@ from rospy.impl.tcpros_base import TCPROSTransport
 from common.errors import DeviceError, RigError
 
 MASTER_TIMEOUT_S = 2.0
+LISTENS_TIMEOUT_S = 3.0
 
 
 class MasterLost(RigError):
@@ -27,11 +29,9 @@ class MasterLost(RigError):
 
 
 class ServiceFailed(DeviceError):
-    """A service call brought no answer; the message is the end of a sentence.
+    """A call of `service` brought no answer; if the request was `sent`, the node may execute it.
 
-    Attributes:
-        service: its name.
-        sent: whether the request was sent, so that the node may execute it.
+    The message is the end of a sentence.
     """
 
     def __init__(self, service: str, reason: str, sent: bool) -> None:
@@ -47,12 +47,7 @@ class ServiceAbsent(ServiceFailed):
 
 
 class ServiceClient:
-    """Calls one service by its last known address.
-
-    Args:
-        name: of the service.
-        kind: its type.
-    """
+    """Calls one service of the type `kind` by its last known address."""
 
     def __init__(self, name: str, kind: type) -> None:
         self.name, self._kind = name, kind
@@ -74,12 +69,9 @@ class ServiceClient:
             self._address = found[0][4][:2]
 
     def __call__(self, *values, timeout: float, wait: float = 0.0):
-        """Returns the response.
+        """Returns the response to a request with these fields, within `timeout` [s].
 
-        Args:
-            values: the fields of the request.
-            timeout: longest wait for the answer [s].
-            wait: how long to wait before that for a node that offers the service [s].
+        Before that it waits up to `wait` [s] for a node that offers the service.
 
         Raises:
             ServiceFailed: no node offers the service, it failed, or it did not answer in time.
@@ -175,6 +167,16 @@ def ask_master(method: str, *arguments):
     except (OSError, xmlrpc.client.Error, http.client.HTTPException) as error:
         raise MasterLost(f"The ROS master at {uri} does not answer.") from error
     return value if code == 1 else None
+
+
+def listens(uri: str) -> bool:
+    """Returns whether a node listens at its address, `http://host:port/`: the master still lists those that died."""
+    try:
+        address = urlparse(uri)
+        with socket.create_connection((address.hostname, address.port), LISTENS_TIMEOUT_S):
+            return True
+    except (OSError, TypeError, ValueError):  # no listener, no address, no port
+        return False
 
 
 class _HttpWithTimeout(xmlrpc.client.Transport):

@@ -25,11 +25,10 @@ from common.errors import RigError
 from common.frames import BASE, DEPTH, GRASP_TARGET, GRASP_VIEW
 from common.mounting import rotation_of_mounting
 from common.ros.conversions import stamped_pose, stamped_transform
-from common.ros.diagnostics import Diagnostics
+from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.images import image_message
 from common.ros.node import run
 from common.ros.params import private_values
-from common.ros.stage_times import StageTimes
 from grasp_msgs.msg import GraspList
 from grasping.network.depth_image import NETWORK_SIDE, TABLE, Crop, centre_crop, prepare
 from grasping.network.networks import infer

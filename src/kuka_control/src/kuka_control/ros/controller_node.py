@@ -13,9 +13,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from common.errors import DeviceError, RigError
 from common.ros import node
-from common.ros.diagnostics import Diagnostics
+from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.params import wait_for_config
-from common.ros.stage_times import StageTimes
 from kst import KstError
 from kuka_control.loop import assembly
 from kuka_control.loop.commands import End, Event, Inputs, Servo, Step

@@ -10,7 +10,7 @@ import rospkg
 import yaml
 
 from common.errors import RigError
-from common.ros.nodes import listens
+from common.ros.service_calls import listens
 
 
 class NoMaster(RigError):

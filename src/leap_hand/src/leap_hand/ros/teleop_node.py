@@ -9,14 +9,15 @@ import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Bool
+from std_srvs.srv import Empty
 
-from common.ros.diagnostics import Diagnostics
+from common.errors import DeviceError
+from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_config
-from common.ros.stage_times import StageTimes
+from common.ros.service_calls import call
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
-from leap_hand.ros.calibration import calibrate
 from leap_hand.teleop import GripperResult, GripperState, HandTeleop
 from leap_motion.ros.tracking import subscribe
 from leap_motion.tracking import TrackingFrame
@@ -25,14 +26,17 @@ from reflex_msgs.msg import Hand, RadianServoCommands
 WATCH_PERIOD_S = 0.1
 FIRST_STATE_S = 2.0
 """Longest wait for the first state of the robot hand [s]."""
+CALIBRATIONS = ("reflex_takktile/calibrate_fingers", "reflex_takktile/calibrate_tactile")
+ANSWER_TIMEOUT_S = 10.0
+SETTLING_S = 2.0
+"""Both services answer at once and the fingers move for up to two seconds; a command would fight the calibration."""
 
 
 class HandTeleopNode:
     """Runs the chain on each frame, limits the fingers' force, and watches for the stream falling silent."""
 
     def __init__(self, teleop: HandTeleop, force_limit: ForceLimit) -> None:
-        self._teleop = teleop
-        self._force_limit = force_limit
+        self._teleop, self._force_limit = teleop, force_limit
         self._wanted: np.ndarray | None = None
         self._limited = LimitedCommand(teleop.open_pose, {}, "")
         self._lock = threading.Lock()
@@ -119,6 +123,32 @@ def finger_feedback(hand: Hand) -> FingerFeedback:
         pressures=tuple(tuple(finger.pressure) for finger in hand.finger),
         loads=tuple(motor.load for motor in motors),
     )
+
+
+def calibrate(timeout: float) -> None:
+    """Has the robot hand calibrate itself, once its services are there within `timeout` [s], and waits for the end.
+
+    Raises:
+        DeviceError: a service is not there, refuses, or does not answer.
+        rospy.ROSInterruptException: ROS shut down.
+    """
+    for name in CALIBRATIONS:
+        rospy.loginfo("Waiting for the service %s.", name)
+        try:
+            rospy.wait_for_service(name, timeout)
+        except rospy.ROSInterruptException:
+            raise
+        except rospy.ROSException:
+            absent = f"The service {name} is not there after {timeout:g} s"
+            raise DeviceError(f"{absent}: is the driver of the ReFlex hand running?") from None
+    for name in CALIBRATIONS:
+        call(name, Empty, timeout=ANSWER_TIMEOUT_S)
+    rospy.loginfo("The hand calibrates; commands follow in %g s.", SETTLING_S)
+    end = time.monotonic() + SETTLING_S
+    while time.monotonic() < end:
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException("shut down during the calibration")
+        time.sleep(0.05)
 
 
 def _run() -> None:

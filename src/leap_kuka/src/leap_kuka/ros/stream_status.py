@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Quaternion
+from geometry_msgs.msg import Point, Pose, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -29,28 +29,28 @@ class StreamStatus:
     """
 
     def __init__(self, box: InteractionBox, frame_id: str) -> None:
-        self._box = box
-        self._frame_id = frame_id
+        self._box, self._frame_id = box, frame_id
         self._status = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
         self._markers = rospy.Publisher("leap_kuka/interaction_box", MarkerArray, queue_size=10, latch=True)
         self._lock = threading.Lock()
         self._newest: TeleopResult | None = None
-        self._published: tuple[StreamState, HoldState, str] | None = None
+        self._published: TeleopResult | None = None
 
     def update(self, result: TeleopResult) -> None:
         """Sets the newest result; publishes it if the state changed."""
         with self._lock:
             self._newest = result
-            if self._published is None or self._published[:2] != (result.state, result.hold):
+            before = self._published
+            if before is None or (before.state, before.hold) != (result.state, result.hold):
                 held = ", the tool is held" if result.hold is HoldState.HELD else ""
                 rospy.loginfo("Stream %s%s: %s.", result.state.value, held, result.reason)
                 self._publish(result)
 
     def flush(self) -> None:
-        """Publishes the newest result if its reason differs from the published one."""
+        """Publishes the newest result if its reason differs from the published one; `update` published its state."""
         with self._lock:
-            result = self._newest
-            if result is not None and self._published != _key(result):
+            result, published = self._newest, self._published
+            if result is not None and published is not None and result.reason != published.reason:
                 self._publish(result)
 
     @property
@@ -62,23 +62,18 @@ class StreamStatus:
         return _level(result), result.reason, result.state.value
 
     def _publish(self, result: TeleopResult) -> None:
-        self._published = _key(result)
+        self._published = result
+        values = [KeyValue("state", result.state.value), KeyValue("hold", result.hold.value)]
         self._status.publish(
-            DiagnosticStatus(
-                level=_level(result),
-                name="leap_kuka",
-                message=result.reason,
-                values=[KeyValue("state", result.state.value), KeyValue("hold", result.hold.value)],
-            )
+            DiagnosticStatus(level=_level(result), name="leap_kuka", message=result.reason, values=values)
         )
         colour = GREEN if result.state is StreamState.RUNNING else AMBER
         self._markers.publish(MarkerArray([self._box_marker(colour), self._text_marker(colour, result.reason)]))
 
     def _box_marker(self, colour: tuple[float, float, float]) -> Marker:
         """The edges of the box: faces would hide the robot hand that works in it."""
-        marker = self._marker(Marker.LINE_LIST, 0, self._box.center)
+        marker = self._marker(Marker.LINE_LIST, 0, self._box.center, colour)
         marker.scale.x = EDGE_WIDTH_M
-        marker.color = ColorRGBA(*colour, 1.0)
         corners = [self._box.size / 2.0 * signs for signs in itertools.product((-1.0, 1.0), repeat=3)]
         marker.points = [
             Point(*corner)
@@ -90,23 +85,18 @@ class StreamStatus:
 
     def _text_marker(self, colour: tuple[float, float, float], text: str) -> Marker:
         above = self._box.center + np.array([0.0, self._box.size[1] / 2.0 + 2.0 * TEXT_HEIGHT_M, 0.0])
-        marker = self._marker(Marker.TEXT_VIEW_FACING, 1, above)
+        marker = self._marker(Marker.TEXT_VIEW_FACING, 1, above, colour)
         marker.scale.z = TEXT_HEIGHT_M
-        marker.color = ColorRGBA(*colour, 1.0)
         marker.text = text
         return marker
 
-    def _marker(self, kind: int, number: int, position: np.ndarray) -> Marker:
+    def _marker(self, kind: int, number: int, position: np.ndarray, colour: tuple[float, float, float]) -> Marker:
         """Returns a marker at `position`, shape (3,) [m]; its zero stamp lets it follow the newest frame."""
         marker = Marker(ns="interaction_box", id=number, type=kind, action=Marker.ADD, frame_locked=True)
         marker.header.frame_id = self._frame_id
-        marker.pose.position = Point(*position)
-        marker.pose.orientation = Quaternion(w=1.0)
+        marker.pose = Pose(Point(*position), Quaternion(w=1.0))
+        marker.color = ColorRGBA(*colour, 1.0)
         return marker
-
-
-def _key(result: TeleopResult) -> tuple[StreamState, HoldState, str]:
-    return result.state, result.hold, result.reason
 
 
 def _level(result: TeleopResult) -> int:

@@ -1,4 +1,7 @@
-"""The node leap_kuka_node: Human messages in, the frames of hand, desired tool and desired flange out on tf."""
+"""The node leap_kuka_node: Human messages in, the frames of hand, desired tool and desired flange out on tf.
+
+The service leap_kuka/hold_tool holds the tool for a hand.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,18 @@ from tf2_msgs.msg import TFMessage
 
 from common.config import required
 from common.frames import BASE, FLANGE_DESIRED, HAND, TOOL_DESIRED, VIRTUAL_LEAP
-from common.ros.conversions import stamped_transform
-from common.ros.diagnostics import Diagnostics
+from common.ros.conversions import pose_in, stamped_transform
+from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import wait_for_config, wait_for_param
-from common.ros.stage_times import StageTimes
 from leap_kuka.config import ArmPlacement, LeapConfig
-from leap_kuka.ros.hold_service import HoldService
 from leap_kuka.ros.stream_status import StreamStatus
 from leap_kuka.teleop import ArmTeleop, TeleopResult
+from leap_kuka.tool_hold import HoldAnswer
 from leap_motion.ros.tracking import subscribe
 from leap_motion.tracking import TrackingFrame
+from rig_msgs.msg import KukaStatus
+from rig_msgs.srv import HoldTool, HoldToolRequest
 
 WATCH_PERIOD_S = 0.1
 
@@ -35,7 +39,8 @@ class ArmTeleopNode:
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=10, tcp_nodelay=True)
         self._stage_times = StageTimes("leap_kuka")
         self._status = StreamStatus(teleop.box, VIRTUAL_LEAP)
-        self._hold_service = HoldService(teleop, self._lock)
+        rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
+        rospy.Service("leap_kuka/hold_tool", HoldTool, self._on_hold_request)
         Diagnostics("leap_kuka", self._diagnostics)
         subscribe(self._on_frame)
 
@@ -56,6 +61,25 @@ class ArmTeleopNode:
                 self._tf.publish(self._transforms(result, stamp))
                 self._stage_times.done(stamp)
             self._status.update(result)
+
+    def _on_status(self, status: KukaStatus) -> None:
+        with self._lock:
+            self._teleop.control(status.control_on)
+
+    def _on_hold_request(self, request: HoldToolRequest) -> tuple[bool, str]:
+        answer = self._hold(request)
+        (rospy.loginfo if answer.success else rospy.logwarn)(answer.sentence)
+        return answer.success, answer.sentence
+
+    def _hold(self, request: HoldToolRequest) -> HoldAnswer:
+        with self._lock:
+            if request.duration == 0.0:
+                return self._teleop.end_hold()
+            try:
+                T_base_tool = pose_in(BASE, request.tool)
+            except ValueError as error:
+                return HoldAnswer(False, f"The tool is not held: {error}.")
+            return self._teleop.hold(T_base_tool, request.duration, time.monotonic())
 
     def _transforms(self, result: TeleopResult, stamp: rospy.Time) -> TFMessage:
         """Returns all tf frames of one tracking frame in one message, so that a listener gets all of them or none."""

@@ -16,7 +16,7 @@ from std_msgs.msg import String
 from common.config import parse
 from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED
 from common.ros.conversions import pose_from_message, pose_from_transform
-from common.ros.stage_times import TOPIC as STAGE_TIMES
+from common.ros.diagnostics import STAGE_TIMES
 from common.tool import ToolConfig
 from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand

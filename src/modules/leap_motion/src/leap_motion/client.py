@@ -72,15 +72,11 @@ class StampedFrame:
 class LeapClient:
     """Reads the Leap service until it is closed, through missing services, restarts and broken messages.
 
-    Args:
-        host: address of the service.
-        port: its plain WebSocket port.
-        clock: called at the receipt of a message; its value becomes the stamp of the frame.
+    `port` is its plain WebSocket port. The value of `clock` at the receipt of a message is the stamp of the frame.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 6437, clock: Callable[[], object] = time.time) -> None:
         self._address = f"{host}:{port}"
-        self._url = f"ws://{host}:{port}/v6.json"
         self._clock = clock
         self._closing = threading.Event()
         self._changed = threading.Condition()
@@ -153,57 +149,43 @@ class LeapClient:
         self._set_status(LeapLink.CLOSED, f"The link to the Leap service on {self._address} is closed.")
 
     def _converse(self) -> None:
-        """Opens one connection and reads it to its end.
-
-        Raises:
-            _LinkFault: it ended although the client is not closed.
-        """
+        """Opens one connection and reads it to its end; a _LinkFault says why it ended."""
+        timeouts = {"open_timeout": OPEN_TIMEOUT_S, "close_timeout": CLOSE_TIMEOUT_S}
         try:
-            connection = connect(
-                self._url, compression=None, open_timeout=OPEN_TIMEOUT_S, close_timeout=CLOSE_TIMEOUT_S
-            )
+            connection = connect(f"ws://{self._address}/v6.json", compression=None, **timeouts)
         except (OSError, EOFError, UnicodeError, WebSocketException) as error:
-            raise _LinkFault(
-                LeapLink.NO_SERVICE,
-                f"No Leap service answers on {self._address} ({_reason(error)}); start it with "
-                "`sudo leapd` or `sudo systemctl start leapd`. Trying again.",
-            ) from error
+            advice = "start it with `sudo leapd` or `sudo systemctl start leapd`. Trying again."
+            sentence = f"No Leap service answers on {self._address} ({_reason(error)}); {advice}"
+            raise _LinkFault(LeapLink.NO_SERVICE, sentence) from error
         with connection:
             try:
                 self._greet(connection)
                 self._read(connection)
             except ConnectionClosed as error:
                 code = error.rcvd.code if error.rcvd else "no close frame"
-                raise _LinkFault(
-                    LeapLink.REFUSED,
-                    f"The Leap service on {self._address} ended the connection ({code}). Trying again.",
-                ) from error
+                sentence = f"The Leap service on {self._address} ended the connection ({code}). Trying again."
+                raise _LinkFault(LeapLink.REFUSED, sentence) from error
             except OSError as error:
-                raise _LinkFault(
-                    LeapLink.NO_SERVICE, f"The Leap service on {self._address} is lost: {_reason(error)}."
-                ) from error
+                sentence = f"The Leap service on {self._address} is lost: {_reason(error)}."
+                raise _LinkFault(LeapLink.NO_SERVICE, sentence) from error
 
     def _greet(self, connection: ClientConnection) -> None:
         try:
             header = read_header(connection.recv(HEADER_TIMEOUT_S))
         except TimeoutError as error:
-            raise _LinkFault(
-                LeapLink.REFUSED,
-                f"The program on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s, so it is not a Leap "
-                "service; check address and port. Trying again.",
-            ) from error
+            silent = f"The program on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s"
+            sentence = f"{silent}, so it is not a Leap service; check address and port. Trying again."
+            raise _LinkFault(LeapLink.REFUSED, sentence) from error
         except LeapProtocolError as error:
             raise _LinkFault(LeapLink.REFUSED, f"{error} Trying again.") from error
         for message in POLICY_MESSAGES:
             connection.send(message)
         with self._changed:
             self._counts = replace(self._counts, connections=self._counts.connections + 1)
-        version = header.service or "of unknown version"
-        self._set_status(
-            LeapLink.CONNECTING,
-            f"Connected to Leap service {version} on {self._address}; no frame yet.",
-            header.service,
+        sentence = (
+            f"Connected to Leap service {header.service or 'of unknown version'} on {self._address}; no frame yet."
         )
+        self._set_status(LeapLink.CONNECTING, sentence, header.service)
 
     def _read(self, connection: ClientConnection) -> None:
         next_ping, pong = time.monotonic() + PING_S, None

@@ -12,15 +12,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class FingerPoints:
-    """Points of the three fingers that the robot hand has; each of shape (3,) [m].
-
-    Attributes:
-        index_tip: tip of the index finger.
-        middle_tip: tip of the middle finger.
-        thumb_tip: tip of the thumb.
-        index_bone: centre of the index finger's intermediate bone.
-        middle_bone: centre of the middle finger's intermediate bone.
-    """
+    """Finger tips, and centres of intermediate bones, of the fingers that the robot hand has; each of shape (3,) [m]."""
 
     index_tip: np.ndarray
     middle_tip: np.ndarray
@@ -34,25 +26,15 @@ class FingerPoints:
 
 @dataclass(frozen=True)
 class TrackedHand:
-    """One hand of one tracking frame.
+    """One hand of one tracking frame."""
 
-    Attributes:
-        id: the tracker's number of this hand.
-        is_left: whether it is a left hand.
-        palm: centre of the palm, shape (3,) [m].
-        direction: unit vector from the palm to the fingers, shape (3,).
-        normal: unit vector out of the palm, shape (3,).
-        confidence: 0 to 1.
-        fingers: points of the fingers, or None unless the hand has five fingers.
-    """
-
-    id: int
+    id: int  # the tracker's number of this hand
     is_left: bool
-    palm: np.ndarray
-    direction: np.ndarray
-    normal: np.ndarray
-    confidence: float
-    fingers: FingerPoints | None = None
+    palm: np.ndarray  # centre of the palm, shape (3,) [m]
+    direction: np.ndarray  # unit vector from the palm to the fingers, shape (3,)
+    normal: np.ndarray  # unit vector out of the palm, shape (3,)
+    confidence: float  # 0 to 1
+    fingers: FingerPoints | None = None  # only of a hand with five fingers
 
     def __post_init__(self) -> None:
         _freeze(self, "palm", "direction", "normal")
@@ -65,17 +47,11 @@ class TrackedHand:
 
 @dataclass(frozen=True)
 class TrackingFrame:
-    """One frame of the tracker.
+    """One frame of the tracker."""
 
-    Attributes:
-        id: the tracker's number of the frame.
-        age: time of arrival less the frame's stamp [s].
-        hands: the hands in view.
-    """
-
-    id: int
-    age: float
-    hands: tuple[TrackedHand, ...]
+    id: int  # the tracker's number of the frame
+    age: float  # time of arrival less the frame's stamp [s]
+    hands: tuple[TrackedHand, ...]  # in view
 
 
 def _freeze(record: object, *names: str) -> None:

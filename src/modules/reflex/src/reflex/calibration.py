@@ -1,10 +1,11 @@
-"""Calibration of a hand, and the yaml text in which it is kept. Pure: no files.
+"""Calibration of a hand, the yaml text in which it is kept, and how its fingers are calibrated. Pure: no files.
 
 Keys and layout are those of the maker's driver: a comment line, then flow lists, six significant digits for angles.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
@@ -12,10 +13,13 @@ import numpy as np
 import yaml
 
 from reflex.codec import StatePacket
-from reflex.conversions import ENCODER_RAD, SIGNS, zero_reference
+from reflex.conversions import ENCODER_RAD, FINGERS, PI, SIGNS, TURN_TICKS, servo_fault, zero_reference
 from reflex.errors import CalibrationFileError
+from reflex.settings import HandSettings
 
 _Record = TypeVar("_Record")
+_JUMP_TICKS = 200
+_TURN_TOLERANCE_TICKS = 40
 
 
 def _range(length: int, unit: str, low: float, high: float) -> Any:
@@ -72,17 +76,12 @@ def mean_offsets(packets: list[StatePacket]) -> TactileOffsets:
 
 def zeros_text(zeros: FingerZeros) -> str:
     """Returns the text of finger_calibrate.yaml."""
-    return (
-        "# Written by the driver when the fingers are calibrated [rad].\n"
-        f"encoder_zero_reference: {_flow(zeros.encoder_zero_reference)}\n"
-        f"motor_zero_reference: {_flow(zeros.motor_zero_reference)}\n"
-    )
+    return "# Written by the driver when the fingers are calibrated [rad].\n" + _lines(zeros)
 
 
 def offsets_text(offsets: TactileOffsets) -> str:
     """Returns the text of tactile_calibrate.yaml."""
-    lines = [f"tactile_offset_f{i + 1}: {_flow(offsets.of_finger(i))}\n" for i in range(3)]
-    return "# Written by the driver when the tactile sensors are zeroed [counts].\n" + "".join(lines)
+    return "# Written by the driver when the tactile sensors are zeroed [counts].\n" + _lines(offsets)
 
 
 def calibration_from_text(record: type[_Record], text: str, where: str) -> _Record:
@@ -124,7 +123,110 @@ def _in_range(value: Any, allowed: Any) -> bool:
     )
 
 
-def _flow(values: np.ndarray) -> str:
-    # Without exponents, which yaml takes for text where they have no decimal point.
-    digits = (np.format_float_positional(v, precision=6, unique=False, fractional=False, trim="-") for v in values)
-    return f"[{', '.join(digits)}]"
+def _lines(calibration: FingerZeros | TactileOffsets) -> str:
+    return "".join(f"{key}: [{', '.join(map(_digits, values))}]\n" for key, values in vars(calibration).items())
+
+
+def _digits(value: float) -> str:
+    """Without an exponent, which yaml takes for text where it has no decimal point."""
+    return np.format_float_positional(value, precision=6, unique=False, fractional=False, trim="-")
+
+
+@dataclass(frozen=True)
+class CalibrationStep:
+    """Result of a packet."""
+
+    target: tuple[int, ...] | None = None  # positions to send [ticks], or None
+    zeros: FingerZeros | None = None  # the result, when the calibration has succeeded
+    failure: str = ""  # reason of a failure as a sentence, or empty
+
+
+class FingerCalibration:
+    """Finds the open position of the fingers: draws the tendons in, step by step, until each knuckle begins to turn.
+
+    The user opens the fingers first. The present encoder values are the encoders' zeros. Each round closes every finger
+    whose knuckle has not turned yet by a small step. The motors' zeros lie a slack before the point where it turned.
+    The calibration gives up on a bound of closing, time or load and on servos that do not answer, with a sentence.
+    """
+
+    def __init__(self, settings: HandSettings) -> None:
+        self._settings = settings
+        self._encoders: tuple[int, ...] = ()
+        self._last_positions: tuple[int, ...] = ()
+        self._start_time = self._round_time = 0.0
+        self._origin: list[int] = []
+        self._held: list[int | None] = [None] * 3
+
+    def step(self, packet: StatePacket, loads: Sequence[float], now: float) -> CalibrationStep:
+        """Handles the next packet, received at `now` [s], with the filtered loads [0.1 %] of the motors."""
+        fault = servo_fault(packet.positions)
+        if fault:
+            return CalibrationStep(failure=fault)
+        if not self._encoders:
+            self._encoders, self._start_time, self._round_time = packet.encoders, now, now
+            self._origin = list(packet.positions)
+            self._last_positions = packet.positions
+            return CalibrationStep(target=self._closer(packet))
+        turned = self._follow_jumps(packet)
+        self._last_positions = packet.positions
+        if turned is None:
+            return CalibrationStep(
+                packet.positions, failure="A servo's position jumped: its reports cannot be trusted."
+            )
+        failure = self._bound_reached(packet, loads, now)
+        if failure:
+            return CalibrationStep(target=tuple(self._origin), failure=failure)
+        for i in range(3):
+            if self._held[i] is None and self._knuckle_turn(packet, i) > self._settings.calibration_moved:
+                self._held[i] = packet.positions[i]
+        held = [h for h in self._held if h is not None]
+        if len(held) == len(self._held):
+            slack = self._settings.calibration_slack
+            positions = (*held, packet.positions[3])
+            return CalibrationStep(open_positions(positions, slack), zeros_here(self._encoders, positions, slack))
+        if turned or now - self._round_time >= self._settings.calibration_round:
+            self._round_time = now
+            return CalibrationStep(target=self._closer(packet))
+        return CalibrationStep()
+
+    def _closer(self, packet: StatePacket) -> tuple[int, ...]:
+        step = self._settings.calibration_step
+        closer = [packet.positions[i] + SIGNS[i] * step for i in range(3)]
+        fingers = [new if held is None else held for new, held in zip(closer, self._held)]
+        return (*fingers, self._origin[3])
+
+    def _follow_jumps(self, packet: StatePacket) -> bool | None:
+        """Whether a servo now counts from another turn, so that its target lies a turn away; None after other jumps."""
+        turned = False
+        for i, (raw, last) in enumerate(zip(packet.positions, self._last_positions)):
+            jump = raw - last
+            if abs(jump) <= _JUMP_TICKS:
+                continue
+            if abs(abs(jump) - TURN_TICKS) > _TURN_TOLERANCE_TICKS:
+                return None
+            turned = True
+            self._origin[i] += jump
+            held = self._held[i] if i < 3 else None
+            if held is not None:
+                self._held[i] = held + jump
+        return turned
+
+    def _knuckle_turn(self, packet: StatePacket, finger: int) -> float:
+        """Returns how far the knuckle has closed since the start [rad], across the encoder's end."""
+        turn = (self._encoders[finger] - packet.encoders[finger]) * ENCODER_RAD
+        return (turn + PI) % (2 * PI) - PI
+
+    def _bound_reached(self, packet: StatePacket, loads: Sequence[float], now: float) -> str:
+        settings = self._settings
+        for i, name in enumerate(FINGERS):
+            closed = SIGNS[i] * (packet.positions[i] - self._origin[i])
+            if closed > settings.calibration_max_closing - settings.calibration_step and self._held[i] is None:
+                if self._knuckle_turn(packet, i) > settings.calibration_moved:
+                    continue
+                return f"Finger {name} was closed by {closed} ticks and its knuckle encoder did not turn."
+            if abs(loads[i]) > settings.calibration_max_load:
+                return f"Motor {name} has a load of {loads[i]:.0f} during the calibration: is it blocked?"
+        if now - self._start_time > settings.calibration_max_time:
+            waiting = ", ".join(name for name, held in zip(FINGERS, self._held) if held is None)
+            return f"After {settings.calibration_max_time:g} s the knuckles of {waiting} had not turned."
+        return ""

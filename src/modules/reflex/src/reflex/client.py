@@ -37,7 +37,8 @@ class ReflexHand:
     """One hand; also a context manager, which connects at its beginning and lets the fingers go at its end.
 
     Angles are turns of the tendon spools [rad], 0 open, of f1 (index), f2 (middle), f3 (thumb) and preshape (spread).
-    Any thread may call any method.
+    Any thread may call any method. A command that the hand cannot follow raises CommandRefused, with the reason; what
+    waits raises HandSilent if the hand falls silent.
 
     Args:
         interface: network interface of the hand, such as eth0; lo for the simulated hand.
@@ -77,8 +78,7 @@ class ReflexHand:
         self._stopped = threading.Event()
         self._wire_fault = ""
         self._made_at = time.monotonic()
-        self._reopen_at = self._made_at + REOPEN_S
-        self._reminded_at = -REMIND_S
+        self._reopen_at, self._reminded_at = self._made_at + REOPEN_S, -REMIND_S
         self._thread = threading.Thread(target=self._run, name="reflex hand", daemon=True)
 
     def __enter__(self) -> ReflexHand:
@@ -94,11 +94,7 @@ class ReflexHand:
         self.disconnect()
 
     def connect(self) -> None:
-        """Switches torque on and starts to listen.
-
-        Raises:
-            CommandRefused: the connection is closed.
-        """
+        """Switches torque on and starts to listen."""
         self._request(lambda now: self._logic.start())
         self._thread.start()
 
@@ -111,11 +107,7 @@ class ReflexHand:
 
     @property
     def state(self) -> HandReading:
-        """The newest reading.
-
-        Raises:
-            HandSilent: no packet came for the silence time.
-        """
+        """The newest reading; raises HandSilent if no packet came for the silence time."""
         with self._lock:
             now, reading = time.monotonic(), self._logic.reading
             if reading is None or not self._logic.link.alive(now):
@@ -146,52 +138,37 @@ class ReflexHand:
         return level, sentence, {**values, "interface": self._interface}
 
     def open(self, timeout: float = 5.0) -> None:
-        """Opens the fingers and keeps the spread; waits and raises as `move` does."""
+        """Opens the fingers and keeps the spread; waits as `move` does."""
         self.close(0.0, timeout)
 
     def close(self, angle: float = CLOSED_RAD, timeout: float = 5.0) -> None:
-        """Closes the fingers to `angle` [rad] and keeps the spread; waits as `move` does, also for a held object.
-
-        Raises:
-            CommandRefused, HandSilent: as `move`.
-        """
+        """Closes the fingers to `angle` [rad] and keeps the spread; waits as `move` does, also for a held object."""
         self.move((angle, angle, angle, self.state.joint_angles[3]), timeout)
 
     def move(self, angles: Sequence[float], timeout: float = 5.0) -> None:
         """Moves the motors to four angles [rad], clamped to their travel.
 
         Returns when they stand still, wherever that is, and after `timeout` seconds at the latest.
-
-        Raises:
-            CommandRefused: the hand is not ready or not calibrated, or an angle is not finite.
-            HandSilent: the hand fell silent.
         """
         self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, timeout)
         self.command(angles)
-        self._wait_for_rest(timeout)
+        last, still, deadline = self.state.joint_angles, 0, time.monotonic() + timeout
+        while still < STILL_PACKETS and time.monotonic() < deadline:
+            self.wait_for_packet()
+            present = self.state.joint_angles
+            still = still + 1 if max(abs(a - b) for a, b in zip(present, last)) < STILL_RAD else 0
+            last = present
 
     def command(self, angles: Sequence[float]) -> None:
-        """Sends the motors to four angles [rad], clamped to their travel, without waiting.
-
-        Raises:
-            CommandRefused: as `move`.
-        """
+        """Sends the motors to four angles [rad], clamped to their travel, without waiting."""
         self._request(lambda now: self._logic.command(angles, now))
 
     def command_raw(self, positions: Sequence[int]) -> None:
-        """Sends the servos to four positions [ticks] as they are; for tests of the hand.
-
-        Raises:
-            CommandRefused: the hand is silent, being calibrated or without torque.
-        """
+        """Sends the servos to four positions [ticks] as they are; for tests of the hand."""
         self._request(lambda now: self._logic.command_raw(positions, now))
 
     def set_speed(self, speeds: Sequence[float]) -> None:
-        """Sets the joint speeds [rad/s], switches torque on, and waits until that is done, about 0.1 s.
-
-        Raises:
-            CommandRefused: the hand is silent or being calibrated, a speed is not finite, or it was not set in time.
-        """
+        """Sets the joint speeds [rad/s], switches torque on, and waits until that is done, about 0.1 s."""
         self._request(lambda now: self._logic.set_speed(speeds, now))
         if not self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, SPEED_TIMEOUT_S):
             raise CommandRefused(f"The speed was not set within {SPEED_TIMEOUT_S:g} s.")
@@ -205,9 +182,7 @@ class ReflexHand:
     def calibrate_fingers(self, wait: bool = True) -> None:
         """Calibrates the fingers, which must be open and free, and saves the result.
 
-        Raises:
-            CommandRefused: torque is off, or with `wait` the calibration failed.
-            HandSilent: with `wait`, the hand fell silent.
+        With `wait` a calibration that failed raises CommandRefused.
         """
         self._request(self._logic.calibrate_fingers)
         if not wait:
@@ -223,11 +198,7 @@ class ReflexHand:
         self._request(self._logic.calibrate_tactile)
 
     def zero_pose(self) -> None:
-        """Makes the pose of the next packet the open one, with the fingers' tendons let out.
-
-        Raises:
-            CommandRefused: the fingers are being calibrated.
-        """
+        """Makes the pose of the next packet the open one, with the fingers' tendons let out."""
         self._request(self._logic.zero_pose)
 
     def set_thresholds(self, thresholds: Sequence[Sequence[int]]) -> None:
@@ -235,12 +206,7 @@ class ReflexHand:
         self._request(lambda now: self._logic.set_thresholds(thresholds))
 
     def wait_for_packet(self, timeout: float = 3.0) -> None:
-        """Waits for the next packet.
-
-        Raises:
-            HandSilent: none came within `timeout` seconds.
-            CommandRefused: the connection is closed.
-        """
+        """Waits for the next packet, `timeout` seconds at most."""
         before = self._packets
         if not self._wait_while(lambda: self._packets == before, timeout):
             self._require_open()
@@ -253,14 +219,6 @@ class ReflexHand:
             notes = self._send(self._logic.stop())
             self._stopped.set()
         self._report(notes)
-
-    def _wait_for_rest(self, timeout: float) -> None:
-        last, still, deadline = self.state.joint_angles, 0, time.monotonic() + timeout
-        while still < STILL_PACKETS and time.monotonic() < deadline:
-            self.wait_for_packet()
-            angles = self.state.joint_angles
-            still = still + 1 if max(abs(a - b) for a, b in zip(angles, last)) < STILL_RAD else 0
-            last = angles
 
     def _wait_while(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Returns whether the condition ended within `timeout` seconds."""

@@ -9,22 +9,19 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 GROUP = "224.0.0.124"
 STATE_BYTES = 202
-MODE_BYTES = 5
-TARGET_BYTES = 9
+IDLE, VELOCITY, POSITION = range(3)
 
-IDLE = 0
-VELOCITY = 1
-POSITION = 2
-
-_STATE_CODE = 1
-_MODE_CODE = 1
-_TARGET_CODE = 2
+_STATE_CODE, _MODE_CODE, _TARGET_CODE = 1, 1, 2
 _LAST_RAW = 65535
 
 _STATE = struct.Struct("<B3xI 9H9H9H 11H38H 3H 4B 4H4H4H 4B4B")
+_GROUPS = (9, 9, 9, 11, 38, 3, 4, 4, 4, 4, 4, 4)
+"""Numbers of a state packet: the banks of f1, f3, f2 and palm, temperatures, then the fields of StatePacket."""
+
 _MODE = struct.Struct(">B4B")
 _TARGET = struct.Struct(">B4H")
 
@@ -59,19 +56,8 @@ def decode_state(data: bytes) -> StatePacket:
     if len(data) != STATE_BYTES:
         raise PacketError(f"A state packet has {STATE_BYTES} bytes, this datagram {len(data)}.")
     _, device_time, *v = _STATE.unpack(data)
-    bank_f1, bank_f3, bank_f2 = tuple(v[0:9]), tuple(v[9:18]), tuple(v[18:27])
-    rest = v[27 + 11 + 38 :]
-    return StatePacket(
-        device_time=device_time,
-        pressures=(bank_f1, bank_f2, bank_f3),
-        encoders=tuple(rest[0:3]),
-        errors=tuple(rest[3:7]),
-        positions=tuple(rest[7:11]),
-        speeds=tuple(rest[11:15]),
-        loads=tuple(rest[15:19]),
-        voltages=tuple(rest[19:23]),
-        temperatures=tuple(rest[23:27]),
-    )
+    bank_f1, bank_f3, bank_f2, _, _, *rest = (tuple(v[end - n : end]) for n, end in zip(_GROUPS, accumulate(_GROUPS)))
+    return StatePacket(device_time, (bank_f1, bank_f2, bank_f3), *rest)
 
 
 def encode_mode(mode: int) -> bytes:
@@ -98,6 +84,4 @@ def encode_target(raw: Sequence[int]) -> bytes:
 
 def is_command(data: bytes) -> bool:
     """Returns whether `data` is a packet from a host to the hand; a host receives those of other hosts."""
-    return (len(data) == MODE_BYTES and data[0] == _MODE_CODE) or (
-        len(data) == TARGET_BYTES and data[0] == _TARGET_CODE
-    )
+    return (len(data), data[:1]) in ((_MODE.size, bytes([_MODE_CODE])), (_TARGET.size, bytes([_TARGET_CODE])))

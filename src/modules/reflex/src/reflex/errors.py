@@ -18,8 +18,7 @@ class HandSilent(ReflexError):
         super().__init__(
             f"No packet from the hand on {interface} for {seconds:.1f} s; check its power, its cable and the interface."
         )
-        self.interface = interface
-        self.seconds = seconds
+        self.interface, self.seconds = interface, seconds
 
 
 class CommandRefused(ReflexError):

@@ -12,15 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from reflex.calibration import FingerZeros, TactileOffsets, mean_offsets, open_positions, zeros_here
+from reflex.calibration import FingerCalibration, FingerZeros, TactileOffsets, mean_offsets, open_positions, zeros_here
 from reflex.codec import IDLE, POSITION, StatePacket, encode_mode
 from reflex.conversions import servo_fault
-from reflex.finger_calibration import FingerCalibration
 from reflex.link import PacketArrival, PacketFilter
 from reflex.motion import HandNote, MotorGoals
 from reflex.reading import HandReader, HandReading
 from reflex.settings import HandSettings
 
+TORQUE_OFF = "Torque is off; set_speed switches it on again."
+CALIBRATING = "The fingers are being calibrated."
 _COMPLAINT_PERIOD_S = 10.0
 
 
@@ -55,10 +56,8 @@ class HandLogic:
     """
 
     def __init__(self, settings: HandSettings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
-        self._settings = settings
-        self._zeros = zeros
+        self._settings, self._zeros, self._offsets = settings, zeros, offsets
         self.calibrated = calibrated
-        self._offsets = offsets
         self._thresholds: tuple[tuple[int, ...], ...] = ((settings.default_contact_threshold,) * 9,) * 3
         self.link = PacketFilter(settings.silence_time)
         self.motion = MotorGoals(settings)
@@ -72,9 +71,8 @@ class HandLogic:
         self.reading: HandReading | None = None
         self._complaint_time = -math.inf
         self.calibration_outcome = "none yet"
-        self.commands = 0
-        self.refused = 0
-        self._begin()
+        self.commands = self.refused = 0
+        self._clear()
 
     def state(self, now: float) -> HandStatus:
         """Returns the state of the hand at `now`."""
@@ -85,6 +83,11 @@ class HandLogic:
         if self._calibration:
             return HandStatus.CALIBRATING
         return HandStatus.CHANGING_SPEED if self.motion.changing_speed else HandStatus.READY
+
+    @property
+    def silence(self) -> str:
+        """A sentence on a hand that sends no packets."""
+        return "The hand is silent." if self.link.heard() else "The hand has not been heard yet."
 
     @property
     def calibrating(self) -> bool:
@@ -101,7 +104,6 @@ class HandLogic:
 
     def receive(self, data: bytes, source: tuple, now: float) -> HandUpdate:
         """Handles a datagram from `source` (address, port)."""
-        self._begin()
         arrival, packet, why = self.link.sort(data, source, now)
         if packet is None:
             if why and now - self._complaint_time > _COMPLAINT_PERIOD_S:
@@ -125,11 +127,10 @@ class HandLogic:
             packets, notes = self.motion.protect(reading, previous, self._zeros.motor_zero_reference, self.calibrated)
             self._send.extend(packets)
             self._notes.extend(notes)
-        return self._result(reading)
+        return self._result(reading=reading)
 
     def tick(self, now: float) -> HandUpdate:
         """Handles the passing of time: packets of a speed change, silence, requests that waited too long."""
-        self._begin()
         self._send.extend(self.motion.step(now))
         if self.link.watch(now):
             self._note("error", f"The hand is silent: no packet for {self._settings.silence_time:g} s.")
@@ -144,47 +145,41 @@ class HandLogic:
 
     def command(self, angles: Sequence[float], now: float) -> HandUpdate:
         """Sends the motors to joint angles [rad], clamped to their travel; during a calibration, after its end."""
-        self._begin()
         angles = tuple(float(a) for a in angles)
         if len(angles) != 4 or not all(math.isfinite(a) for a in angles):
-            return self._refuse(f"The command {list(angles)} is not four finite angles; the last goal stays.")
+            return self._result(f"The command {list(angles)} is not four finite angles; the last goal stays.")
         refusal = self._not_ready(now)
-        if refusal:
-            return self._refuse(refusal)
-        if self._calibration:
+        if not refusal and self._calibration:
             self._waiting_command = angles
-            return self._result()
-        refusal = self._command(angles)
-        return self._refuse(refusal) if refusal else self._result()
+        elif not refusal:
+            refusal = self._command(angles)
+        return self._result(refusal)
 
     def command_raw(self, positions: Sequence[int], now: float) -> HandUpdate:
         """Sends the servos to positions [ticks] as they are; for tests of the hand. Refused during a calibration."""
-        self._begin()
-        refusal = self._not_ready(now) or ("The fingers are being calibrated." if self._calibration else "")
-        if refusal:
-            return self._refuse(refusal)
-        try:
-            self._aim(tuple(int(p) for p in positions))
-        except ValueError as error:
-            return self._refuse(f"The command was refused: {error}.")
-        self.commands += 1
-        return self._result()
+        refusal = self._not_ready(now) or (CALIBRATING if self._calibration else "")
+        if not refusal:
+            try:
+                self._aim(tuple(int(p) for p in positions))
+                self.commands += 1
+            except ValueError as error:
+                refusal = f"The command was refused: {error}."
+        return self._result(refusal)
 
     def set_speed(self, speeds: Sequence[float], now: float) -> HandUpdate:
         """Begins to set the joint speeds [rad/s]; the state is CHANGING_SPEED until it is done. Switches torque on."""
-        self._begin()
         reading = self.reading
         if reading is None or not self.link.alive(now):
-            return self._refuse(self._silent_sentence())
+            return self._result(self.silence)
         if self._calibration:
-            return self._refuse("The fingers are being calibrated; set the speed afterwards.")
+            return self._result("The fingers are being calibrated; set the speed afterwards.")
         fault = servo_fault(reading.packet.positions)
         if fault and not self._torque:
-            return self._refuse(f"{fault} Torque stays off.")
+            return self._result(f"{fault} Torque stays off.")
         try:
             self._send.extend(self.motion.change_speed(speeds, now))
         except ValueError as error:
-            return self._refuse(f"The speeds {list(speeds)} were refused: {error}.")
+            return self._result(f"The speeds {list(speeds)} were refused: {error}.")
         self._speeds = tuple(speeds)
         if not self._torque:
             self._torque = True
@@ -193,7 +188,6 @@ class HandLogic:
 
     def disable_torque(self) -> HandUpdate:
         """Lets all motors go; torque returns with `set_speed`."""
-        self._begin()
         self._torque = False
         self._waiting_command = None
         self._requests.pop("calibrate_fingers", None)
@@ -205,56 +199,50 @@ class HandLogic:
 
     def calibrate_fingers(self, now: float) -> HandUpdate:
         """Requests the finger calibration, which begins with the next packet; no effect during one."""
-        self._begin()
         if not self._torque:
-            return self._refuse("Torque is off; set_speed switches it on again.")
+            return self._result(TORQUE_OFF)
         if not self._calibration:
             self._requests["calibrate_fingers"] = now
         return self._result()
 
     def calibrate_tactile(self, now: float) -> HandUpdate:
         """Requests that the next packets zero the tactile sensors."""
-        self._begin()
         self._requests["calibrate_tactile"] = now
         return self._result()
 
     def zero_pose(self, now: float) -> HandUpdate:
         """Requests that the pose of the next packet becomes zero, with the fingers let out by the slack."""
-        self._begin()
         if self._calibration:
-            return self._refuse("The fingers are being calibrated.")
+            return self._result(CALIBRATING)
         self._requests["zero_pose"] = now
         return self._result()
 
     def set_thresholds(self, thresholds: Sequence[Sequence[int]]) -> HandUpdate:
         """Sets the contact thresholds, three times nine counts."""
-        self._begin()
         self._thresholds = tuple(tuple(row) for row in thresholds)
         return self._result()
 
-    def _begin(self) -> None:
+    def _clear(self) -> None:
         self._send: list[bytes] = []
         self._notes: list[HandNote] = []
         self._new_zeros: FingerZeros | None = None
         self._new_offsets: TactileOffsets | None = None
 
-    def _result(self, reading: HandReading | None = None, refusal: str = "") -> HandUpdate:
-        return HandUpdate(tuple(self._send), tuple(self._notes), refusal, reading, self._new_zeros, self._new_offsets)
+    def _result(self, refusal: str = "", reading: HandReading | None = None) -> HandUpdate:
+        """Returns what happened since the last result."""
+        zeros, offsets = self._new_zeros, self._new_offsets
+        update = HandUpdate(tuple(self._send), tuple(self._notes), refusal, reading, zeros, offsets)
+        self._clear()
+        self.refused += bool(refusal)
+        return update
 
     def _note(self, level: str, text: str) -> None:
         self._notes.append(HandNote(level, text))
 
-    def _refuse(self, sentence: str) -> HandUpdate:
-        self.refused += 1
-        return self._result(refusal=sentence)
-
-    def _silent_sentence(self) -> str:
-        return "The hand is silent." if self.link.heard() else "The hand has not been heard yet."
-
     def _not_ready(self, now: float) -> str:
         if not self.link.alive(now):
-            return self._silent_sentence()
-        return "" if self._torque else "Torque is off; set_speed switches it on again."
+            return self.silence
+        return "" if self._torque else TORQUE_OFF
 
     def _appeared(self, arrival: PacketArrival, packet: StatePacket, now: float) -> None:
         """Handles the first packet ever, after a silence, or after a restart of the hand."""
@@ -296,7 +284,7 @@ class HandLogic:
         if self._requests.pop("zero_pose", None) is not None:
             self._take_zero_pose(packet)
         if self._torque and self._requests.pop("calibrate_fingers", None) is not None:
-            self._note("info", "The fingers are being calibrated.")
+            self._note("info", CALIBRATING)
             self.calibration_outcome = "under way"
             self._calibration = FingerCalibration(self._settings)
 

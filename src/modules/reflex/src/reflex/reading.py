@@ -13,15 +13,10 @@ from reflex.conversions import all_joint_angles, closing_load, proximal_angle
 
 NEW_LOAD_WEIGHT = 0.25
 JOINT_NAMES = (
-    "reflex/preshape_1",
-    "reflex/preshape_2",
-    "reflex/proximal_joint_1",
-    "reflex/proximal_joint_2",
-    "reflex/proximal_joint_3",
-    "reflex/distal_joint_1",
-    "reflex/distal_joint_2",
-    "reflex/distal_joint_3",
-)
+    "reflex/preshape_1", "reflex/preshape_2",
+    "reflex/proximal_joint_1", "reflex/proximal_joint_2", "reflex/proximal_joint_3",
+    "reflex/distal_joint_1", "reflex/distal_joint_2", "reflex/distal_joint_3",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,18 +46,14 @@ class HandReader:
     """Turns packets into readings; filters the load."""
 
     def __init__(self) -> None:
-        self._loads: tuple[float, ...] = (0.0,) * 4
+        self.reset()
 
     def reset(self) -> None:
         """Restarts the load filter at zero."""
-        self._loads = (0.0,) * 4
+        self._loads: tuple[float, ...] = (0.0,) * 4
 
     def read(
-        self,
-        packet: StatePacket,
-        zeros: FingerZeros,
-        offsets: TactileOffsets,
-        thresholds: tuple[tuple[int, ...], ...],
+        self, packet: StatePacket, zeros: FingerZeros, offsets: TactileOffsets, thresholds: tuple[tuple[int, ...], ...]
     ) -> HandReading:
         """Returns the reading of the newest packet; `thresholds` are three times nine counts."""
         self._loads = tuple(
@@ -76,15 +67,8 @@ class HandReader:
             for finger in range(3)
         )
         contact = tuple(tuple(p > t for p, t in zip(pressure[finger], thresholds[finger])) for finger in range(3))
-        return HandReading(
-            proximal=proximal,
-            distal=tuple(max(0.0, angle - p) for angle, p in zip(angles, proximal)),
-            pressure=pressure,
-            contact=contact,
-            joint_angles=angles,
-            loads=self._loads,
-            packet=packet,
-        )
+        distal = tuple(max(0.0, angle - p) for angle, p in zip(angles, proximal))
+        return HandReading(proximal, distal, pressure, contact, angles, self._loads, packet)
 
 
 def joint_positions(reading: HandReading) -> tuple[float, ...]:

@@ -16,18 +16,15 @@ def status(hand: HandLogic, wire_fault: str, now: float) -> tuple[str, str, dict
     `wire_fault` is a fault of the sockets, or empty.
     """
     state = hand.state(now)
+    reading, guard, errors = hand.reading, hand.motion.guard, []
     values: dict[str, object] = {
         **asdict(hand.link.counts),
         "commands": hand.commands,
         "refused": hand.refused,
         "state": state.value,
         "calibration": hand.calibration_outcome,
-        "overloaded": ", ".join(hand.motion.guard.overloaded),
-        "hot": ", ".join(hand.motion.guard.hot),
-        "bounded": ", ".join(hand.motion.guard.bounded),
+        **{name: ", ".join(getattr(guard, name)) for name in ("overloaded", "hot", "bounded")},
     }
-    reading = hand.reading
-    errors = []
     if reading:
         packet = reading.packet
         values.update(
@@ -41,11 +38,10 @@ def status(hand: HandLogic, wire_fault: str, now: float) -> tuple[str, str, dict
             f"Servo {name} reports {', '.join(error_names(bits))}." for name, bits in zip(MOTORS, packet.errors) if bits
         ]
     if state in (HandStatus.WAITING, HandStatus.SILENT):
-        sentence = "The hand has not been heard yet." if state is HandStatus.WAITING else "The hand is silent."
-        return "error", f"{sentence} {wire_fault}".strip(), values
+        return "error", f"{hand.silence} {wire_fault}".strip(), values
     if wire_fault or errors:
         return "error", " ".join([wire_fault, *errors]).strip(), values
-    for what, motors in (("overloaded", hand.motion.guard.overloaded), ("hot", hand.motion.guard.hot)):
+    for what, motors in (("overloaded", guard.overloaded), ("hot", guard.hot)):
         if motors:
             return "warning", f"Motor {', '.join(motors)} is {what}.", values
     if hand.calibration_outcome.startswith("failed"):

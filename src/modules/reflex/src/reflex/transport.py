@@ -66,11 +66,7 @@ class HandTransport:
         return None if source == self._own else (data, source)
 
     def send(self, data: bytes) -> None:
-        """Sends a packet to the hand.
-
-        Raises:
-            WireFault: the interface is down or gone.
-        """
+        """Sends a packet to the hand; raises a WireFault if the interface is down or gone."""
         try:
             self._sender.sendto(data, self._to)
         except OSError as error:
@@ -88,20 +84,15 @@ def interface_address(name: str) -> str:
     Raises:
         WireFault: there is no such interface, or it has no IPv4 address; lists those that could be used.
     """
-    addresses = _addresses()
+    addresses = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        for _, other in socket.if_nameindex():
+            addresses[other] = ""
+            with contextlib.suppress(OSError):
+                answer = fcntl.ioctl(s.fileno(), _SIOCGIFADDR, _INTERFACE_REQUEST.pack(other.encode()))
+                addresses[other] = socket.inet_ntoa(answer[20:24])
     if addresses.get(name):
         return addresses[name]
     usable = ", ".join(sorted(other for other, address in addresses.items() if address)) or "none"
     what = "has no IPv4 address" if name in addresses else "does not exist"
     raise WireFault(f"The network interface {name!r} {what}; interfaces with an IPv4 address: {usable}.")
-
-
-def _addresses() -> dict[str, str]:
-    found = {}
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        for _, name in socket.if_nameindex():
-            found[name] = ""
-            with contextlib.suppress(OSError):
-                answer = fcntl.ioctl(s.fileno(), _SIOCGIFADDR, _INTERFACE_REQUEST.pack(name.encode()))
-                found[name] = socket.inet_ntoa(answer[20:24])
-    return found

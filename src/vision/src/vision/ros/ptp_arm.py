@@ -19,7 +19,7 @@ from common.errors import ConfigError, DeviceError
 from common.frames import BASE, FLANGE_MEASURED
 from common.mounting import mounting_field
 from common.ros.conversions import stamped_transform
-from common.ros.nodes import listens
+from common.ros.service_calls import listens
 from kst import JointLimits, KstClient, KstError, PtpLimits, PtpProgress, ServerBusy, read_joints, run_ptp
 from rig_description.arms import ARMS, MEDIA_FLANGES
 from vision.calibration.arm_model import JOINTS, ArmModel

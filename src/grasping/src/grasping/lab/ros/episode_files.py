@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import rospy
 
-from common.ros.files import write_bytes_whole
+from common.ros.files import write_whole
 from grasping.lab.dataset.collector import SAME_GRASP_S
 from grasping.lab.dataset.episode import Episode
 from grasping.lab.dataset.store import SUFFIX, DatasetError, encode, file_name, grasp_time, unfinished
@@ -137,7 +137,7 @@ class EpisodeFiles:
             episode, file, content = self._packed[0]
             try:
                 with self._lock:
-                    write_bytes_whole(file, content)
+                    write_whole(file, content)
                     self._last, self._aside = file, False
             except OSError as error:
                 write_fault = f"An episode waits in memory: {file} cannot be written: {error.strerror}. Make room."

@@ -7,10 +7,9 @@ import time
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from common.ros.diagnostics import Diagnostics
+from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import private_config
-from common.ros.stage_times import StageTimes
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
 from leap_motion.msg import Human
 from leap_motion.ros.human import human_from_frame

@@ -27,13 +27,7 @@ FRAME_ID = "leap_hands"
 
 
 def human_from_frame(frame: LeapFrame, stamp: rospy.Time, orientation: str = COMPATIBLE) -> Human:
-    """Returns the message of a frame; of several hands of one side the one that is tracked longest.
-
-    Args:
-        frame: the tracking frame.
-        stamp: of the receipt of its message.
-        orientation: COMPATIBLE or CORRECT.
-    """
+    """Returns the message of a frame received at `stamp`; of several hands of one side the one tracked longest."""
     header = Header(0, stamp, FRAME_ID)
     convert = _Converter(header, orientation == COMPATIBLE)
     right, left = frame.hand("right"), frame.hand("left")
@@ -54,8 +48,7 @@ class _Converter:
     """Converts the parts of one frame; all of them carry the same header."""
 
     def __init__(self, header: Header, compatible: bool) -> None:
-        self._header = header
-        self._compatible = compatible
+        self._header, self._compatible = header, compatible
 
     def hand(self, hand: LeapHand) -> Hand:
         return Hand(

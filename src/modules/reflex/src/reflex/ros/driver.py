@@ -10,7 +10,7 @@ import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Empty, EmptyResponse
+from std_srvs.srv import Empty
 
 from common.errors import ConfigError, DeviceError
 from common.ros.diagnostics import Diagnostics
@@ -20,12 +20,10 @@ from reflex.calibration_files import CalibrationFiles
 from reflex.client import ReflexHand
 from reflex.errors import CalibrationFileError, CommandRefused, ReflexError
 from reflex.motion import HandNote
-from reflex.reading import HandReading
-from reflex.ros.messages import hand_message, joint_state
+from reflex.reading import JOINT_NAMES, HandReading, joint_positions
 from reflex.ros.parameters import HandAddresses, ReflexDriverConfig
-from reflex_msgs.msg import Hand as HandMessage
-from reflex_msgs.msg import RadianServoCommands, RawServoCommands
-from reflex_msgs.srv import SetSpeed, SetSpeedResponse, SetTactileThreshold, SetTactileThresholdResponse
+from reflex_msgs.msg import Finger, Hand, Motor, RadianServoCommands, RawServoCommands
+from reflex_msgs.srv import SetSpeed, SetTactileThreshold
 
 REMIND_S = 5.0
 POLL_S = 0.1
@@ -37,7 +35,7 @@ class HandDriver:
     """The hand on its topics and services."""
 
     def __init__(self, config: HandAddresses) -> None:
-        self._hand_state = rospy.Publisher("/reflex_takktile/hand_state", HandMessage, queue_size=10)
+        self._hand_state = rospy.Publisher("/reflex_takktile/hand_state", Hand, queue_size=10)
         self._joint_states = rospy.Publisher("joint_states", JointState, queue_size=10)
         shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
         files = CalibrationFiles(config.calibration_folder, shipped)
@@ -64,17 +62,12 @@ class HandDriver:
         hand = self._hand
         self._subscribe("radian_hand_command", RadianServoCommands, lambda m: hand.command(m.radian_commands))
         self._subscribe("raw_hand_command", RawServoCommands, lambda m: hand.command_raw(m.raw_positions))
-        self._serve("set_speed", SetSpeed, SetSpeedResponse, lambda r: hand.set_speed(r.motor))
-        self._serve("calibrate_fingers", Empty, EmptyResponse, lambda _: hand.calibrate_fingers(wait=False))
-        self._serve("calibrate_tactile", Empty, EmptyResponse, lambda _: hand.calibrate_tactile())
-        self._serve("zero_pose", Empty, EmptyResponse, lambda _: hand.zero_pose())
-        self._serve("disable_torque", Empty, EmptyResponse, lambda _: hand.disable_torque())
-        self._serve(
-            "set_tactile_threshold",
-            SetTactileThreshold,
-            SetTactileThresholdResponse,
-            lambda r: hand.set_thresholds([finger.sensor for finger in r.finger]),
-        )
+        self._serve("set_speed", SetSpeed, lambda r: hand.set_speed(r.motor))
+        self._serve("calibrate_fingers", Empty, lambda _: hand.calibrate_fingers(wait=False))
+        self._serve("calibrate_tactile", Empty, lambda _: hand.calibrate_tactile())
+        self._serve("zero_pose", Empty, lambda _: hand.zero_pose())
+        self._serve("disable_torque", Empty, lambda _: hand.disable_torque())
+        self._serve("set_tactile_threshold", SetTactileThreshold, self._set_thresholds)
 
     @staticmethod
     def _subscribe(name: str, message_type: type, send: Callable) -> None:
@@ -87,20 +80,25 @@ class HandDriver:
         rospy.Subscriber(f"/reflex_takktile/{name}", message_type, take, queue_size=10)
 
     @staticmethod
-    def _serve(name: str, service_type: type, response: type, call: Callable) -> None:
+    def _serve(name: str, service_type: type, call: Callable) -> None:
         def handle(request: object) -> object:
             try:
                 call(request)
             except CommandRefused as error:
                 raise rospy.ServiceException(str(error)) from error
-            return response()
+            return service_type._response_class()
 
         rospy.Service(f"/reflex_takktile/{name}", service_type, handle)
 
     def _publish(self, reading: HandReading) -> None:
         with while_running():
             self._hand_state.publish(hand_message(reading))
-            self._joint_states.publish(joint_state(reading, rospy.Time.now()))
+            joints = JointState(name=list(JOINT_NAMES), position=list(joint_positions(reading)))
+            joints.header.stamp = rospy.Time.now()
+            self._joint_states.publish(joints)
+
+    def _set_thresholds(self, request: object) -> None:
+        self._hand.set_thresholds([finger.sensor for finger in request.finger])
 
     @staticmethod
     def _say(note: HandNote) -> None:
@@ -109,6 +107,33 @@ class HandDriver:
     def _diagnosis(self) -> tuple[int, str, dict[str, object]]:
         level, sentence, values = self._hand.diagnosis()
         return LEVELS[level], sentence, values
+
+
+def hand_message(reading: HandReading) -> Hand:
+    """Returns the message of /reflex_takktile/hand_state."""
+    fingers = [
+        Finger(
+            proximal=reading.proximal[i],
+            distal_approx=reading.distal[i],
+            contact=list(reading.contact[i]),
+            pressure=[float(p) for p in reading.pressure[i]],
+        )
+        for i in range(3)
+    ]
+    packet = reading.packet
+    motors = [
+        Motor(
+            joint_angle=reading.joint_angles[i],
+            raw_angle=packet.positions[i],
+            velocity=packet.speeds[i],
+            load=reading.loads[i],
+            voltage=packet.voltages[i],
+            temperature=packet.temperatures[i],
+            error_state=f"0x{packet.errors[i]:02x}",
+        )
+        for i in range(4)
+    ]
+    return Hand(finger=fingers, motor=motors)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""The simulated RGB-D camera as a node, with the topics of openni2_camera (`common.ros.rgbd_topics`).
+"""The simulated RGB-D camera as a node, with the topics of openni2_camera (`common.ros.images`).
 
 It takes only images with subscribers; all images of one moment have one stamp.
 """
@@ -16,8 +16,8 @@ from sensor_msgs.msg import Image
 from common.camera_model import from_calibration
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
+from common.ros.images import RGBD_FRAMES, Outgoing, RgbdTopics
 from common.ros.params import private_config, private_values
-from common.ros.rgbd_topics import FRAMES, Outgoing, RgbdTopics
 from rig_simulation.control_port import ControlClient, ControlPort
 from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera, RgbdImages
@@ -96,7 +96,7 @@ class CameraNode:
             return
         started = time.perf_counter()
         images = exposure.images
-        for name, image in zip(FRAMES, (images.colour, images.depth, images.registered)):
+        for name, image in zip(RGBD_FRAMES, (images.colour, images.depth, images.registered)):
             if image is not None:
                 topics.publish(name, image, exposure.stamp)
             topics.publish_info(name, exposure.stamp)
@@ -119,7 +119,7 @@ class CameraNode:
         return message
 
     def _take(self, topics: RgbdTopics) -> RgbdImages:
-        colour, depth, registered = (topics.wanted(name) for name in FRAMES)
+        colour, depth, registered = (topics.wanted(name) for name in RGBD_FRAMES)
         return self._camera.take(self._world.data, colour, depth, registered)
 
     def _count(self, seconds: dict[str, float]) -> None:

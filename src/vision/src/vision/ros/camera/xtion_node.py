@@ -1,4 +1,4 @@
-"""The driver node of the Xtion Pro Live, with the topics of openni2_camera (`common.ros.rgbd_topics`)."""
+"""The driver node of the Xtion Pro Live, with the topics of openni2_camera (`common.ros.images`)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from common.camera_model import CameraModel, from_calibration
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
-from common.ros.images import metres_from_millimetres
+from common.ros.images import RgbdTopics, metres_from_millimetres
 from common.ros.params import private_config, private_values
-from common.ros.rgbd_topics import RgbdTopics
 from vision.camera.frames import CameraFramesConfig, depth_in_rgb
 from vision.camera.openni_camera import OpenniCamera, OpenniFrame, XtionConfig
 from vision.camera.registration import Registration, millimetres_from_metres

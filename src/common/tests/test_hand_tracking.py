@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.frame_watch import MAX_SKEW_S, FrameWatch
-from common.hand_choice import HandChoice
+from common.hand_tracking import MAX_SKEW_S, FrameWatch, HandChoice
 
 
 @dataclass(frozen=True)
@@ -47,10 +46,10 @@ def test_a_hand_that_changes_its_side_is_another_hand():
     assert choice.choose([Hand(4, is_left=True), Hand(5)]) == Hand(5)
 
 
-def test_reset_forgets_the_order():
+def test_a_frame_without_hands_forgets_the_order():
     choice = HandChoice()
     choice.choose([Hand(9)])
-    choice.reset()
+    choice.choose([])
     assert choice.choose([Hand(9), Hand(4)]) == Hand(4)
 
 
@@ -98,5 +97,3 @@ def test_silence():
     watch.arrived(1, 0.0, 0.0)
     assert watch.silence(0.2) is None
     assert watch.silence(0.21) == "no tracking frames come in"
-    watch.reset()
-    assert watch.silence(0.0)

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.rotations import check_rotation, rotation_about
-from leap_kuka.hand_average import MAX_LEFT_OUT, HandAverage
-from leap_kuka.hand_frame import hand_fault, hand_rotation
+from leap_kuka.hand_average import MAX_LEFT_OUT, HandAverage, hand_fault, hand_rotation
 
 angles = st.floats(-180.0, 180.0)
 small = st.floats(-60.0, 60.0)
@@ -77,11 +76,13 @@ def test_records_cannot_be_written_to(sample):
 
 
 @given(st.integers(1, 20), st.integers(0, 40))
-def test_there_is_a_mean_exactly_when_the_window_is_full(sample, size, count):
+def test_there_is_a_mean_of_the_newest_exactly_when_the_window_is_full(sample, size, count):
     average = HandAverage(size)
     for i in range(count):
-        assert average.add(sample(), 0.01 * i) is None
+        assert average.add(sample(position=(0.001 * i, 0.35, 0.0)), 0.01 * i) is None
     assert (average.mean() is not None) == (count >= size)
+    if count >= size:
+        assert average.mean().palm[0] == pytest.approx(0.001 * np.mean(range(count - size, count)))
     average.reset()
     assert average.mean() is None and average.count == 0
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from common.mounting import mounting_frame
 from common.poses import check_pose, pose
 from common.rotations import check_rotation, rotation_about, rotation_angle, rotation_from_zyx
-from leap_kuka.desired_tool import R_LEAP_REFERENCE, Attitude, attitude, tool_rotation
-from leap_kuka.virtual_leap import heading, virtual_leap_pose
+from leap_kuka.virtual_leap import R_LEAP_REFERENCE, Attitude, attitude, heading, tool_rotation, virtual_leap_pose
 
 anywhere = st.floats(-math.pi, math.pi)
 tilt = st.floats(-1.4, 1.4)
