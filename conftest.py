@@ -49,7 +49,7 @@ def shared_data():
     """The folder of recorded hands and transcripts beside the project; tests that need it skip without it."""
     folder = SHARED / "data"
     if not folder.is_dir():
-        pytest.skip("the recordings in ../shared/data are not on this machine")
+        pytest.skip("the recordings are not on this machine")
     return folder
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from reflex.calibration import FingerZeros, TactileOffsets, calibration_from_text
+from reflex.calibration import FingerZeros, TactileOffsets, parse_calibration
 from reflex.hand import HandLogic
 from reflex.settings import HandSettings
 from rig_simulation.control_port import ControlClient
@@ -28,11 +28,8 @@ def settings_with(**changes) -> HandSettings:
 
 def shipped_calibration():
     """The calibration that comes with the package."""
-    names = ("finger_calibrate.yaml", "tactile_calibrate.yaml")
-    fingers, tactile = ((CONFIG / name).read_text() for name in names)
-    return calibration_from_text(FingerZeros, fingers, names[0]), calibration_from_text(
-        TactileOffsets, tactile, names[1]
-    )
+    records = (FingerZeros, TactileOffsets)
+    return tuple(parse_calibration(record, (CONFIG / record.FILE).read_text(), record.FILE) for record in records)
 
 
 class Bench:

@@ -182,10 +182,8 @@ class LeapClient:
             connection.send(message)
         with self._changed:
             self._counts = replace(self._counts, connections=self._counts.connections + 1)
-        sentence = (
-            f"Connected to Leap service {header.service or 'of unknown version'} on {self._address}; no frame yet."
-        )
-        self._set_status(LeapLink.CONNECTING, sentence, header.service)
+        service = f"Leap service {header.service or 'of unknown version'} on {self._address}"
+        self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", header.service)
 
     def _read(self, connection: ClientConnection) -> None:
         next_ping, pong = time.monotonic() + PING_S, None

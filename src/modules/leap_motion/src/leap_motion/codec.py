@@ -109,10 +109,10 @@ def _refuse_constant(token: str) -> NoReturn:
 
 
 def _event(event: Any) -> DeviceEvent | None:
-    state = event.get("state")
-    if event.get("type") == "deviceConnect":
+    kind, state = event.get("type"), event.get("state")
+    if kind == "deviceConnect":
         return DeviceEvent("", bool(state), bool(state))
-    if event.get("type") != "deviceEvent":
+    if kind != "deviceEvent":
         return None
     return DeviceEvent(str(state.get("id", "")), state["attached"] is True, state["streaming"] is True)
 
@@ -214,8 +214,7 @@ def _rotations(pointables: list[dict], joints: np.ndarray, palm_axes: np.ndarray
         x[sideways] = _cross(palm_axes[:, 1], z[sideways])
         x /= np.linalg.norm(x, axis=-1)[..., None]
         rotations = np.stack([x, _cross(z, x), z], axis=-1)
-    rotations.setflags(write=False)
-    return rotations
+    return _read_only(rotations)
 
 
 def _arm(hand: dict) -> LeapBone:
@@ -235,8 +234,7 @@ def _proper(axes: np.ndarray) -> np.ndarray:
     """Returns the matrices, shape (..., 3, 3), with the x column negated where they mirror, as for left hands."""
     axes = axes.copy()
     axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
-    axes.setflags(write=False)
-    return axes
+    return _read_only(axes)
 
 
 def _field(message: dict, key: str) -> Any:
@@ -269,9 +267,7 @@ def _vectors(value: Any, name: str, *shape: int, scale: float = 1.0) -> np.ndarr
         array = np.array(None)
     if array.shape != shape or array.dtype.kind not in "fi" or not (np.abs(array) < LIMIT).all():
         raise LeapProtocolError(f"The field {name} does not hold {' x '.join(map(str, shape))} numbers.")
-    array = array * scale
-    array.setflags(write=False)
-    return array
+    return _read_only(array * scale)
 
 
 def _unit(message: dict, key: str) -> np.ndarray:
@@ -279,9 +275,12 @@ def _unit(message: dict, key: str) -> np.ndarray:
     norm = float(np.linalg.norm(vector))
     if abs(norm - 1.0) > UNIT_TOLERANCE:
         raise LeapProtocolError(f"The field {key} has the length {norm:g}, not 1.")
-    vector = vector / norm
-    vector.setflags(write=False)
-    return vector
+    return _read_only(vector / norm)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array.setflags(write=False)
+    return array
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class FingerPoints:
-    """Finger tips, and centres of intermediate bones, of the fingers that the robot hand has; each of shape (3,) [m]."""
+    """Tips, and centres of intermediate bones, of the fingers that the robot hand has; each of shape (3,) [m]."""
 
     index_tip: np.ndarray
     middle_tip: np.ndarray

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import yaml
@@ -17,7 +17,7 @@ from reflex.conversions import ENCODER_RAD, FINGERS, PI, SIGNS, TURN_TICKS, serv
 from reflex.errors import CalibrationFileError
 from reflex.settings import HandSettings
 
-_Record = TypeVar("_Record")
+Calibration = TypeVar("Calibration", "FingerZeros", "TactileOffsets")
 _JUMP_TICKS = 200
 _TURN_TOLERANCE_TICKS = 40
 
@@ -30,6 +30,8 @@ def _range(length: int, unit: str, low: float, high: float) -> Any:
 class FingerZeros:
     """Where the hand is open."""
 
+    FILE: ClassVar = "finger_calibrate.yaml"
+    HEADING: ClassVar = "# Written by the driver when the fingers are calibrated [rad].\n"
     encoder_zero_reference: np.ndarray = _range(3, "rad", -6.3, 6.3)  # angles of the knuckle encoders, shape (3,) [rad]
     motor_zero_reference: np.ndarray = _range(4, "rad", 0.0, 300.0)  # positions of the motors, shape (4,) [joint rad]
 
@@ -38,17 +40,22 @@ class FingerZeros:
 class TactileOffsets:
     """Raw counts of untouched taxels, shape (9,) for each finger, in the finger's own order."""
 
+    FILE: ClassVar = "tactile_calibrate.yaml"
+    HEADING: ClassVar = "# Written by the driver when the tactile sensors are zeroed [counts].\n"
     tactile_offset_f1: np.ndarray = _range(9, "counts", 0, 65535)
     tactile_offset_f2: np.ndarray = _range(9, "counts", 0, 65535)
     tactile_offset_f3: np.ndarray = _range(9, "counts", 0, 65535)
 
-    def of_finger(self, finger: int) -> np.ndarray:
-        """Returns the offsets of finger 0, 1 or 2, shape (9,)."""
-        return (self.tactile_offset_f1, self.tactile_offset_f2, self.tactile_offset_f3)[finger]
+    @property
+    def rows(self) -> tuple[np.ndarray, ...]:
+        """The offsets of f1, f2, f3."""
+        return (self.tactile_offset_f1, self.tactile_offset_f2, self.tactile_offset_f3)
 
 
-DEFAULT_ZEROS = FingerZeros(np.array([3.0, 3.0, 3.0]), np.array([59.0, 57.0, 58.0, 55.0]))
-DEFAULT_OFFSETS = TactileOffsets(*(np.full(9, 140.0) for _ in range(3)))
+DEFAULTS: dict[type, Any] = {
+    FingerZeros: FingerZeros(np.array([3.0, 3.0, 3.0]), np.array([59.0, 57.0, 58.0, 55.0])),
+    TactileOffsets: TactileOffsets(*np.full((3, 9), 140.0)),
+}
 """Values for no hand in particular; a hand with these refuses commands until its fingers are calibrated."""
 
 
@@ -70,21 +77,16 @@ def open_positions(positions: tuple[int, ...], slack: int) -> tuple[int, ...]:
 
 def mean_offsets(packets: list[StatePacket]) -> TactileOffsets:
     """Returns the mean counts of the packets as offsets, rounded to whole counts."""
-    means = np.rint(np.mean([p.pressures for p in packets], axis=0))
-    return TactileOffsets(*means)
+    return TactileOffsets(*np.rint(np.mean([p.pressures for p in packets], axis=0)))
 
 
-def zeros_text(zeros: FingerZeros) -> str:
-    """Returns the text of finger_calibrate.yaml."""
-    return "# Written by the driver when the fingers are calibrated [rad].\n" + _lines(zeros)
+def calibration_text(calibration: FingerZeros | TactileOffsets) -> str:
+    """Returns the text of the calibration's file."""
+    rows = (f"{key}: [{', '.join(map(_digits, values))}]\n" for key, values in vars(calibration).items())
+    return calibration.HEADING + "".join(rows)
 
 
-def offsets_text(offsets: TactileOffsets) -> str:
-    """Returns the text of tactile_calibrate.yaml."""
-    return "# Written by the driver when the tactile sensors are zeroed [counts].\n" + _lines(offsets)
-
-
-def calibration_from_text(record: type[_Record], text: str, where: str) -> _Record:
+def parse_calibration(record: type[Calibration], text: str, where: str) -> Calibration:
     """Returns FingerZeros or TactileOffsets from the text of their file; `where` names the file in the messages.
 
     Raises:
@@ -96,7 +98,7 @@ def calibration_from_text(record: type[_Record], text: str, where: str) -> _Reco
         raise CalibrationFileError(f"{where} is not yaml: {' '.join(str(error).split())}.") from None
     if not isinstance(values, dict):
         raise CalibrationFileError(f"{where} is {values!r}, but must be a mapping of keys to values.")
-    known = {f.name: f.metadata for f in fields(record)}  # type: ignore[arg-type]  # a TypeVar cannot say "a dataclass"
+    known = {f.name: f.metadata for f in fields(record)}
     faults = [f"{where}: {key} is not a known key; known are {', '.join(known)}." for key in values if key not in known]
     read = {}
     for name, allowed in known.items():
@@ -121,10 +123,6 @@ def _in_range(value: Any, allowed: Any) -> bool:
         and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
         and all(allowed["low"] <= v <= allowed["high"] for v in value)
     )
-
-
-def _lines(calibration: FingerZeros | TactileOffsets) -> str:
-    return "".join(f"{key}: [{', '.join(map(_digits, values))}]\n" for key, values in vars(calibration).items())
 
 
 def _digits(value: float) -> str:

@@ -6,23 +6,9 @@ import contextlib
 import os
 import tempfile
 from pathlib import Path
-from typing import TypeVar
 
-from reflex.calibration import (
-    DEFAULT_OFFSETS,
-    DEFAULT_ZEROS,
-    FingerZeros,
-    TactileOffsets,
-    calibration_from_text,
-    offsets_text,
-    zeros_text,
-)
+from reflex.calibration import DEFAULTS, Calibration, FingerZeros, TactileOffsets, calibration_text, parse_calibration
 from reflex.errors import CalibrationFileError
-
-FINGERS = "finger_calibrate.yaml"
-TACTILE = "tactile_calibrate.yaml"
-
-_Record = TypeVar("_Record")
 
 
 class CalibrationFiles:
@@ -41,8 +27,8 @@ class CalibrationFiles:
         Raises:
             CalibrationFileError: a file cannot be read or holds something else.
         """
-        zeros, calibrated = self._read(FINGERS, FingerZeros, DEFAULT_ZEROS)
-        offsets, _ = self._read(TACTILE, TactileOffsets, DEFAULT_OFFSETS)
+        zeros, calibrated = self._read(FingerZeros)
+        offsets, _ = self._read(TactileOffsets)
         return zeros, offsets, calibrated
 
     def save(self, calibration: FingerZeros | TactileOffsets) -> Path:
@@ -51,31 +37,28 @@ class CalibrationFiles:
         Raises:
             CalibrationFileError: the disk is full or the folder cannot be written; the old file is whole.
         """
-        if isinstance(calibration, FingerZeros):
-            path, text = self.folder / FINGERS, zeros_text(calibration)
-        else:
-            path, text = self.folder / TACTILE, offsets_text(calibration)
+        path = self.folder / calibration.FILE
         try:
-            _write_whole(path, text)
+            _write_whole(path, calibration_text(calibration))
         except OSError as error:
             raise CalibrationFileError(
                 f"Cannot write {path}: {error.strerror}; the calibration holds until the driver exits."
             ) from None
         return path
 
-    def _read(self, name: str, record: type[_Record], default: _Record) -> tuple[_Record, bool]:
+    def _read(self, record: type[Calibration]) -> tuple[Calibration, bool]:
         """Returns one calibration, and whether it was saved for this hand."""
-        path = self.folder / name
+        path = self.folder / record.FILE
         try:
             saved = path.exists()
             if not saved:
                 if self._shipped is None:
-                    return default, False
-                path = self._shipped / name
+                    return DEFAULTS[record], False
+                path = self._shipped / record.FILE
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise CalibrationFileError(f"Cannot read {path}: {error}.") from None
-        return calibration_from_text(record, text, str(path)), saved
+        return parse_calibration(record, text, str(path)), saved
 
 
 def _write_whole(path: Path, text: str) -> None:

@@ -50,9 +50,8 @@ def raw_target(motor: int, angle: float, zero: float) -> int:
     """
     raw = (SIGNS[motor] * angle + zero) * RATIOS[motor] / TICK_RAD
     if not math.isfinite(raw) or not 0 <= raw <= MAX_TARGET_TICKS:
-        raise ValueError(
-            f"{angle} rad of motor {MOTORS[motor]} is position {raw:g}; positions lie in 0..{MAX_TARGET_TICKS}"
-        )
+        where = f"{angle} rad of motor {MOTORS[motor]} is position {raw:g}"
+        raise ValueError(f"{where}; positions lie in 0..{MAX_TARGET_TICKS}")
     return int(raw)
 
 

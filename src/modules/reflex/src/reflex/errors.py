@@ -15,9 +15,8 @@ class HandSilent(ReflexError):
     """No packet came from the hand for `seconds`."""
 
     def __init__(self, interface: str, seconds: float) -> None:
-        super().__init__(
-            f"No packet from the hand on {interface} for {seconds:.1f} s; check its power, its cable and the interface."
-        )
+        silent = f"No packet from the hand on {interface} for {seconds:.1f} s"
+        super().__init__(f"{silent}; check its power, its cable and the interface.")
         self.interface, self.seconds = interface, seconds
 
 

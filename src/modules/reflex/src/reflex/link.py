@@ -6,6 +6,7 @@ clock [microseconds since power-up], which tells a pause of the network from a r
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -15,8 +16,7 @@ PERIOD_S = 0.025
 CLOCK_TOLERANCE_S = 0.3
 CLOCK_DRIFT = 1e-3
 
-_CLOCK_WRAP = 2**32
-_MICROSECONDS = 1e-6
+_CLOCK_WRAP_S = 2**32 * 1e-6
 _LONGEST_REORDERING_S = 0.2
 
 
@@ -50,8 +50,8 @@ class PacketFilter:
     def __init__(self, silence_time: float) -> None:
         self._silence_time = silence_time
         self._last: StatePacket | None = None
-        self._last_time = 0.0
-        self._source: tuple | None = None
+        self._last_time = -math.inf
+        self._source: tuple = ()
         self._missed = False
         self.counts = PacketCounts()
 
@@ -61,7 +61,7 @@ class PacketFilter:
 
     def alive(self, now: float) -> bool:
         """Whether a packet came within the silence time."""
-        return self._last is not None and now - self._last_time <= self._silence_time
+        return self.age(now) <= self._silence_time
 
     def watch(self, now: float) -> bool:
         """Returns true once, when a silence begins."""
@@ -71,7 +71,7 @@ class PacketFilter:
 
     def age(self, now: float) -> float:
         """Returns the time since the last packet [s]; infinite before the first."""
-        return now - self._last_time if self._last is not None else float("inf")
+        return now - self._last_time
 
     def sort(self, data: bytes, source: tuple, now: float) -> tuple[PacketArrival, StatePacket | None, str]:
         """Returns the arrival of a datagram, its packet unless dropped, and the reason of a drop as a sentence."""
@@ -93,8 +93,7 @@ class PacketFilter:
             return arrival, None, ""
         self.counts.packets += 1
         self.counts.restarts += arrival is PacketArrival.RESTARTED
-        self._last, self._last_time, self._source = packet, now, source
-        self._missed = False
+        self._last, self._last_time, self._source, self._missed = packet, now, source, False
         return arrival, packet, ""
 
     def _relate(self, packet: StatePacket, now: float) -> PacketArrival:
@@ -106,7 +105,7 @@ class PacketFilter:
         if self._last is None:
             return PacketArrival.FIRST
         host_step = now - self._last_time
-        device_step = _signed((packet.device_time - self._last.device_time) * _MICROSECONDS)
+        device_step = _signed(1e-6 * (packet.device_time - self._last.device_time))
         repeated = device_step == 0 and host_step < PERIOD_S / 2
         if not self._missed and (repeated or -_LONGEST_REORDERING_S < device_step < 0):
             return PacketArrival.DROPPED
@@ -123,9 +122,8 @@ class PacketFilter:
 
 def _signed(step: float) -> float:
     """Returns the step [s] across the wrap of the hand's clock, at most half its range either way."""
-    wrap = _CLOCK_WRAP * _MICROSECONDS
-    return (step + wrap / 2) % wrap - wrap / 2
+    return (step + _CLOCK_WRAP_S / 2) % _CLOCK_WRAP_S - _CLOCK_WRAP_S / 2
 
 
-def _name(source: tuple | None) -> str:
-    return f"{source[0]}:{source[1]}" if source else "unknown"
+def _name(source: tuple) -> str:
+    return f"{source[0]}:{source[1]}"

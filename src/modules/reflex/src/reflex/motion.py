@@ -124,10 +124,8 @@ class EffortGuard:
                 notes.append(f"Motor {name} is overloaded (load {load:.0f} of {settings.overload[i]:.0f}): loosened.")
             if hot and not self._hot[i]:
                 notes.append(f"Motor {name} has {temperature} degrees Celsius: it does not close further.")
-            self._overloaded[i] = overloaded or (
-                self._overloaded[i] and abs(load) > RELIEVED_FRACTION * settings.overload[i]
-            )
-            self._hot[i] = hot
+            still = self._overloaded[i] and abs(load) > RELIEVED_FRACTION * settings.overload[i]
+            self._overloaded[i], self._hot[i] = overloaded or still, hot
             if overloaded and load > 0:
                 end = 0.0 if known else angle
                 new_goals[i] = min(goals[i], max(angle - settings.loosen_angle, min(angle, end)))
@@ -205,12 +203,10 @@ class MotorGoals:
         fault = servo_fault(positions)
         if fault:
             return (), fault
-        for i, (name, angle) in enumerate(zip(MOTORS, all_joint_angles(positions, zeros))):
-            if not -margin <= angle <= travel[i] + margin:
-                return (), (
-                    f"Motor {name} stands at {angle:.2f} rad by its calibration, outside of its travel "
-                    f"0..{travel[i]:g} rad: calibrate the fingers."
-                )
+        for name, angle, most in zip(MOTORS, all_joint_angles(positions, zeros), travel):
+            if not -margin <= angle <= most + margin:
+                where = f"Motor {name} stands at {angle:.2f} rad by its calibration"
+                return (), f"{where}, outside of its travel 0..{most:g} rad: calibrate the fingers."
         try:
             goals = tuple(raw_target(i, angle, zeros[i]) for i, angle in enumerate(self.guard.clip(angles)))
         except ValueError as error:

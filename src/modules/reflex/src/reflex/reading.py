@@ -63,10 +63,10 @@ class HandReader:
         angles = all_joint_angles(packet.positions, zeros.motor_zero_reference)
         proximal = tuple(proximal_angle(r, z) for r, z in zip(packet.encoders, zeros.encoder_zero_reference))
         pressure = tuple(
-            tuple(raw - int(zero) for raw, zero in zip(packet.pressures[finger], offsets.of_finger(finger)))
-            for finger in range(3)
+            tuple(raw - int(zero) for raw, zero in zip(counts, untouched))
+            for counts, untouched in zip(packet.pressures, offsets.rows)
         )
-        contact = tuple(tuple(p > t for p, t in zip(pressure[finger], thresholds[finger])) for finger in range(3))
+        contact = tuple(tuple(p > t for p, t in zip(*rows)) for rows in zip(pressure, thresholds))
         distal = tuple(max(0.0, angle - p) for angle, p in zip(angles, proximal))
         return HandReading(proximal, distal, pressure, contact, angles, self._loads, packet)
 

@@ -30,7 +30,6 @@ def human_from_frame(frame: LeapFrame, stamp: rospy.Time, orientation: str = COM
     """Returns the message of a frame received at `stamp`; of several hands of one side the one tracked longest."""
     header = Header(0, stamp, FRAME_ID)
     convert = _Converter(header, orientation == COMPATIBLE)
-    right, left = frame.hand("right"), frame.hand("left")
     return Human(
         header=header,
         lmc_frame_id=_int32(frame.id),
@@ -39,8 +38,8 @@ def human_from_frame(frame: LeapFrame, stamp: rospy.Time, orientation: str = COM
         nr_of_gestures=frame.gestures,
         current_frames_per_second=frame.rate,
         to_string=f"frame {frame.id}, device time {frame.timestamp_us} us",
-        right_hand=convert.hand(right) if right else Hand(),
-        left_hand=convert.hand(left) if left else Hand(),
+        right_hand=convert.hand(frame.hand("right")),
+        left_hand=convert.hand(frame.hand("left")),
     )
 
 
@@ -50,7 +49,9 @@ class _Converter:
     def __init__(self, header: Header, compatible: bool) -> None:
         self._header, self._compatible = header, compatible
 
-    def hand(self, hand: LeapHand) -> Hand:
+    def hand(self, hand: LeapHand | None) -> Hand:
+        if hand is None:
+            return Hand()
         return Hand(
             header=self._header,
             lmc_hand_id=_int32(hand.id),

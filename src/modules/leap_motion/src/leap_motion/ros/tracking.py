@@ -32,24 +32,20 @@ def subscribe(on_frame: Callable[[TrackingFrame, rospy.Time], None]) -> rospy.Su
 
 def frame_from_human(human: Human, now: rospy.Time) -> TrackingFrame:
     """Returns the tracking frame of a message that arrived at the ROS time `now`."""
-    hands = [(human.right_hand, False), (human.left_hand, True)]
-    return TrackingFrame(
-        id=human.lmc_frame_id,
-        age=(now - human.header.stamp).to_sec(),
-        hands=tuple(
-            TrackedHand(
-                id=hand.lmc_hand_id,
-                is_left=is_left,
-                palm=array(hand.palm_center),
-                direction=array(hand.direction),
-                normal=array(hand.normal),
-                confidence=hand.confidence,
-                fingers=_fingers(hand),
-            )
-            for hand, is_left in hands
-            if hand.is_present
-        ),
+    hands = tuple(
+        TrackedHand(
+            id=hand.lmc_hand_id,
+            is_left=hand is human.left_hand,
+            palm=array(hand.palm_center),
+            direction=array(hand.direction),
+            normal=array(hand.normal),
+            confidence=hand.confidence,
+            fingers=_fingers(hand),
+        )
+        for hand in (human.right_hand, human.left_hand)
+        if hand.is_present
     )
+    return TrackingFrame(human.lmc_frame_id, (now - human.header.stamp).to_sec(), hands)
 
 
 def _fingers(hand) -> FingerPoints | None:
