@@ -48,19 +48,24 @@ def proportion(outcomes: ArrayLike) -> Proportion:
     return Proportion(k, n, float(max(0.0, middle - half)), float(min(1.0, middle + half)))
 
 
-class Median(NamedTuple):
-    """A median with its bootstrap interval."""
+class Estimate(NamedTuple):
+    """A statistic of independent cases with its bootstrap interval."""
 
     value: float
     low: float
     high: float
 
     def __str__(self) -> str:
-        """Returns median and interval."""
-        return f"{self.value:.1f} ({self.low:.1f} to {self.high:.1f})"
+        """Returns value and interval."""
+        return format(self, ".1f")
+
+    def __format__(self, spec: str) -> str:
+        """Returns value and interval, each in the format given, such as `+.2f`."""
+        value, low, high = (format(v, spec or ".1f") for v in self)
+        return f"{value} ({low} to {high})"
 
 
-def median(values: ArrayLike, seed: int = 0) -> Median:
+def median(values: ArrayLike, seed: int = 0) -> Estimate:
     """Returns the median of independent values.
 
     Raises:
@@ -69,36 +74,13 @@ def median(values: ArrayLike, seed: int = 0) -> Median:
     values = np.asarray(values, dtype=float)
     if not len(values):
         raise ValueError("no values: their median is undefined")
-    rng = np.random.default_rng(seed)
-    found = np.median(rng.choice(values, (RESAMPLES, len(values))), axis=1)
-    return Median(float(np.median(values)), *(float(v) for v in np.percentile(found, (2.5, 97.5))))
-
-
-class Difference(NamedTuple):
-    """The difference of two statistics over the same cases, with its bootstrap interval."""
-
-    value: float
-    low: float
-    high: float
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether zero lies outside the interval."""
-        return self.low > 0.0 or self.high < 0.0
-
-    def __str__(self) -> str:
-        """Returns difference and interval."""
-        return format(self, ".1f")
-
-    def __format__(self, precision: str) -> str:
-        """Returns difference and interval with their signs, each in the format given, such as `.2f`."""
-        value, low, high = (format(v, f"+{precision or '.1f'}") for v in self)
-        return f"{value} ({low} to {high})"
+    found = np.median(np.random.default_rng(seed).choice(values, (RESAMPLES, len(values))), axis=1)
+    return Estimate(float(np.median(values)), *np.percentile(found, (2.5, 97.5)).tolist())
 
 
 def paired_difference(
     one: ArrayLike, other: ArrayLike, statistic: Callable[..., np.ndarray] = np.mean, seed: int = 0
-) -> Difference:
+) -> Estimate:
     """Returns the statistic (numpy's mean or median) of `one` less that of `other`, both for the same cases.
 
     The bootstrap draws whole cases, so that what is common to both, such as the difficulty of a case, does not widen
@@ -113,5 +95,4 @@ def paired_difference(
         raise ValueError(f"{n} and {len(pairs[1])} values are not pairs")
     drawn = np.random.default_rng(seed).integers(0, n, (RESAMPLES, n))
     a, b = (statistic(values[drawn], axis=1) for values in pairs)
-    value = float(statistic(pairs[0]) - statistic(pairs[1]))
-    return Difference(value, *(float(v) for v in np.percentile(a - b, (2.5, 97.5))))
+    return Estimate(float(statistic(pairs[0]) - statistic(pairs[1])), *np.percentile(a - b, (2.5, 97.5)).tolist())

@@ -29,8 +29,8 @@ class ToolConfig:
         absent=False, doc="whether tool_transform describes the tool instead of tool_length"
     )
 
-    def tool_faults(self) -> list[str]:
-        """Returns the faults of tool_transform if it is used, one sentence each."""
+    def faults(self) -> list[str]:
+        """Returns the faults that no single parameter can show, one sentence each."""
         if not self.use_tool_transform:
             return []
         try:
@@ -46,10 +46,6 @@ class ToolConfig:
             f"tool_transform has its tool point at {point.tolist()} m, farther than {MAX_TOOL_M:g} m from the flange; "
             "give metres."
         ]
-
-    def faults(self) -> list[str]:
-        """Returns the faults that no single parameter can show, one sentence each."""
-        return self.tool_faults()
 
     @cached_property
     def T_flange_tool(self) -> np.ndarray:

@@ -42,7 +42,7 @@ class ArmPlacement(ToolConfig):
 
     def faults(self) -> list[str]:
         """Returns what is wrong with the combination of the values."""
-        faults = self.tool_faults()
+        faults = super().faults()
         if self.center_line[2] != 0.0:
             faults.append(f"center_line is {self.center_line.tolist()}, but its z must be zero.")
         if not np.any(self.center_line[:2]):

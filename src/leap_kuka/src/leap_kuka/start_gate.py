@@ -31,11 +31,6 @@ class InteractionBox:
     center: np.ndarray  # in the Leap frame, shape (3,) [m]
     size: np.ndarray  # lengths of its edges, shape (3,) [m]
 
-    def outside(self, point: np.ndarray) -> np.ndarray:
-        """Returns the signed distance of a point, shape (3,) [m], beyond the box along each axis; zero inside."""
-        offset = point - self.center
-        return np.sign(offset) * np.maximum(np.abs(offset) - self.size / 2.0, 0.0)
-
 
 def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
     """Returns the box whose centre maps to the centre of the workspace.
@@ -69,11 +64,11 @@ class StartGate:
         return faults
 
     def _outside(self, hand: MeanHand) -> list[str]:
-        beyond = self._box.outside(hand.palm)
+        offset = hand.palm - self._box.center
         parts = [
-            f"{max(1.0, 1e3 * abs(distance)):.0f} mm {side[int(distance > 0.0)]}"
-            for distance, side in zip(beyond, SIDES)
-            if distance != 0.0
+            f"{max(1.0, 1e3 * distance):.0f} mm {sides[int(positive)]}"
+            for distance, positive, sides in zip(np.abs(offset) - self._box.size / 2.0, offset > 0.0, SIDES)
+            if distance > 0.0
         ]
         return [f"the palm is {' and '.join(parts)} the box"] if parts else []
 

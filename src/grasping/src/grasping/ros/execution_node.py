@@ -48,7 +48,7 @@ class ExecutionArmConfig(ToolConfig):
 
     def faults(self) -> list[str]:
         """Returns what no single value can be blamed for."""
-        return self.tool_faults() + ([] if np.any(self.center_line) else ["center_line is the zero vector."])
+        return super().faults() + ([] if np.any(self.center_line) else ["center_line is the zero vector."])
 
 
 class ExecutionNode:

@@ -59,7 +59,7 @@ class ControllerConfig(RobotAddress):
 
     def faults(self) -> list[str]:
         """Returns the faults that no single parameter can show, one sentence each."""
-        return self.tool_faults() + self.faults_among(vars(self))
+        return super().faults() + self.faults_among(vars(self))
 
     @staticmethod
     def faults_among(read: Mapping[str, Any]) -> list[str]:

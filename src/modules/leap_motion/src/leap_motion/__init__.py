@@ -19,15 +19,10 @@ __all__ = [
     "LeapStatus", "StampedFrame",
 ]  # fmt: skip
 
-_MODULES = {
-    "client": ("LeapClient", "LeapCounts", "LeapLink", "LeapStatus", "StampedFrame"),
-    "codec": ("LeapProtocolError",),
-    "frames": ("LeapBone", "LeapFinger", "LeapFrame", "LeapHand"),
-}
-
 
 def __getattr__(name: str) -> Any:
-    for module, names in _MODULES.items():
-        if name in names:
-            return getattr(importlib.import_module(f"leap_motion.{module}"), name)
+    for module in ("frames", "codec", "client") if name in __all__ else ():
+        found = getattr(importlib.import_module(f"leap_motion.{module}"), name, None)
+        if found is not None:
+            return found
     raise AttributeError(f"leap_motion has no {name!r}")

@@ -7,10 +7,12 @@ Nothing persists over a reconnect: the client sends the policy messages again.
 
 from __future__ import annotations
 
+import copy
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 
 from websockets.exceptions import ConnectionClosed, WebSocketException
@@ -42,13 +44,13 @@ class LeapLink(Enum):
     CLOSED = "closed"
 
 
-@dataclass(frozen=True)
+@dataclass
 class LeapCounts:
     """Counts since the client was made."""
 
     received: int = 0  # frames read from the socket
     superseded: int = 0  # frames that a newer one replaced before anybody asked for them
-    dropped: dict[str, int] = field(default_factory=dict)  # unusable frames, by reason
+    dropped: Counter[str] = field(default_factory=Counter)  # unusable frames, by reason
     connections: int = 0  # headers received; all but the first are reconnects
 
 
@@ -97,7 +99,7 @@ class LeapClient:
     def counts(self) -> LeapCounts:
         """The counts so far."""
         with self._changed:
-            return replace(self._counts, dropped=dict(self._counts.dropped))
+            return copy.deepcopy(self._counts)
 
     def next_frame(self, timeout: float) -> StampedFrame | None:
         """Returns the newest frame that was not returned before, or None if none came within `timeout` [s].
@@ -171,7 +173,7 @@ class LeapClient:
 
     def _greet(self, connection: ClientConnection) -> None:
         try:
-            header = read_header(connection.recv(HEADER_TIMEOUT_S))
+            version = read_header(connection.recv(HEADER_TIMEOUT_S))
         except TimeoutError as error:
             silent = f"The program on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s"
             sentence = f"{silent}, so it is not a Leap service; check address and port. Trying again."
@@ -181,9 +183,9 @@ class LeapClient:
         for message in POLICY_MESSAGES:
             connection.send(message)
         with self._changed:
-            self._counts = replace(self._counts, connections=self._counts.connections + 1)
-        service = f"Leap service {header.service or 'of unknown version'} on {self._address}"
-        self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", header.service)
+            self._counts.connections += 1
+        service = f"Leap service {version or 'of unknown version'} on {self._address}"
+        self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", version)
 
     def _read(self, connection: ClientConnection) -> None:
         next_ping, pong = time.monotonic() + PING_S, None
@@ -207,9 +209,8 @@ class LeapClient:
 
     def _take_frame(self, text: str | bytes, stamp: object) -> None:
         with self._changed:
-            counts = self._counts
-            superseded = counts.superseded + (self._newest is not None)
-            self._counts = replace(counts, received=counts.received + 1, superseded=superseded)
+            self._counts.received += 1
+            self._counts.superseded += self._newest is not None
             self._newest = (text, stamp)
             self._changed.notify_all()
             streaming = self._status.link is LeapLink.STREAMING
@@ -229,11 +230,8 @@ class LeapClient:
 
     def _drop(self, reason: str) -> None:
         with self._changed:
-            dropped = dict(self._counts.dropped)
-            if reason not in dropped and len(dropped) >= MAX_REASONS:
-                reason = "other reasons"
-            dropped[reason] = dropped.get(reason, 0) + 1
-            self._counts = replace(self._counts, dropped=dropped)
+            dropped = self._counts.dropped
+            dropped[reason if reason in dropped or len(dropped) < MAX_REASONS else "other reasons"] += 1
 
     def _set_status(self, link: LeapLink, sentence: str, service: str | None = None) -> None:
         with self._changed:

@@ -46,14 +46,6 @@ class LeapProtocolError(ValueError):
 
 
 @dataclass(frozen=True)
-class LeapHeader:
-    """First message of a connection: version of the protocol, and of the service if given."""
-
-    version: int
-    service: str
-
-
-@dataclass(frozen=True)
 class DeviceEvent:
     """A change of the device: whether it is plugged in and sends frames."""
 
@@ -62,8 +54,8 @@ class DeviceEvent:
     streaming: bool
 
 
-def read_header(text: str | bytes) -> LeapHeader:
-    """Returns the header in `text`.
+def read_header(text: str | bytes) -> str:
+    """Returns the version of the service, if given, in `text`, the first message of a connection.
 
     Raises:
         LeapProtocolError: it is not a header, or its version does not exist.
@@ -74,7 +66,7 @@ def read_header(text: str | bytes) -> LeapHeader:
     version = message["version"]
     if isinstance(version, bool) or not isinstance(version, int) or version not in VERSIONS:
         raise LeapProtocolError(f"The Leap service announces protocol version {str(version)[:40]!r}; known are 1 to 6.")
-    return LeapHeader(version, str(message.get("serviceVersion", "")))
+    return str(message.get("serviceVersion", ""))
 
 
 def read_message(text: str | bytes) -> LeapFrame | DeviceEvent | None:

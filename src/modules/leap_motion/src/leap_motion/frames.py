@@ -71,11 +71,6 @@ class LeapHand:
     arm: LeapBone | None  # forearm from elbow to wrist, or None where unknown
 
     @property
-    def is_left(self) -> bool:
-        """Whether it is a left hand."""
-        return self.side == "left"
-
-    @property
     def pitch(self) -> float:
         """Angle of the direction above the horizontal [rad]: fingers up is positive."""
         return math.atan2(self.direction[1], -self.direction[2])

@@ -182,7 +182,7 @@ def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
             cells = [f"{name} less {other}"]
             for statistic, value in measures.values():
                 one, less = ([value(of[method][e]) for e in episodes_of] for method in (name, other))
-                cells.append(str(paired_difference(one, less, statistic)))
+                cells.append(f"{paired_difference(one, less, statistic):+.1f}")
             differences.append(cells)
     return f"{markdown_table(('method', *measures), lines)}\n{markdown_table(('difference', *measures), differences)}"
 
@@ -200,7 +200,7 @@ def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, M
     lines = [(OFFSET, f"{plain.mean():.2f}", "")]
     for name, one in second.items():
         values = found(one.network)
-        lines.append((name, f"{values.mean():.2f}", f"{paired_difference(values, plain):.2f}"))
+        lines.append((name, f"{values.mean():.2f}", f"{paired_difference(values, plain):+.2f}"))
     return markdown_table(("map", "log-likelihood of the operator's place [nats], mean", "more than GGCNN's"), lines)
 
 
@@ -237,9 +237,10 @@ def orientations(
     for name in second:
         for other in (ALONE, OFFSET):
             one, less = of[name], of[other]
-            cells = [str(paired_difference(one[0], less[0], np.median)), f"{paired_difference(one[1], less[1]):.2f}"]
+            turned, likely = paired_difference(one[0], less[0], np.median), paired_difference(one[1], less[1])
+            cells = [f"{turned:+.1f}", f"{likely:+.2f}"]
             if opens.any():
-                cells.append(str(paired_difference(one[2][opens], less[2][opens], np.median)))
+                cells.append(f"{paired_difference(one[2][opens], less[2][opens], np.median):+.1f}")
             differences.append([f"{name} less {other}", *cells])
     return f"{markdown_table(('method', *names), lines)}\n{markdown_table(('difference', *names), differences)}"
 

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from common.config import choice, integer, text
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import private_config
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
 from leap_motion.msg import Human
-from leap_motion.ros.human import human_from_frame
-from leap_motion.ros.node_parameters import DriverConfig
+from leap_motion.ros.human import COMPATIBLE, CORRECT, human_from_frame
 
-NAME = "leap_driver"
-TOPIC = "leap_motion/leap_device"
 POLL_S = 0.1
 REMIND_S = 10.0
 SETTLED_S = 0.3
+
+
+@dataclass(frozen=True)
+class DriverConfig:
+    """The private parameters."""
+
+    host: str = text(doc="address of the Leap service", absent="127.0.0.1")
+    port: int = integer(low=1, high=65535, doc="its plain WebSocket port", absent=6437)
+    orientation: str = choice(
+        COMPATIBLE, CORRECT, doc="bone orientations as the C++ driver fills them, or true ones", absent=COMPATIBLE
+    )
 
 
 class LinkReport:
@@ -67,7 +77,7 @@ def start() -> None:
     """
     config = private_config(DriverConfig)
     rospy.loginfo("Leap service %s:%d, orientation %s.", config.host, config.port, config.orientation)
-    publisher = rospy.Publisher(TOPIC, Human, queue_size=1, tcp_nodelay=True)
+    publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=1, tcp_nodelay=True)
     stage = StageTimes("leap_motion")
     client = LeapClient(config.host, config.port, clock=rospy.Time.now)
     report = LinkReport(client)
@@ -85,4 +95,4 @@ def start() -> None:
 
 def main() -> None:
     """Entry point of the script."""
-    run(NAME, start)
+    run("leap_driver", start)
