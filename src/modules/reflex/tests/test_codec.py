@@ -4,16 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reflex.codec import (
-    IDLE,
-    POSITION,
-    VELOCITY,
-    PacketError,
-    decode_state,
-    encode_mode,
-    encode_target,
-    is_command,
-)
+from reflex.codec import IDLE, POSITION, VELOCITY, PacketError, decode_state, encode_mode, encode_target, is_command
 from rig_simulation.devices.reflex.wire import ModeCommand, TargetCommand, pack_state, read_command
 
 u8, u16, u32 = st.integers(0, 255), st.integers(0, 65535), st.integers(0, 2**32 - 1)

@@ -37,11 +37,7 @@ def test_golden_targets(angles, golden):
 
 @pytest.mark.parametrize(
     ("speeds", "golden"),
-    [
-        ((1, 2, 3, 30), (118, 1261, 356, 2047)),
-        ((3, 3, 3, 2), (356, 1380, 356, 1275)),
-        ((0, 0, 0, 0), (1, 1, 1, 1)),
-    ],
+    [((1, 2, 3, 30), (118, 1261, 356, 2047)), ((3, 3, 3, 2), (356, 1380, 356, 1275)), ((0, 0, 0, 0), (1, 1, 1, 1))],
 )
 def test_golden_speeds(speeds, golden):
     assert tuple(speed_units(i, speeds[i]) for i in range(4)) == golden
