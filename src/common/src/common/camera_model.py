@@ -19,8 +19,7 @@ from common.poses import read_only
 
 PLUMB_BOB = "plumb_bob"
 MAX_ITERATIONS = 50
-TOLERANCE = 1e-10
-"""Of the undistorted direction, at which the iteration stops."""
+TOLERANCE = 1e-10  # of the undistorted direction, at which the iteration stops
 
 
 @dataclass(frozen=True)

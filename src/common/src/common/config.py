@@ -30,8 +30,7 @@ import numpy as np
 from common.errors import ConfigError
 
 Schema = TypeVar("Schema")
-REQUIRED = object()
-"""Stands for the value of a key that must be given."""
+REQUIRED = object()  # stands for the value of a key that must be given
 
 
 def number(unit: str = "", *, doc: str = "", absent: Any = REQUIRED, **bounds: float) -> Any:

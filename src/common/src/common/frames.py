@@ -7,32 +7,22 @@ Below `BASE`: the arm's frames, the operator's, and the camera's. The links of t
 from __future__ import annotations
 
 BASE = "kuka/base_frame"
-FLANGE = "kuka/flange"
-"""The flange as a link of the robot description."""
+FLANGE = "kuka/flange"  # the flange as a link of the robot description
 FLANGE_HOME = "kuka/flange_frame/home"
 FLANGE_MEASURED = "kuka/flange_frame/measured"
 FLANGE_DESIRED = "kuka/flange_frame/desired"
-FLANGE_SEEN = "kuka/flange_frame/seen"
-"""The flange as the camera detects it by the marker board."""
+FLANGE_SEEN = "kuka/flange_frame/seen"  # the flange as the camera detects it by the marker board
 TOOL_HOME = "kuka/tool_frame/home"
-TOOL_DESIRED = "kuka/tool_frame/desired"
-"""The input of the arm's controllers."""
+TOOL_DESIRED = "kuka/tool_frame/desired"  # the input of the arm's controllers
 TOOL_COMMANDED = "kuka/tool_frame/commanded"
 """The tool as the controller last sent it to the robot: scaled, and clipped to the workspace."""
 
 VIRTUAL_LEAP = "leap_motion/virtual_frame"
-HAND = "hand/frame"
-"""The operator's hand in `VIRTUAL_LEAP`."""
-
+HAND = "hand/frame"  # the operator's hand in `VIRTUAL_LEAP`
 CAMERA_LINK = "camera_link"
-RGB, DEPTH = "camera_rgb_frame", "camera_depth_frame"
-"""The RGB-D camera's two sensors in `CAMERA_LINK`, x forward."""
+RGB, DEPTH = "camera_rgb_frame", "camera_depth_frame"  # the RGB-D camera's two sensors in `CAMERA_LINK`, x forward
 RGB_OPTICAL, DEPTH_OPTICAL = "camera_rgb_optical_frame", "camera_depth_optical_frame"
 """The same, z forward: the frames in the headers of the images."""
-RGB_ALIAS, DEPTH_ALIAS = "camera/rgb_frame", "camera/depth_frame"
-"""The rig's own names of the optical frames."""
-
-GRASP_TARGET = "camera_target_frame"
-"""The best grasp, in `DEPTH`."""
-GRASP_VIEW = "ggcnn/view"
-"""The virtual camera whose image the grasp network sees, in an optical frame."""
+RGB_ALIAS, DEPTH_ALIAS = "camera/rgb_frame", "camera/depth_frame"  # the rig's own names of the optical frames
+GRASP_TARGET = "camera_target_frame"  # the best grasp, in `DEPTH`
+GRASP_VIEW = "ggcnn/view"  # the virtual camera whose image the grasp network sees, in an optical frame

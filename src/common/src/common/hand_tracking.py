@@ -10,8 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-MAX_SKEW_S = 0.5
-"""How far a frame's stamp may be from the present time [s]."""
+MAX_SKEW_S = 0.5  # how far a frame's stamp may be from the present time [s]
 
 
 @dataclass(frozen=True)

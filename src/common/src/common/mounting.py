@@ -25,8 +25,7 @@ from common.poses import read_only
 from common.rotations import rotation_about, rotation_from_zyx, unit
 
 STEEP_DEG = 60.0
-EVEN = 1e-9
-"""A smaller value is a rounding error."""
+EVEN = 1e-9  # a smaller value is a rounding error
 
 
 def mounting_field() -> Any:

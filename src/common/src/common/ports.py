@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 import socket
 
-FIRST, LAST = 15000, 29999
-"""Below the ports from 32768 on, which Linux gives to outgoing connections and for port 0."""
+FIRST, LAST = 15000, 29999  # below the ports from 32768 on, which Linux gives to outgoing connections and for port 0
 TRIES = 200
 
 

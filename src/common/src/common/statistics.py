@@ -10,8 +10,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-Z_95 = 1.959964
-"""Of the normal distribution, two-sided 95 %."""
+Z_95 = 1.959964  # of the normal distribution, two-sided 95 %
 RESAMPLES = 2000
 
 

@@ -6,8 +6,7 @@ import numpy as np
 
 CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822)
 """Ids 0 to 4: 36 bits row by row from the top left, most significant first, 1 = white."""
-CELLS = 8
-"""Cells along the edge of the black square, its border of one cell on each side included."""
+CELLS = 8  # along the edge of the black square, its border of one cell on each side included
 
 
 def black_cells(tag: int) -> np.ndarray:

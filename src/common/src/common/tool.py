@@ -13,8 +13,7 @@ import numpy as np
 from common.config import flag, number, vector
 from common.poses import check_pose, read_only, translation
 
-MAX_TOOL_M = 1.0
-"""A tool point farther from the flange is probably given in millimetres."""
+MAX_TOOL_M = 1.0  # a tool point farther from the flange is probably given in millimetres
 
 
 @dataclass(frozen=True)

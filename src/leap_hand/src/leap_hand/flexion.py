@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from leap_motion.tracking import FingerPoints
 
-MIN_LENGTH_M = 1e-3
-"""A vector shorter than this has no direction."""
+MIN_LENGTH_M = 1e-3  # a vector shorter than this has no direction
 
 
 def flexion(palm: np.ndarray, normal: np.ndarray, fingers: FingerPoints) -> np.ndarray:

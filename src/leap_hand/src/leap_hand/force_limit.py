@@ -16,8 +16,7 @@ import numpy as np
 from common.poses import read_only
 from leap_hand.config import FINGERS, HandConfig
 
-FEELING = FINGERS[:3]
-"""Fingers with taxels, in the order of the commands and of the hand's state."""
+FEELING = FINGERS[:3]  # fingers with taxels, in the order of the commands and of the hand's state
 
 
 @dataclass(frozen=True)

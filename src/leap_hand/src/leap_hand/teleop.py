@@ -21,17 +21,14 @@ from leap_motion.tracking import FingerPoints, TrackedHand, TrackingFrame
 GRIPPER_OFF = "the control of the gripper is off"
 
 MAX_SILENCE_S = 0.5
-MAX_BAD_FRAMES = 5
-"""The hand opens after this many frames with invalid numbers in a row."""
+MAX_BAD_FRAMES = 5  # the hand opens after this many frames with invalid numbers in a row
 
 
 class GripperState(Enum):
     """What the robot hand does."""
 
-    WAITING = "waiting"
-    """for the first message on kuka/gripper_control."""
-    FOLLOWING = "following"
-    """the operator's hand."""
+    WAITING = "waiting"  # for the first message on kuka/gripper_control
+    FOLLOWING = "following"  # the operator's hand
     OPEN = "open"
 
 

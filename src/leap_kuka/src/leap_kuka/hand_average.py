@@ -25,18 +25,13 @@ MAX_STEP_M = 0.02
 MAX_SPEED_M_S = 2.0
 MAX_LEFT_OUT = 5
 
-SPEED_SAMPLES = 10
-"""Number of samples from which the speed of the palm is computed, whatever the size of the mean."""
-
+SPEED_SAMPLES = 10  # number of samples from which the speed of the palm is computed, whatever the size of the mean
 MIN_MEAN_LENGTH = 0.8
 """Shortest mean of unit vectors that counts as a direction. Above 1/sqrt(2) the means of direction and normal cannot
 be parallel: the samples are orthogonal, so the cosine between the means is at most (1 - l^2) / l^2."""
 
-ORTHOGONAL_TOLERANCE = 0.01
-"""Largest cosine between direction and normal; the tracker prints them to six digits."""
-
-MAX_DISTANCE_M = 2.0
-"""Largest distance of a palm from the Leap; the tracker's documented range is 0.6 m."""
+ORTHOGONAL_TOLERANCE = 0.01  # largest cosine between direction and normal; the tracker prints them to six digits
+MAX_DISTANCE_M = 2.0  # largest distance of a palm from the Leap; the tracker's documented range is 0.6 m
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,7 @@ from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.hand_average import MeanHand
 from leap_kuka.virtual_leap import attitude, heading
 
-START_SPEED_M_S = 0.3
-"""A faster palm passes through the box and starts no stream."""
-
+START_SPEED_M_S = 0.3  # a faster palm passes through the box and starts no stream
 SIDES = (("left of", "right of"), ("below", "above"), ("behind", "in front of"))
 """Position of a palm relative to the box, by axis and sign, as the user sees it: -z points away from the user."""
 

@@ -23,8 +23,7 @@ from leap_kuka.tool_hold import HandOver, HoldAnswer, HoldState, ToolHold, hand_
 from leap_kuka.virtual_leap import Attitude, attitude, heading, tool_rotation, virtual_leap_pose
 from leap_motion.tracking import TrackedHand, TrackingFrame
 
-MAX_SILENCE_S = 0.2
-"""Longest time between two tracking frames of one stream."""
+MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream
 
 
 class StreamState(Enum):

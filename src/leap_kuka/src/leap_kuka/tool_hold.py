@@ -18,24 +18,17 @@ from common.poses import check_pose, pose, read_only
 from common.rotations import rotation_about, scaled_rotation
 
 MAX_DURATION_S = 120.0
-MAX_DISTANCE_M = 5.0
-"""A larger distance from the base is probably not in metres [m]."""
-
-MAX_TILT_DEG = 10.0
-"""A stream starts with the tool pointing down, so a held tool points down within this [deg]."""
-
-FADE_S = 1.0
-"""Time in which the tilt of the hand at its start takes full effect [s]."""
+MAX_DISTANCE_M = 5.0  # a larger distance from the base is probably not in metres [m]
+MAX_TILT_DEG = 10.0  # a stream starts with the tool pointing down, so a held tool points down within this [deg]
+FADE_S = 1.0  # time in which the tilt of the hand at its start takes full effect [s]
 
 
 class HoldState(Enum):
     """Whether the tool is held."""
 
     NONE = "none"
-    HELD = "held"
-    """for a hand."""
-    TAKEN = "taken"
-    """over by the hand that steers now."""
+    HELD = "held"  # for a hand
+    TAKEN = "taken"  # over by the hand that steers now
 
 
 @dataclass(frozen=True)

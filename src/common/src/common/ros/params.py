@@ -13,12 +13,8 @@ from common.config import Schema, parse, required
 from common.errors import ConfigError
 
 POLL_S = 0.2
-UPLOAD_S = 1.0
-"""A launch file uploads a yaml in this time after its first key [s]."""
-
-FEW = 3
-"""More missing keys than this: the file was not loaded at all."""
-
+UPLOAD_S = 1.0  # a launch file uploads a yaml in this time after its first key [s]
+FEW = 3  # more missing keys than this: the file was not loaded at all
 REMIND_S = 5.0
 
 

@@ -24,8 +24,7 @@ from leap_motion.tracking import TrackingFrame
 from reflex_msgs.msg import Hand, RadianServoCommands
 
 WATCH_PERIOD_S = 0.1
-FIRST_STATE_S = 2.0
-"""Longest wait for the first state of the robot hand [s]."""
+FIRST_STATE_S = 2.0  # longest wait for the first state of the robot hand [s]
 CALIBRATIONS = ("reflex_takktile/calibrate_fingers", "reflex_takktile/calibrate_tactile")
 ANSWER_TIMEOUT_S = 10.0
 SETTLING_S = 2.0

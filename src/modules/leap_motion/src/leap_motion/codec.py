@@ -25,18 +25,12 @@ import numpy as np
 
 from leap_motion.frames import LeapBone, LeapFinger, LeapFrame, LeapHand
 
-VERSIONS = range(1, 7)
-"""Versions of the protocol that exist."""
-
+VERSIONS = range(1, 7)  # versions of the protocol that exist
 POLICY_MESSAGES = ('{"background":true}', '{"focused":true}')
 """A client that sends these gets frames whatever window has the focus; all services take one key and no spaces."""
 
-UNIT_TOLERANCE = 0.01
-"""How far the length of a unit vector, or a product of two axes, may be off."""
-
-LIMIT = 1e9
-"""Numbers beyond this are not measurements; they would not fit into the fields of messages either."""
-
+UNIT_TOLERANCE = 0.01  # how far the length of a unit vector, or a product of two axes, may be off
+LIMIT = 1e9  # numbers beyond this are not measurements; they would not fit into the fields of messages either
 MM = 1e-3
 ZERO = (0, 0, 0)
 

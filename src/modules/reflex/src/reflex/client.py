@@ -27,9 +27,7 @@ REOPEN_S = 2.0
 REMIND_S = 5.0
 SPEED_TIMEOUT_S = 2.0
 CLOSED_RAD = 2.5
-STILL_RAD = 0.01
-"""Motors that turn less than this between two packets stand still [rad]."""
-
+STILL_RAD = 0.01  # motors that turn less than this between two packets stand still [rad]
 STILL_PACKETS = 4
 
 

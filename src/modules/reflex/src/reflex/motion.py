@@ -23,8 +23,7 @@ COOLING_DEGC = 3
 # A servo at full speed needs a second for this many ticks.
 _JUMP_TICKS = TURN_TICKS - 124
 
-PAUSES_S = (0.020, 0.035, 0.035)
-"""After each packet of a change of speed [s]."""
+PAUSES_S = (0.020, 0.035, 0.035)  # after each packet of a change of speed [s]
 
 
 @dataclass(frozen=True)

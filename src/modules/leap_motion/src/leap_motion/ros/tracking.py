@@ -12,9 +12,7 @@ from leap_motion.frames import DISTAL, INDEX, INTERMEDIATE, MIDDLE, PINKY, RING,
 from leap_motion.msg import Human
 from leap_motion.tracking import FingerPoints, TrackedHand, TrackingFrame
 
-HUMAN_BUFFER_BYTES = 2**20
-"""Room for many messages: rospy drops all but the newest only among those that it has read."""
-
+HUMAN_BUFFER_BYTES = 2**20  # room for many messages: rospy drops all but the newest only among those that it has read
 FIVE_FINGERS = [THUMB, INDEX, MIDDLE, RING, PINKY]
 
 
