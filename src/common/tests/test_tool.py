@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from common.config import parse
 from common.errors import ConfigError
+from common.mounting import ToolConfig
 from common.poses import pose, translation
 from common.rotations import rotation_from_zyx
-from common.tool import ToolConfig
 
 angle, distance = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5)
 

@@ -1,4 +1,4 @@
-"""How the arm is mounted, and the operator's directions that follow from it in the base frame.
+"""How the arm is mounted, the operator's directions that follow from it in the base frame, and the tool on its flange.
 
 The parameter `mounting` is the orientation of kuka/base_frame in an upright world, as roll, pitch and yaw. The
 workspace belongs to the arm and stays in the base frame; what the operator calls up and forward follows the world:
@@ -15,16 +15,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from common.config import vector
-from common.poses import read_only
+from common.config import flag, number, vector
+from common.poses import check_pose, read_only, translation
 from common.rotations import rotation_about, rotation_from_zyx, unit
 
 STEEP_DEG = 60.0
+MAX_TOOL_M = 1.0  # a tool point farther from the flange is probably given in millimetres
 EVEN = 1e-9  # a smaller value is a rounding error
 
 
@@ -83,3 +85,44 @@ def mounting_frame(center_line: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)
     plane_y = sign * np.array([-line[1], line[0], 0.0])
     tool_reversed = bool(np.cross(up, forward) @ plane_y >= -EVEN)
     return MountingFrame(read_only(up), read_only(forward), tool_reversed)
+
+
+@dataclass(frozen=True)
+class ToolConfig:
+    """The parameters of the tool.
+
+    Most tools are a length along the flange's z axis. A rotated or offset tool is given as a whole pose instead.
+    """
+
+    tool_length: float = number("m", low=0.0, doc="from the flange to the tool point, along the flange's z axis")
+    tool_transform: np.ndarray = vector(
+        16, absent=np.eye(4).ravel(), doc="pose of the tool in the flange, 4 x 4 row by row, lengths in m"
+    )
+    use_tool_transform: bool = flag(
+        absent=False, doc="whether tool_transform describes the tool instead of tool_length"
+    )
+
+    def faults(self) -> list[str]:
+        """Returns the faults that no single parameter can show, one sentence each."""
+        if not self.use_tool_transform:
+            return []
+        try:
+            point = check_pose(self.tool_transform.reshape(4, 4))[:3, 3]
+        except ValueError as error:
+            return [
+                f"tool_transform is not a pose: {error}; give a rotation without scale or reflection, with at least "
+                "seven digits, and a position in m."
+            ]
+        if np.linalg.norm(point) <= MAX_TOOL_M:
+            return []
+        return [
+            f"tool_transform has its tool point at {point.tolist()} m, farther than {MAX_TOOL_M:g} m from the flange; "
+            "give metres."
+        ]
+
+    @cached_property
+    def T_flange_tool(self) -> np.ndarray:
+        """Pose of the tool in the flange, shape (4, 4) [m]."""
+        if self.use_tool_transform:
+            return read_only(self.tool_transform.reshape(4, 4))
+        return read_only(translation(0.0, 0.0, self.tool_length))

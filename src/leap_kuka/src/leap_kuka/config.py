@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.config import integer, number, vector
-from common.mounting import EVEN, MountingFrame, mounting_field, mounting_frame
-from common.tool import ToolConfig
+from common.mounting import EVEN, MountingFrame, ToolConfig, mounting_field, mounting_frame
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,12 @@ from std_srvs.srv import Trigger, TriggerResponse
 from common.config import parse, required, vector
 from common.errors import DeviceError
 from common.frames import BASE
-from common.mounting import mounting_field, mounting_frame
+from common.mounting import ToolConfig, mounting_field, mounting_frame
 from common.ros.conversions import stamped_pose
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_param
 from common.ros.service_calls import call
-from common.tool import ToolConfig
 from grasping.execution.execution import HELD, Execution, ExecutionConfig, ExecutionOutcome
 from grasping.execution.execution_request import Refusal, ToolGoal, choose, tool_goal
 from grasping.execution.grasp_watch import GraspWatchConfig

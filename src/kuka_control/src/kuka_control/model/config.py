@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from common.config import choice, flag, integer, number, path, text, vector
-from common.mounting import mounting_field
-from common.tool import ToolConfig
+from common.mounting import ToolConfig, mounting_field
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, robot_model
 from kuka_control.model.workspace import workspace_faults
 

@@ -15,9 +15,9 @@ from std_msgs.msg import String
 
 from common.config import parse
 from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED
+from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.diagnostics import STAGE_TIMES
-from common.tool import ToolConfig
 from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates

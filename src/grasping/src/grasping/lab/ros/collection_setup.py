@@ -15,9 +15,8 @@ import rospy
 import torch
 
 from common.config import flag, number, parse, path, required, text
-from common.mounting import mounting_field, rotation_of_mounting
+from common.mounting import ToolConfig, mounting_field, rotation_of_mounting
 from common.ros.params import private_config, private_values, wait_for_param
-from common.tool import ToolConfig
 from grasping.execution.grasp_watch import GraspWatchConfig
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig
 from grasping.network.networks import frozen

@@ -16,8 +16,8 @@ from std_msgs.msg import String
 
 from common.config import parse
 from common.errors import RigError
+from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message
-from common.tool import ToolConfig
 from rig_simulation.control_port import ControlClient
 from rig_simulation.operator.pick_and_place import PickAndPlace, PickStep, PickView, Plan
 from rig_simulation.world.scene import scene_from
