@@ -18,7 +18,7 @@ from common.rotations import rotation_from_zyx
 from leap_hand.config import HandConfig
 from leap_hand.flexion import angle_between, flexion, map_angles
 from leap_hand.teleop import MAX_BAD_FRAMES, GripperState, HandTeleop
-from leap_motion.tracking import FingerPoints, TrackedHand, TrackingFrame
+from leap_motion.frames import FingerPoints, TrackedHand, TrackingFrame
 
 SHIPPED = yaml.safe_load((Path(__file__).parents[1] / "config" / "leap_hand.yaml").read_text())
 CONFIG = parse(HandConfig, SHIPPED, "leap_hand/")

@@ -10,7 +10,7 @@ from common.config import parse
 from common.rotations import rotation_from_zyx
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.virtual_leap import R_LEAP_REFERENCE
-from leap_motion.tracking import TrackedHand, TrackingFrame
+from leap_motion.frames import TrackedHand, TrackingFrame
 
 LEAP = {
     "z_clearance": 0.15,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from common.poses import inverse
 from common.rotations import rotation_about, rotation_angle
 from leap_kuka.teleop import ArmTeleop, StreamState
-from leap_motion.tracking import TrackedHand, TrackingFrame
+from leap_motion.frames import TrackedHand, TrackingFrame
 
 LIFT = {"confidence-74fps": (0.0, 0.19, 0.0), "rollAndPitchWithEntry": (-0.05, 0.19, 0.0)}
 """Palms of the recordings are lower than the interaction box of the default parameters."""

@@ -12,7 +12,7 @@ from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle
 from leap_kuka.teleop import ArmTeleop, StreamState
 from leap_kuka.tool_hold import FADE_S, HoldState
-from leap_motion.tracking import TrackingFrame
+from leap_motion.frames import TrackingFrame
 
 DOWN = mounting_frame((1.0, -1.0, 0.0)).R_base_tool
 BOX_HEIGHT = 0.35

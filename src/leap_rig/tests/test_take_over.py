@@ -26,7 +26,7 @@ from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.tool_hold import HoldState
 from leap_kuka.virtual_leap import R_LEAP_REFERENCE
-from leap_motion.tracking import TrackedHand, TrackingFrame
+from leap_motion.frames import TrackedHand, TrackingFrame
 
 SRC = Path(__file__).parents[2]
 DT = 0.004

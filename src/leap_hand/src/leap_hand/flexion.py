@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from leap_motion.tracking import FingerPoints
+from leap_motion.frames import FingerPoints
 
 MIN_LENGTH_M = 1e-3  # a vector shorter than this has no direction
 

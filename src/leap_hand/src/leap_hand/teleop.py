@@ -16,7 +16,7 @@ from common.hand_tracking import FrameWatch, HandChoice
 from common.poses import read_only
 from leap_hand.config import HandConfig
 from leap_hand.flexion import flexion, map_angles
-from leap_motion.tracking import FingerPoints, TrackedHand, TrackingFrame
+from leap_motion.frames import FingerPoints, TrackedHand, TrackingFrame
 
 GRIPPER_OFF = "the control of the gripper is off"
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from common.poses import pose, read_only
 from common.rotations import UNIT_TOLERANCE, unit
-from leap_motion.tracking import TrackedHand
+from leap_motion.frames import TrackedHand
 
 MAX_STEP_M = 0.02
 MAX_SPEED_M_S = 2.0

@@ -21,7 +21,7 @@ from leap_kuka.hand_average import HandAverage, MeanHand
 from leap_kuka.start_gate import StartGate, interaction_box
 from leap_kuka.tool_hold import HandOver, HoldAnswer, HoldState, ToolHold, hand_over
 from leap_kuka.virtual_leap import Attitude, attitude, heading, tool_rotation, virtual_leap_pose
-from leap_motion.tracking import TrackedHand, TrackingFrame
+from leap_motion.frames import TrackedHand, TrackingFrame
 
 MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream
 

@@ -19,8 +19,8 @@ from common.ros.service_calls import call
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.teleop import GripperResult, GripperState, HandTeleop
+from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import subscribe
-from leap_motion.tracking import TrackingFrame
 from reflex_msgs.msg import Hand, RadianServoCommands
 
 WATCH_PERIOD_S = 0.1

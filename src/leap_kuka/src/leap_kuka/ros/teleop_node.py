@@ -22,8 +22,8 @@ from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.ros.stream_status import StreamStatus
 from leap_kuka.teleop import ArmTeleop, TeleopResult
 from leap_kuka.tool_hold import HoldAnswer
+from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import subscribe
-from leap_motion.tracking import TrackingFrame
 from rig_msgs.msg import KukaStatus
 from rig_msgs.srv import HoldTool, HoldToolRequest
 

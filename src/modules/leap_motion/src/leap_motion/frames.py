@@ -1,4 +1,4 @@
-"""Tracking frames as records.
+"""Tracking frames as records: as the service reports them, and what teleoperation uses of them.
 
 All vectors are in Leap axes: origin on top of the device, x along its long edge to the user's right, y up, z towards
 the user. Lengths are in metres, angles in radians, speeds in metres per second. Arrays are read-only.
@@ -7,7 +7,7 @@ the user. Lengths are in metres, angles in radians, speeds in metres per second.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -105,3 +105,54 @@ class LeapFrame:
         """Returns the hand of that side with the lowest id, which is tracked longest, or None."""
         hands = [hand for hand in self.hands if hand.side == side]
         return min(hands, key=lambda hand: hand.id) if hands else None
+
+
+@dataclass(frozen=True)
+class FingerPoints:
+    """Tips, and centres of intermediate bones, of the fingers that the robot hand has; each of shape (3,) [m]."""
+
+    index_tip: np.ndarray
+    middle_tip: np.ndarray
+    thumb_tip: np.ndarray
+    index_bone: np.ndarray
+    middle_bone: np.ndarray
+
+    def __post_init__(self) -> None:
+        _freeze(self, *(field.name for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class TrackedHand:
+    """One hand of one tracking frame."""
+
+    id: int  # the tracker's number of this hand
+    is_left: bool
+    palm: np.ndarray  # centre of the palm, shape (3,) [m]
+    direction: np.ndarray  # unit vector from the palm to the fingers, shape (3,)
+    normal: np.ndarray  # unit vector out of the palm, shape (3,)
+    confidence: float  # 0 to 1
+    fingers: FingerPoints | None = None  # only of a hand with five fingers
+
+    def __post_init__(self) -> None:
+        _freeze(self, "palm", "direction", "normal")
+
+    @property
+    def name(self) -> str:
+        """Side and number, such as "right hand 12"."""
+        return f"{'left' if self.is_left else 'right'} hand {self.id}"
+
+
+@dataclass(frozen=True)
+class TrackingFrame:
+    """One frame of the tracker."""
+
+    id: int  # the tracker's number of the frame
+    age: float  # time of arrival less the frame's stamp [s]
+    hands: tuple[TrackedHand, ...]  # in view
+
+
+def _freeze(record: object, *names: str) -> None:
+    for name in names:
+        array = np.array(getattr(record, name), dtype=float)
+        array.flags.writeable = False
+        object.__setattr__(record, name, array)

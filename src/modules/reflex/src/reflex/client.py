@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 
-from reflex.calibration import FingerZeros, TactileOffsets
 from reflex.calibration_files import CalibrationFiles
 from reflex.errors import CalibrationFileError, CommandRefused, HandSilent, WireFault
 from reflex.hand import HandLogic, HandStatus, HandUpdate
@@ -263,9 +262,11 @@ class ReflexHand:
                 self._packets += 1
                 self._news.notify_all()
             self._on_reading(update.reading)
-        for calibration in (update.zeros, update.offsets):
-            if calibration is not None:
-                self._save(calibration)
+        for calibration in filter(None, (update.zeros, update.offsets)):
+            try:
+                self._on_note(HandNote("info", f"Calibration saved in {self._files.save(calibration)}."))
+            except CalibrationFileError as error:
+                self._on_note(HandNote("error", str(error)))
 
     def _act(self, step: Callable[[float], HandUpdate]) -> HandUpdate:
         """Lets the state machine do a step and sends its packets in order, whichever thread asks."""
@@ -307,8 +308,8 @@ class ReflexHand:
         self._reopen_at = now + REOPEN_S
         if now - self._reminded_at >= REMIND_S:
             self._reminded_at = now
-            text = f"No packet from the hand on {self._interface}: is it on and its cable in?"
-            self._on_note(HandNote("warning", text))
+            silent = f"No packet from the hand on {self._interface}: is it on and its cable in?"
+            self._on_note(HandNote("warning", silent))
         try:
             fresh = HandTransport(self._interface, self._port)
         except WireFault as error:
@@ -317,9 +318,3 @@ class ReflexHand:
         with self._lock:
             old, self._transport = self._transport, fresh
         old.close()
-
-    def _save(self, calibration: FingerZeros | TactileOffsets) -> None:
-        try:
-            self._on_note(HandNote("info", f"Calibration saved in {self._files.save(calibration)}."))
-        except CalibrationFileError as error:
-            self._on_note(HandNote("error", str(error)))

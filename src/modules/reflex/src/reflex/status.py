@@ -34,9 +34,10 @@ def status(hand: HandLogic, wire_fault: str, now: float) -> tuple[str, str, dict
             voltages=", ".join(f"{v / 10:.1f}" for v in packet.voltages),
             dead_cells=", ".join(reading.dead_taxels),
         )
-        errors = [
-            f"Servo {name} reports {', '.join(error_names(bits))}." for name, bits in zip(MOTORS, packet.errors) if bits
-        ]
+        for name, bits in zip(MOTORS, packet.errors):
+            named = [error for i, error in enumerate(ERROR_BITS) if bits >> i & 1]
+            if bits:
+                errors.append(f"Servo {name} reports {', '.join(named) or 'an unknown error'}.")
     if state in (HandStatus.WAITING, HandStatus.SILENT):
         return "error", f"{hand.silence} {wire_fault}".strip(), values
     if wire_fault or errors:
@@ -51,8 +52,3 @@ def status(hand: HandLogic, wire_fault: str, now: float) -> tuple[str, str, dict
     if reading and reading.dead_taxels:
         return "warning", "Some tactile sensors do not answer.", values
     return "ok", f"The hand is {state.value}.", values
-
-
-def error_names(bits: int) -> list[str]:
-    """Returns the names of the bits that are set in a servo's error byte."""
-    return [name for i, name in enumerate(ERROR_BITS) if bits >> i & 1] or ["an unknown error"]

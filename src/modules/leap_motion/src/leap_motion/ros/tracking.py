@@ -8,12 +8,10 @@ import rospy
 
 from common.ros.conversions import array
 from common.ros.node import while_running
-from leap_motion.frames import DISTAL, INDEX, INTERMEDIATE, MIDDLE, PINKY, RING, THUMB
+from leap_motion.frames import DISTAL, INDEX, INTERMEDIATE, MIDDLE, THUMB, FingerPoints, TrackedHand, TrackingFrame
 from leap_motion.msg import Human
-from leap_motion.tracking import FingerPoints, TrackedHand, TrackingFrame
 
 HUMAN_BUFFER_BYTES = 2**20  # room for many messages: rospy drops all but the newest only among those that it has read
-FIVE_FINGERS = [THUMB, INDEX, MIDDLE, RING, PINKY]
 
 
 def subscribe(on_frame: Callable[[TrackingFrame, rospy.Time], None]) -> rospy.Subscriber:
@@ -48,7 +46,7 @@ def frame_from_human(human: Human, now: rospy.Time) -> TrackingFrame:
 
 def _fingers(hand) -> FingerPoints | None:
     """Returns the finger points of a hand with five fingers and the necessary bones, else None."""
-    if sorted(finger.type for finger in hand.finger_list) != FIVE_FINGERS:
+    if sorted(finger.type for finger in hand.finger_list) != list(range(5)):  # thumb to pinky
         return None
     bones = {(finger.type, bone.type): bone for finger in hand.finger_list for bone in finger.bone_list}
     try:
