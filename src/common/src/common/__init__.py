@@ -1,1 +1,1 @@
-"""What every package of the rig shares: rotations and poses, averaging, typed configuration, errors."""
+"""What every package of the rig shares: rotations and poses, typed configuration, errors."""

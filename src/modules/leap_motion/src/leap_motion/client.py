@@ -152,9 +152,9 @@ class LeapClient:
 
     def _converse(self) -> None:
         """Opens one connection and reads it to its end; a _LinkFault says why it ended."""
-        timeouts = {"open_timeout": OPEN_TIMEOUT_S, "close_timeout": CLOSE_TIMEOUT_S}
+        url = f"ws://{self._address}/v6.json"
         try:
-            connection = connect(f"ws://{self._address}/v6.json", compression=None, **timeouts)
+            connection = connect(url, compression=None, open_timeout=OPEN_TIMEOUT_S, close_timeout=CLOSE_TIMEOUT_S)
         except (OSError, EOFError, UnicodeError, WebSocketException) as error:
             advice = "start it with `sudo leapd` or `sudo systemctl start leapd`. Trying again."
             sentence = f"No Leap service answers on {self._address} ({_reason(error)}); {advice}"
