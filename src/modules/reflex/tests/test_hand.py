@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from reflex.codec import IDLE, POSITION, VELOCITY, decode_state, encode_mode, encode_target
 from reflex.hand import HandStatus
-from reflex.reading import HandReader, joint_positions
+from reflex.reading import joint_positions, measure
 from reflex.status import status
 from rig_simulation.devices.reflex.hand import SimulatedHand
 
@@ -194,7 +194,7 @@ def test_contact_is_strictly_above_the_threshold(shipped, above, touched):
     packet = decode_state(SimulatedHand(1).packet())
     counts = tuple(140 + above * (cell == 4) for cell in range(9))
     packet = replace(packet, pressures=(packet.pressures[0], counts, packet.pressures[2]))
-    reading = HandReader().read(packet, *shipped, thresholds=((20,) * 9,) * 3)
+    reading = measure(packet, *shipped, ((20,) * 9,) * 3)
     assert reading.pressure[1][4] == above
     assert reading.contact[1] == tuple(touched and cell == 4 for cell in range(9))
 

@@ -17,7 +17,7 @@ from reflex.codec import IDLE, POSITION, StatePacket, encode_mode
 from reflex.conversions import servo_fault
 from reflex.link import PacketArrival, PacketFilter
 from reflex.motion import HandNote, MotorGoals
-from reflex.reading import HandReader, HandReading
+from reflex.reading import UNLOADED, HandReading, measure
 from reflex.settings import HandSettings
 
 TORQUE_OFF = "Torque is off; set_speed switches it on again."
@@ -61,7 +61,6 @@ class HandLogic:
         self._thresholds: tuple[tuple[int, ...], ...] = ((settings.default_contact_threshold,) * 9,) * 3
         self.link = PacketFilter(settings.silence_time)
         self.motion = MotorGoals(settings)
-        self._reader = HandReader()
         self._torque = True
         self._speeds: tuple[float, ...] = tuple(settings.default_speed)
         self._calibration: FingerCalibration | None = None
@@ -118,7 +117,8 @@ class HandLogic:
             self._note("warning", "All servos answer again: calibrate the fingers before they are used.")
             self._start_servos(packet, now)
             previous = None
-        reading = self._reader.read(packet, self._zeros, self._offsets, self._thresholds)
+        loads = self.reading.loads if self.reading and arrival is PacketArrival.NEXT else UNLOADED
+        reading = measure(packet, self._zeros, self._offsets, self._thresholds, loads)
         self.reading = reading
         self._serve_requests(packet, now)
         if self._calibration:
@@ -248,7 +248,6 @@ class HandLogic:
         """Handles the first packet ever, after a silence, or after a restart of the hand."""
         if self._calibration:
             self._fail("The hand was interrupted.")
-        self._reader.reset()
         if arrival is PacketArrival.RESUMED:
             self._note("info", "The hand is heard again.")
             if not self.motion.changing_speed:

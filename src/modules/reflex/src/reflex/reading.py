@@ -12,6 +12,7 @@ from reflex.codec import StatePacket
 from reflex.conversions import all_joint_angles, closing_load, proximal_angle
 
 NEW_LOAD_WEIGHT = 0.25
+UNLOADED = (0.0,) * 4
 JOINT_NAMES = (
     "reflex/preshape_1", "reflex/preshape_2",
     "reflex/proximal_joint_1", "reflex/proximal_joint_2", "reflex/proximal_joint_3",
@@ -42,33 +43,27 @@ class HandReading:
         )
 
 
-class HandReader:
-    """Turns packets into readings; filters the load."""
-
-    def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Restarts the load filter at zero."""
-        self._loads: tuple[float, ...] = (0.0,) * 4
-
-    def read(
-        self, packet: StatePacket, zeros: FingerZeros, offsets: TactileOffsets, thresholds: tuple[tuple[int, ...], ...]
-    ) -> HandReading:
-        """Returns the reading of the newest packet; `thresholds` are three times nine counts."""
-        self._loads = tuple(
-            NEW_LOAD_WEIGHT * closing_load(i, raw) + (1 - NEW_LOAD_WEIGHT) * old
-            for i, (raw, old) in enumerate(zip(packet.loads, self._loads))
-        )
-        angles = all_joint_angles(packet.positions, zeros.motor_zero_reference)
-        proximal = tuple(proximal_angle(r, z) for r, z in zip(packet.encoders, zeros.encoder_zero_reference))
-        pressure = tuple(
-            tuple(raw - int(zero) for raw, zero in zip(counts, untouched))
-            for counts, untouched in zip(packet.pressures, offsets.rows)
-        )
-        contact = tuple(tuple(p > t for p, t in zip(*rows)) for rows in zip(pressure, thresholds))
-        distal = tuple(max(0.0, angle - p) for angle, p in zip(angles, proximal))
-        return HandReading(proximal, distal, pressure, contact, angles, self._loads, packet)
+def measure(
+    packet: StatePacket,
+    zeros: FingerZeros,
+    offsets: TactileOffsets,
+    thresholds: tuple[tuple[int, ...], ...],
+    loads: tuple[float, ...] = UNLOADED,
+) -> HandReading:
+    """Returns the reading of a packet; `thresholds` are three times nine counts, `loads` those of the reading before."""
+    filtered = tuple(
+        NEW_LOAD_WEIGHT * closing_load(i, raw) + (1 - NEW_LOAD_WEIGHT) * old
+        for i, (raw, old) in enumerate(zip(packet.loads, loads))
+    )
+    angles = all_joint_angles(packet.positions, zeros.motor_zero_reference)
+    proximal = tuple(proximal_angle(r, z) for r, z in zip(packet.encoders, zeros.encoder_zero_reference))
+    pressure = tuple(
+        tuple(raw - int(zero) for raw, zero in zip(counts, untouched))
+        for counts, untouched in zip(packet.pressures, offsets.rows)
+    )
+    contact = tuple(tuple(p > t for p, t in zip(*rows)) for rows in zip(pressure, thresholds))
+    distal = tuple(max(0.0, angle - p) for angle, p in zip(angles, proximal))
+    return HandReading(proximal, distal, pressure, contact, angles, filtered, packet)
 
 
 def joint_positions(reading: HandReading) -> tuple[float, ...]:
