@@ -50,7 +50,7 @@ def measure(
     thresholds: tuple[tuple[int, ...], ...],
     loads: tuple[float, ...] = UNLOADED,
 ) -> HandReading:
-    """Returns the reading of a packet; `thresholds` are three times nine counts, `loads` those of the reading before."""
+    """Returns the reading of a packet; `thresholds` are three times nine counts, `loads` those of the last reading."""
     filtered = tuple(
         NEW_LOAD_WEIGHT * closing_load(i, raw) + (1 - NEW_LOAD_WEIGHT) * old
         for i, (raw, old) in enumerate(zip(packet.loads, loads))
