@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
@@ -33,6 +34,7 @@ IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "a
 EDGES = {"transport", "session", "client", "ptp_client", "calibration_files", "ports"}
 # Libraries that stand alone: what their pure halves may import beside themselves, numpy and the standard library.
 ALONE = {"iiwa_kinematics": set(), "kst": set(), "leap_motion": {"websockets"}, "reflex": {"yaml"}}
+EFFECTS = {"open", "print", "input"}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
 STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
 
@@ -43,6 +45,7 @@ NEWER_CALLS = {
     "contextlib.chdir", "functools.cache", "importlib.resources.files", "itertools.batched", "itertools.pairwise",
     "math.cbrt", "math.lcm", "math.nextafter", "math.ulp", "random.randbytes", "statistics.correlation",
 }  # fmt: skip
+LAST_WORDS = {call.rpartition(".")[2] for call in NEWER_CALLS}
 NEWER_TYPES = {f"{name}[]" for name in ("dict", "frozenset", "list", "set", "tuple", "type")}
 NEWER_METHODS = {
     "bit_count", "hardlink_to", "is_relative_to", "removeprefix", "removesuffix", "with_stem", "add_note",
@@ -62,9 +65,15 @@ def in_ros(path: Path) -> bool:
     return "ros" in path.parts[path.parts.index("src") + 2 :]
 
 
+@functools.lru_cache(maxsize=None)
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@functools.lru_cache(maxsize=None)
 def imports(path: Path) -> set[str]:
     names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -73,67 +82,78 @@ def imports(path: Path) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT / "src")))
-class TestModule:
-    def test_imports_go_down(self, path):
+def tops(path: Path) -> set[str]:
+    return {name.split(".")[0] for name in imports(path)}
+
+
+def test_imports_go_down():
+    wrong = []
+    for path in FILES:
         own = package(path)
         for name in imports(path):
             other = name.split(".")[0]
             if other not in LAYER or other == own:
                 continue
-            assert LAYER[other] < LAYER[own], f"{own} must not import {name}"
-            if own == "rig_simulation":
-                assert LAYER[other] < 3, f"the simulation must not import the feature {name}"
+            if LAYER[other] >= LAYER[own] or (own == "rig_simulation" and LAYER[other] >= 3):
+                wrong.append(f"{path} must not import {name}")
+    assert not wrong
 
-    def test_pure_files_are_pure(self, path):
-        if package(path) in ("rig_simulation",) or in_ros(path):
-            return
-        tops = {name.split(".")[0] for name in imports(path)}
-        assert not tops & ROS, f"{path}: ROS belongs into ros/"
-        assert not any(name.startswith(f"{package(path)}.ros") for name in imports(path))
+
+def test_pure_files_are_pure():
+    wrong = []
+    for path in FILES:
+        if package(path) == "rig_simulation" or in_ros(path):
+            continue
+        wrong += [f"{path}: {name} belongs into ros/" for name in tops(path) & ROS]
+        wrong += [f"{path}: {name}" for name in imports(path) if name.startswith(f"{package(path)}.ros")]
         if path.stem in EDGES:
-            return
-        assert not tops & IMPURE, f"{path}: {tops & IMPURE} belongs into ros/ or into an edge file"
-        calls = {
-            n.func.id
-            for n in ast.walk(ast.parse(path.read_text()))
-            if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
-        }
-        assert not calls & {"open", "print", "input"}
+            continue
+        wrong += [f"{path}: {name} belongs into ros/ or into an edge file" for name in tops(path) & IMPURE]
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in EFFECTS:
+                wrong.append(f"{path}:{node.lineno} calls {node.func.id}")
+    assert not wrong
 
-    def test_libraries_stand_alone(self, path):
+
+def test_libraries_stand_alone():
+    foreign = {}
+    for path in FILES:
         if package(path) in ALONE and not in_ros(path):
-            tops = {name.split(".")[0] for name in imports(path)}
             allowed = {package(path), "numpy"} | ALONE[package(path)]
-            foreign = tops - set(getattr(sys, "stdlib_module_names", tops)) - allowed
-            assert not foreign, f"{package(path)} installs without {foreign}"
+            foreign[path] = tops(path) - set(getattr(sys, "stdlib_module_names", tops(path))) - allowed
+    assert foreign and not {path: names for path, names in foreign.items() if names}
 
-    def test_simulation_keeps_ros_in_its_ros_folder(self, path):
-        if package(path) == "rig_simulation" and not in_ros(path):
-            assert not {name.split(".")[0] for name in imports(path)} & (ROS - {"rospkg"})
 
-    def test_import_has_no_effect(self, path):
-        for node in ast.parse(path.read_text()).body:
-            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-                continue
-            assert isinstance(node, STATEMENTS) or (
-                isinstance(node, ast.If) and dotted(node.test).endswith("TYPE_CHECKING")
-            ), f"{path}:{node.lineno} acts when it is imported"
+def test_simulation_keeps_ros_in_its_ros_folder():
+    pure = [path for path in FILES if package(path) == "rig_simulation" and not in_ros(path)]
+    assert pure and not {path: tops(path) & ROS for path in pure if tops(path) & (ROS - {"rospkg"})}
 
-    def test_has_a_docstring(self, path):
-        assert ast.get_docstring(ast.parse(path.read_text())) or not path.read_text().strip()
+
+def test_import_has_no_effect():
+    acting = []
+    for path in FILES:
+        for node in tree_of(path).body:
+            text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+            types = isinstance(node, ast.If) and dotted(node.test).endswith("TYPE_CHECKING")
+            if not (text or types or isinstance(node, STATEMENTS)):
+                acting.append(f"{path}:{node.lineno}")
+    assert not acting, "acts when it is imported"
+
+
+def test_every_module_has_a_docstring():
+    assert not [path for path in FILES if not ast.get_docstring(tree_of(path)) and path.read_text().strip()]
 
 
 def newer_than_38(code: str) -> set[str]:
     """Returns what a file uses of the lists above."""
     tree = ast.parse(code, feature_version=(3, 8))
-    unread = (
-        {part for node in ast.walk(tree) for part in _annotation(node)} if "annotations" in _future(tree) else set()
-    )
-    found = {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)} & NEWER_METHODS
-    found |= {dotted(n) for n in ast.walk(tree) if isinstance(n, ast.Attribute)} & NEWER_CALLS
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
+    nodes = list(ast.walk(tree))
+    unread = {part for node in nodes for part in _annotation(node)} if "annotations" in _future(tree) else set()
+    found = set()
+    for node in nodes:
+        if isinstance(node, ast.Attribute):
+            found |= {node.attr} & NEWER_METHODS | ({dotted(node)} & NEWER_CALLS if node.attr in LAST_WORDS else set())
+        elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names} & NEWER_MODULES
         elif isinstance(node, ast.ImportFrom):
             found |= {str(node.module)} & NEWER_MODULES
@@ -196,7 +216,7 @@ def test_every_package_has_a_layer():
 def test_a_class_name_means_one_thing():
     places = defaultdict(list)
     for path in FILES:
-        for node in ast.parse(path.read_text()).body:
+        for node in tree_of(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].append(str(path.relative_to(ROOT)))
     assert not {name: files for name, files in places.items() if len(files) > 1}
