@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -72,18 +74,19 @@ def goal_speeds(rig):
     return np.diff(rig.goals, axis=0) / DT
 
 
-@pytest.mark.parametrize(("server", "servo_law"), [("lts", "none"), ("lts", "lts"), ("none", "none")])
-@pytest.mark.parametrize("speed", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize(("server", "servo_law", "speed"), [
+    ("lts", "none", 0.5), ("lts", "none", 1.5), ("lts", "lts", 1.0), ("lts", "lts", 1.5), ("none", "none", 1.5),
+])  # fmt: skip
 def test_a_fast_hand_never_trips_the_speed_stop(server, servo_law, speed):
     r = rig(server, servo_law=servo_law)
-    r.follow(6.0, darting_hand(home(r), speed, 1))
+    r.follow(4.0, darting_hand(home(r), speed, 1))
     assert r.joints.stops == 0 and r.joints.max_tool_speed < STOP - 0.02
     assert r.joints.max_tool_speed > 0.4
 
 
 def test_the_same_hand_without_shaping_does_trip_it():
     r = rig("none", shaping="none")
-    r.follow(6.0, darting_hand(home(r), 1.5, 1))
+    r.follow(4.0, darting_hand(home(r), 1.5, 1))
     assert r.joints.stops > 0
 
 
@@ -91,7 +94,7 @@ def test_the_same_hand_without_shaping_does_trip_it():
 def test_between_frames_the_goal_goes_on_smoothly(rate):
     """A circle of 0.19 m/s: its joints need 3 rad/s^2; steps from frame to frame would show hundreds."""
     r = rig()
-    r.follow(4.0, circle(home(r), 0.06, 0.5), rate)
+    r.follow(2.5, circle(home(r), 0.06, 0.5), rate)
     steps = np.any(np.diff(r.goals, axis=0)[5:] != 0.0, axis=1)
     assert np.mean(steps) > 0.99
     acceleration = np.diff(goal_speeds(r), axis=0) / DT
@@ -101,7 +104,7 @@ def test_between_frames_the_goal_goes_on_smoothly(rate):
 def test_uneven_frames_do_not_shake_the_goal():
     r = rig()
     late = np.random.default_rng(2)
-    r.follow(4.0, circle(home(r), 0.06, 0.5), 74.0, lambda: late.uniform(0.0, 0.008))
+    r.follow(2.5, circle(home(r), 0.06, 0.5), 74.0, lambda: late.uniform(0.0, 0.008))
     acceleration = np.diff(goal_speeds(r), axis=0) / DT
     assert np.max(np.abs(acceleration[350:])) < 12.0
 
@@ -111,7 +114,7 @@ def test_nothing_limited_adds_no_lag(hertz):
     """The goal is where the tool frame is at that moment, although frames come at 74 Hz only."""
     r = rig()
     tool = circle(home(r), 0.06, hertz)
-    r.follow(4.0, tool)
+    r.follow(2.5, tool)
     goals = np.array([r.rig.kinematics.forward(q)[:3, 3] for q in r.goals])
     wanted = np.array([tool(t)[:3, 3] for t in r.times])
     speed = 2.0 * np.pi * hertz * 0.06
@@ -140,7 +143,7 @@ def test_when_frames_stop_the_goal_comes_to_rest_soon():
     np.testing.assert_array_equal(r.goals[-1], r.goals[-100])
 
 
-def out_and_back(T, way, axis, degrees, seconds=4.0):
+def out_and_back(T, way, axis, degrees, seconds):
     """A tool frame that goes a long way out, straight or turning, waits, and comes back."""
 
     def tool(t):
@@ -164,21 +167,27 @@ HARD = {
 }
 
 
-@pytest.mark.parametrize("where", HARD)
-@pytest.mark.parametrize("servo_law", ["none", "lts"])
+@functools.lru_cache(maxsize=None)
+def home_degrees():
+    return np.degrees(SimulatedRig().rig.home.q).tolist()
+
+
+@pytest.mark.parametrize(("servo_law", "where"), [
+    *(("none", where) for where in HARD),
+    *(("lts", where) for where in ("wrist and shoulder stretched", "hand turned to its limit", "over the shoulder")),
+])  # fmt: skip
 def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(where, servo_law):
     wide = dict(opening_angle=170.0, z_lower_limit=0.11, z_upper_limit=0.9, inner_sphere_limit=0.41)
-    home_pos = np.degrees(rig().rig.home.q).tolist()
-    r = rig(servo_law=servo_law, time_out=1.0, use_home_pos=True, home_pos=home_pos, **wide)
+    r = rig(servo_law=servo_law, time_out=1.0, use_home_pos=True, home_pos=home_degrees(), **wide)
     T = home(r)
-    r.follow(11.0, out_and_back(T, *HARD[where]))
+    r.follow(7.0, out_and_back(T, *HARD[where], seconds=2.5))
     assert r.step.mode == "servo" and r.joints.stops == 0, r.events[-3:]
     assert r.loop.counts["ptp_motions"] == 1, "the first way home"
     limit = r.config.joint_speed * r.rig.model.max_speed
     assert np.all(np.abs(goal_speeds(r)) <= 1.01 * limit)
     assert np.all(np.abs(r.q) <= r.rig.model.upper)
     # No oscillation: while the target waits in its extreme pose the arm rests, and so it does at the end.
-    for moment in (4.9, 10.9):
+    for moment in (3.4, 6.9):
         around = np.abs(r.times - moment) < 0.05
         assert np.max(np.abs(r.v[around]), initial=0.0) < 0.01
     np.testing.assert_allclose(r.rig.kinematics.forward(r.q[-1]), T, atol=3e-3)
@@ -186,18 +195,16 @@ def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(where, ser
     assert np.max(turns) < 24
 
 
-@pytest.mark.parametrize("ways", [(0.35, 0.8, 0.1), (0.2, 0.5, 0.05)])
-def test_a_hand_that_comes_back_into_reach_elsewhere_is_caught_up_with_in_servo_mode(ways):
+def test_a_hand_that_comes_back_into_reach_elsewhere_is_caught_up_with_in_servo_mode():
     """Up where the wrist comes to its limit, aside there, with the hand tilted, and down."""
     r = rig(time_out=1.0)
     T = home(r)
-    aside, tilt, low = ways
 
     def tool(t):
         up, over = (0.5 - 0.5 * np.cos(np.pi * np.clip(x, 0.0, 1.0)) for x in (t / 2.0, (t - 2.0) / 3.0))
         down = 0.5 - 0.5 * np.cos(np.pi * np.clip((t - 5.0) / 2.0, 0.0, 1.0))
-        shift = [aside * 0.7 * (over - 0.5 * up), aside * 0.7 * (over - 0.5 * up), 0.25 * up - (0.25 - low) * down]
-        return moved(T, shift, about("x", tilt * np.sin(np.pi * over)))
+        aside = 0.245 * (over - 0.5 * up)
+        return moved(T, [aside, aside, 0.25 * up - 0.15 * down], about("x", 0.8 * np.sin(np.pi * over)))
 
     r.follow(9.0, tool)
     assert r.loop.counts["ik_failures"] > 50 and r.step.mode == "servo"
@@ -233,12 +240,12 @@ def test_goals_for_the_lts_law_bring_the_arm_closer_and_rest_with_it(hertz):
     behind = {}
     for servo_law in ("none", "lts"):
         r = rig("lts", servo_law=servo_law)
-        tool = stopping(circle(home(r), 0.06, hertz), 3.0)
-        r.follow(4.0, tool)
+        tool = stopping(circle(home(r), 0.06, hertz), 2.2)
+        r.follow(3.0, tool)
         arm = np.array([r.rig.kinematics.forward(q)[:3, 3] for q in r.q])
         wanted = np.array([tool(t)[:3, 3] for t in r.times])
         error = np.linalg.norm(arm - wanted, axis=1)
-        behind[servo_law] = np.sqrt(np.mean(error[250:750] ** 2))
+        behind[servo_law] = np.sqrt(np.mean(error[250:550] ** 2))
         assert np.max(np.abs(r.v[-10:])) < 0.02
     assert np.max(np.abs(np.diff(r.sent[-50:], axis=0))) < 1e-4
     assert behind["lts"] < 0.75 * behind["none"]
