@@ -17,6 +17,9 @@ import pytest
 ROOT = Path(__file__).parent
 SHARED = ROOT.parent / "shared"
 
+# A matrix of this project is small: more threads than one cost time.
+os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
+
 # Behind everything else: in a sourced workspace the built packages, which also hold the messages, come first.
 SOURCES = [str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup.py"))]
 sys.path.extend(SOURCES)

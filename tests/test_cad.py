@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import re
@@ -309,6 +310,7 @@ class TestNumbersOfTheRig:
             assert values["translation"] == pytest.approx(expected), file.name
 
 
+@functools.lru_cache(maxsize=None)
 def world(model, panel=None, arm="LBR7R800"):
     config = ROOT / "src/modules/rig_simulation/config"
     scene = {**yaml.safe_load((config / "scenes/cup.yaml").read_text()), "objects": {}}

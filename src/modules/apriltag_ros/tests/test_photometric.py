@@ -57,22 +57,21 @@ def test_errors_of_a_pixel_become_those_of_a_fiftieth(camera, bundle, single, ma
         truth = view(distance, tilt, azimuth=seed, turn=2.0 * seed)
         grey = image(camera, target, truth, seed=seed)
         ends = []
-        for _ in range(3):
+        for _ in range(2):
             start = disturbed(truth, rng, distance)
             found = refiner.refine(grey, camera, start)
             assert found.rejection == ""
             assert corner_shift(camera, target, start, truth) > 0.3
             assert corner_shift(camera, target, found.T_camera_tag, truth) < 0.06
             ends.append(found.T_camera_tag)
-        for T in ends[1:]:
-            assert corner_shift(camera, target, T, ends[0]) < 0.01, "wherever it starts it ends in one place"
+        assert corner_shift(camera, target, *ends) < 0.01, "wherever it starts it ends in one place"
 
 
 def test_it_is_nearer_to_the_truth_than_the_corners_and_knows_how_near(camera, bundle):
     detector = TagDetector(detector_settings({"tag_threads": 1, "rectified": False}), (bundle,))
     refiner = PhotometricRefiner(FAMILY, bundle)
     by_corners, refined, squares = [], [], []
-    for seed in range(8):
+    for seed in range(0, 8, 2):
         truth = view(0.9 + 0.1 * seed, 15.0 + 4.0 * seed, azimuth=seed, turn=seed, x=0.05)
         grey = image(camera, bundle, truth, seed=seed)
         (seen,) = detector.detect(grey, camera, float(seed)).targets

@@ -114,7 +114,7 @@ def test_without_deviations_kinematics_of_is_the_closed_form_itself(model):
 
 @models
 @pytest.mark.parametrize("degrees", [0.5, 3.0, 15.0])
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(seed=seeds)
 def test_every_pose_near_the_present_one_is_reached(model, degrees, seed):
     rng = np.random.default_rng(seed)
@@ -128,7 +128,7 @@ def test_every_pose_near_the_present_one_is_reached(model, degrees, seed):
 def test_poses_all_over_are_reached_from_home_or_refused_but_never_missed(model):
     rng = np.random.default_rng(1)
     refused = 0
-    for k in range(1000):
+    for k in range(400):
         if k % 20 == 0:
             arm = random_arm(model, rng, most=0.4)
         T = arm.forward(rng.uniform(model.lower, model.upper))
@@ -138,7 +138,7 @@ def test_poses_all_over_are_reached_from_home_or_refused_but_never_missed(model)
             refused += 1
         else:
             check(arm, result, T)
-    assert refused < 50, "outstretched and fully bent arms alone"
+    assert refused < 20, "outstretched and fully bent arms alone"
 
 
 @models
@@ -159,7 +159,7 @@ def test_paths_are_followed_with_small_steps_and_the_elbow_of_the_closed_form(mo
     """As a hand moves the tool; the arm of the data sheet on the same way sets the measure."""
     rng = np.random.default_rng(seed)
     plain, arm = Kinematics(model, TOOL), random_arm(model, rng)
-    t = np.linspace(0.0, 2.0 * np.pi, 300)[:, None]
+    t = np.linspace(0.0, np.pi, 150)[:, None]
     way = 0.1 * np.sin(t) * rng.normal(size=3) + 0.05 * np.sin(2.0 * t) * rng.normal(size=3)
     tilt = 0.15 * np.sin(t) * rng.normal(size=3)
     T_home = arm.forward(HOME)
@@ -185,7 +185,7 @@ def test_joints_keep_to_their_ranges_where_the_closed_form_is_at_an_end(model):
     """With the joint zeros off, poses with joints at their ends are reached by the other joints, or refused."""
     rng = np.random.default_rng(2)
     reached = 0
-    for _ in range(200):
+    for _ in range(100):
         arm, q = random_arm(model, rng), inner_joints(model, rng)
         joint = rng.choice([0, 1, 2, 4, 5, 6])
         q[joint] = rng.choice([model.lower[joint], model.upper[joint]])
@@ -194,7 +194,7 @@ def test_joints_keep_to_their_ranges_where_the_closed_form_is_at_an_end(model):
         if result.q is not None:
             check(arm, result, T)
             reached += 1
-    assert reached > 120
+    assert reached > 60
 
 
 @models

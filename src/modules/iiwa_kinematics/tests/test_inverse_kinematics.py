@@ -38,14 +38,14 @@ def random_joints(arm, count, seed):
 @arms
 @pytest.mark.parametrize("seed", [np.zeros(7), HOME], ids=["upright", "home"])
 def test_every_pose_within_the_ranges_is_reached_from_a_cold_start(arm, seed):
-    for q in random_joints(arm, 1000, seed=1):
+    for q in random_joints(arm, 400, seed=1):
         T = arm.forward(q)
         check(arm, arm.inverse(T, seed), T)
 
 
 @arms
 def test_pose_of_the_present_joints_gives_the_present_joints(arm):
-    for q in random_joints(arm, 1000, seed=2):
+    for q in random_joints(arm, 400, seed=2):
         result = arm.inverse(arm.forward(q), q)
         np.testing.assert_allclose(result.q, q, atol=1e-8)
 
@@ -55,7 +55,7 @@ def test_small_step_of_the_tool_is_a_small_step_of_the_joints(arm):
     """With full rank the joints move by no more than the least singular value allows, and stay in the branch."""
     rng = np.random.default_rng(3)
     checked = 0
-    for q in random_joints(arm, 1000, seed=3):
+    for q in random_joints(arm, 500, seed=3):
         slack = np.minimum(q - arm.model.lower, arm.model.upper - q).min()
         if min(slack, *np.abs(q[[1, 3, 5]])) < 0.2:
             continue
@@ -67,7 +67,7 @@ def test_small_step_of_the_tool_is_a_small_step_of_the_joints(arm):
         # q + dq is one of the solutions; joint 3 weighs most, and the way back adds its share.
         assert np.linalg.norm(result.q - q) < 4.0 * (1.0 + RETURN_FRACTION) * np.linalg.norm(dq) + 1e-5
         checked += 1
-    assert checked > 300
+    assert checked > 150
 
 
 SINGULAR = {
@@ -314,7 +314,7 @@ def test_just_beyond_and_just_within_the_outstretched_arm(arm):
 def test_another_branch_is_a_failure_if_it_is_to_be_kept():
     arm = ARMS[0]
     refused = kept = 0
-    for q in random_joints(arm, 1500, seed=5):
+    for q in random_joints(arm, 500, seed=5):
         T = arm.forward(q)
         result = arm.inverse(T, HOME, keep_branch=True)
         if result.q is None:

@@ -10,19 +10,26 @@ from rig_simulation.operator.motion import CURL, FIGURES, PITCH, PLANES, ROLL, Y
 STEP_S = 0.002
 
 
-def sampled(visit):
-    times = np.arange(0.0, visit.duration, STEP_S)
-    return times, np.array([visit.state(t) for t in times])
-
-
-@pytest.fixture(params=[(figure, plane) for figure in FIGURES for plane in PLANES], ids="-".join)
+@pytest.fixture(scope="module", params=[(figure, plane) for figure in FIGURES for plane in PLANES], ids="-".join)
 def script(request):
     figure, plane = request.param
     return Script(figure=figure, plane=plane, size=150.0, speed=150.0)
 
 
-def test_speed_and_acceleration_have_no_steps(script):
-    _, states = sampled(Visit(script, np.random.default_rng(1)))
+@pytest.fixture(scope="module")
+def visit(script):
+    return Visit(script, np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def sampled(visit):
+    """Times, shape (n,) [s], and the states of the visit at them."""
+    times = np.arange(0.0, visit.duration, STEP_S)
+    return times, np.array([visit.state(t) for t in times])
+
+
+def test_speed_and_acceleration_have_no_steps(script, sampled):
+    _, states = sampled
     velocity = np.diff(states, axis=0) / STEP_S
     acceleration = np.diff(velocity, axis=0) / STEP_S
     jerk = np.diff(acceleration, axis=0) / STEP_S
@@ -34,9 +41,8 @@ def test_speed_and_acceleration_have_no_steps(script):
     assert np.abs(acceleration[:, CURL]).max() < 10.0
 
 
-def test_a_visit_does_what_it_is_to_do(script):
-    visit = Visit(script, np.random.default_rng(2))
-    times, states = sampled(visit)
+def test_a_visit_does_what_it_is_to_do(script, visit, sampled):
+    times, states = sampled
     seen = states[[visit.visible(t) for t in times]]
     assert seen[0, 2] > 150.0
     assert seen[-1, 2] > 150.0
@@ -51,9 +57,8 @@ def test_a_visit_does_what_it_is_to_do(script):
         assert_allclose(np.ptp(seen[:, :3] @ along), height, rtol=0.3)
 
 
-def test_the_hand_starts_flat_and_still_in_the_box(script):
-    visit = Visit(script, np.random.default_rng(3))
-    times, states = sampled(visit)
+def test_the_hand_starts_flat_and_still_in_the_box(visit, sampled):
+    times, states = sampled
     speed = np.linalg.norm(np.diff(states[:, :3], axis=0), axis=1) / STEP_S
     inside = np.abs(states[:-1, :3]).max(axis=1) < 100.0
     resting = times[:-1][(speed < 20.0) & inside & (times[:-1] > visit.appears)]
