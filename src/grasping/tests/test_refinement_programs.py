@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
 import json
+import pickle
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +24,7 @@ from grasping.lab.programs import (
     evaluate,
     evaluate_refinement,
     make_episodes,
+    making,
     runs,
     train_refinement,
 )
@@ -37,6 +42,14 @@ def call(monkeypatch, program, *arguments):
     program.main()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def each_scene_once():
+    """A scene and its grasps, which the programs make anew wherever they need them, are made once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(episodes, "situation", functools.lru_cache(maxsize=None)(episodes.situation))
+        yield
+
+
 @pytest.fixture(scope="module", name="data")
 def data_fixture(tmp_path_factory):
     folder = tmp_path_factory.mktemp("episodes")
@@ -45,7 +58,27 @@ def data_fixture(tmp_path_factory):
     return folder
 
 
+class InProcess:
+    """A pool whose calls stay in this process, which has imported torch already, and pass as in another one's pipe."""
+
+    def __init__(self, _processes):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def imap_unordered(self, function, tasks):
+        for task in tasks:
+            called, received = pickle.loads(pickle.dumps((function, task)))
+            yield called(received)
+
+
 def test_episodes_are_made_once_and_read_as_recorded_ones(data, monkeypatch):
+    pools = SimpleNamespace(get_context=lambda _method: SimpleNamespace(Pool=InProcess))
+    monkeypatch.setattr(making, "multiprocessing", pools)
     paths = sorted(data.iterdir())
     assert [p.stem for p in paths] == [episodes.file_name("person", n) for n in NUMBERS]
     assert [episodes.scene_of(p.stem) for p in paths] == [("person", n) for n in NUMBERS]
@@ -118,17 +151,20 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     taste, origin = refinement_file.load((run / "taste.pt").read_bytes())
     assert origin == Origin(network=sha256)
     assert not taste.network.offset.any()
-    results = tmp_path / "results"
+    test, results = tmp_path / "test", tmp_path / "results"
+    test.mkdir()
+    for path in sorted(data.iterdir())[:2]:
+        shutil.copy(path, test)
     untrained = tmp_path / "untrained.pt"
     torch.save(refinement_file.content(RefinementNetwork(), Origin()), untrained)
-    call(monkeypatch, evaluate_refinement, data, data, results, "--refinement", "untrained", untrained)
+    call(monkeypatch, evaluate_refinement, data, test, results, "--refinement", "untrained", untrained)
     first = (results / "results.csv").read_text()
     more = ["--refinement", "untrained", untrained, "--refinement", "trained", run / "weights.pt"]
-    call(monkeypatch, evaluate_refinement, data, data, results, *more)
+    call(monkeypatch, evaluate_refinement, data, test, results, *more)
     text = (results / "results.csv").read_text()
     assert text.startswith(first)
     rows = list(csv.DictReader(text.splitlines()))
-    held = [n.name for n in episode_reading.read(data) if n.episode.held]
+    held = [n.name for n in episode_reading.read(test) if n.episode.held]
     bound = evaluate_refinement.BOUND
     names = {"GGCNN alone", "GGCNN + constant offset", "nearest neighbour", bound, "untrained", "trained"}
     assert sorted((r["episode"], r["method"]) for r in rows) == sorted((e, m) for e in held for m in names)
@@ -148,14 +184,20 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert all(f"| {name} | " in orientations for name in ("GGCNN alone", "GGCNN + constant offset", "trained"))
     assert "| trained less GGCNN + constant offset | " in orientations
     assert not (results / "curve.png").exists()
-    call(monkeypatch, train_refinement, data, tmp_path / "few", *options, "--episodes", "2")
+    with monkeypatch.context() as plain:
+        plain.setattr(runs, "plot", no_plot)
+        call(plain, train_refinement, data, tmp_path / "few", *options, "--episodes", "2")
     curve = ["--refinement", "few", tmp_path / "few" / "weights.pt", "--refinement", "all", run / "weights.pt"]
-    call(monkeypatch, evaluate_refinement, data, data, tmp_path / "curve", "--no-lifting", *curve)
+    call(monkeypatch, evaluate_refinement, data, test, tmp_path / "curve", "--no-lifting", *curve)
     assert (tmp_path / "curve" / "curve.png").stat().st_size > 1000
-    call(monkeypatch, evaluate_refinement, data, data, tmp_path / "part", "--held-out", "--no-lifting")
+    call(monkeypatch, evaluate_refinement, data, test, tmp_path / "part", "--held-out", "--no-lifting")
     rows = list(csv.DictReader((tmp_path / "part" / "results.csv").read_text().splitlines()))
     assert {r["episode"] for r in rows} == {name for name in held if episode_reading.is_held_out(name)}
     assert {r["lifted"] for r in rows} == {""}
+
+
+def no_plot(*_):
+    """Takes the place of a plot that nobody looks at."""
 
 
 def interrupt_at(count: int):
@@ -172,6 +214,7 @@ def interrupt_at(count: int):
 
 def test_another_training_is_not_gone_on_with(data, holdout, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"
+    monkeypatch.setattr(runs, "plot", no_plot)
     options = ["--steps", "1", "--every", "1", "--count", "2", "--hidden", "2"]
     call(monkeypatch, train_refinement, data, run, *options, "--episodes", "2")
     files = {p.name: p.read_bytes() for p in run.iterdir()}

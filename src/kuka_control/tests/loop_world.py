@@ -183,8 +183,7 @@ class World:
         return self
 
     def at_home(self):
-        self.run(4.0)
-        assert self.mode == "home"
+        self.until("home", 4.0)
         np.testing.assert_allclose(self.arm.q, self.rig.home.q)
         self.arm.told.clear()
         self.modes.clear()
@@ -193,8 +192,8 @@ class World:
     def following(self, tool=None):
         self.at_home()
         self.control_on = True
-        self.run(4.0, tool if tool is not None else shifted(0.0, 0.0, 0.0))
-        assert self.mode == "servo"
+        tool = tool if tool is not None else shifted(0.0, 0.0, 0.0)
+        self.until("servo", 4.0, tool).run(76 * DT, tool)  # to a cycle with a frame
         self.arm.told.clear()
         self.modes.clear()
         return self
