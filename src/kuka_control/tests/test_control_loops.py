@@ -298,7 +298,7 @@ def wandering(seed, seconds):
     return tool
 
 
-@settings(max_examples=3)
+@settings(max_examples=2)
 @given(st.integers(0, 10**6))
 @example(40584)
 def test_a_smooth_hand_never_counts_as_one_that_jumped(seed):

@@ -52,7 +52,7 @@ def test_nobody_is_there_before_a_hand_is_shown(guided):
 @given(
     *(st.floats(-0.3, 0.3) for _ in range(3)),
     st.floats(0.0, 1.0),
-    st.floats(0.1, 3.0),
+    st.floats(0.1, 1.2),
 )
 def test_the_hand_reaches_where_it_was_sent_without_a_step(right, up, back, curl, seconds):
     guided = GuidedOperator(ScriptedOperator(Script()))
