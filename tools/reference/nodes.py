@@ -80,8 +80,8 @@ NODES: dict[str, Node] = {
     ),  # fmt: skip
     "vision/register_rgbd_node.py": Node({"": "vision.camera.registration:PairsConfig"}, {}),
     "vision/register_rgbd_start.py": Node({"": "vision.camera.registration:PairsConfig"}, {}),
-    "vision/stereo_view_node.py": Node({"": "vision.stereo.config:WindowConfig"}, VIEW),
-    "vision/stereo_web_node.py": Node({"web": "vision.stereo.config:WebConfig"}, VIEW),
+    "vision/stereo_view_node.py": Node({"": "vision.stereo.view:WindowConfig"}, VIEW),
+    "vision/stereo_web_node.py": Node({"web": "vision.stereo.view:WebConfig"}, VIEW),
     "vision/xtion_node.py": Node(
         {}, {"": ("vision/config/xtion.yaml",), "frames": ("vision/config/camera_frames.yaml",), **CALIBRATIONS}
     ),

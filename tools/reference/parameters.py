@@ -78,7 +78,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "vision/config/camera_frames.yaml": (Part("vision.camera.frames:CameraFramesConfig"),),
     "vision/config/camera_watchdog.yaml": (Part("vision.camera.stream_watch:WatchConfig"),),
     "vision/config/plane_pose.yaml": (Part("vision.marker_board.plane_fit:PlanePoseConfig"),),
-    "vision/config/stereo_view.yaml": (Part("vision.stereo.config:StereoViewConfig"),),
+    "vision/config/stereo_view.yaml": (Part("vision.stereo.view:StereoViewConfig"),),
     "vision/config/xtion.yaml": (Part("vision.camera.openni_camera:XtionConfig"),),
     "rig_simulation/config/camera.yaml": (
         Part("rig_simulation.node_parameters:CameraConfig"),

@@ -3,5 +3,4 @@
 
 from vision.ros.calibration.calibrate_program import main
 
-if __name__ == "__main__":
-    main()
+main()

@@ -149,7 +149,7 @@ def stored(tmp_path):
 
 
 def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scene, arm, tmp_path, processes):
-    from vision.ros.calibration.store import read
+    from vision.ros.calibration.calibration_setup import read
 
     program = processes.start(*PROGRAM, "--port", str(arm.port), "--yes")
     assert program.wait(240.0) == 0, program.log_path.read_text()
@@ -201,7 +201,7 @@ def test_a_refused_calibration_is_shown_before_the_program_ends(ros, processes, 
 
 def file_of_views(tmp_path, **head):
     """A file with good views of this rig, or of one that `head` changes."""
-    from vision.ros.calibration.store import CalibrationStore, StoreConfig
+    from vision.ros.calibration.calibration_setup import CalibrationStore, StoreConfig
 
     X, _, views = hand_eye_scene.scene(1, 12, hand_eye_scene.SD / 10.0)
     views = [replace(view, T_base_flange=view.T_base_flange @ X @ inverse(T_FLANGE_BOARD)) for view in views]

@@ -42,7 +42,7 @@ def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world
     import rospy
 
     from apriltag_ros.msg import AprilTagDetectionArray
-    from vision.ros.calibration.store import read
+    from vision.ros.calibration.calibration_setup import read
 
     robot_port, world_port = world
     arguments = {"port": world_port, "control_port": "0", "folder": tmp_path}

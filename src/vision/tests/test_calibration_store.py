@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 
 @pytest.fixture
 def store(tmp_path):
-    from vision.ros.calibration.store import CalibrationStore, StoreConfig
+    from vision.ros.calibration.calibration_setup import CalibrationStore, StoreConfig
 
     return CalibrationStore(StoreConfig(str(tmp_path / "new" / "folder"), "1234", "LBR7R800", "MF_elektrisch"))
 
@@ -31,7 +31,7 @@ def record():
     _, _, views = scene(1, 4, SD)
     return CalibrationRecord(
         "2026-01-31T12:00:00", LIVE, "LBR7R800", "MF_elektrisch", "tag_frame", "1234", "camera_rgb_optical_frame",
-        pose(p=(1.0, 2.0, 3.0)), np.eye(4), 0.5, 0.1, 0.2, np.ones((4, 2)), tuple(views),
+        0.5, 0.1, 0.2, pose(p=(1.0, 2.0, 3.0)), np.eye(4), np.ones((4, 2)), tuple(views),
     )  # fmt: skip
 
 
@@ -49,7 +49,7 @@ def test_the_newest_of_this_arm_and_camera_counts(store, record):
 
 @pytest.mark.parametrize("damage", ["half", "empty", "binary", "other"])
 def test_a_torn_file_does_not_count(store, record, damage):
-    from vision.ros.calibration.store import read
+    from vision.ros.calibration.calibration_setup import read
 
     good = store.save(record)
     torn = store.save(replace(record, date="2026-02-01T08:00:00"))
@@ -77,7 +77,7 @@ def test_a_full_disk_leaves_no_file_and_the_old_one_whole(store, record, monkeyp
 
 def test_a_relative_folder_is_refused():
     """A node's working folder is not the user's."""
-    from vision.ros.calibration.store import StoreConfig
+    from vision.ros.calibration.calibration_setup import StoreConfig
 
     with pytest.raises(ConfigError, match="folder"):
         parse(StoreConfig, {"folder": "calibrations", "camera": "1", "robot": "LBR7R800", "flange": "MF_elektrisch"})

@@ -21,7 +21,7 @@ from rig_description.urdf import urdf
 from vision.calibration.acceptance import BoardDetection, CalibrationConfig, ViewRejected, judge, view_from
 from vision.calibration.arm_model import SHIFT_TOLERANCE_M, ArmModel
 from vision.calibration.hand_eye import CalibrationView, check_motion
-from vision.calibration.view_planner import EDGE_PX, ArmView, TourLeg, ViewPlanner, ViewsConfig, guessed_camera
+from vision.calibration.view_planner import EDGE_PX, ViewPlanner, ViewsConfig, guessed_camera
 from vision.marker_board.board import MarkerBoardConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -51,7 +51,7 @@ def points():
 def planner(arm, config, points):
     board = read(MarkerBoardConfig, "panel.yaml")
     camera = from_calibration(yaml.safe_load((CONFIG / "xtion_rgb.yaml").read_text()))
-    return ViewPlanner(config, arm, camera, points, board.plate, board.T_flange_tag, np.eye(3))
+    return ViewPlanner(config, arm, camera, points, board, np.eye(3))
 
 
 @pytest.fixture(scope="module")
@@ -90,28 +90,28 @@ def test_the_spine_is_a_chain_of_known_lengths(arm):
     np.testing.assert_allclose(lengths, [0.34, 0.4, 0.4, 0.126 + 0.035], atol=1e-9)
 
 
-def test_views_are_seen_tilted_and_clear(planner, views, guess, config, points):
+def test_views_are_seen_tilted_and_clear(planner, arm, views, guess, config, points):
     assert len(views) >= 8
     board = read(MarkerBoardConfig, "panel.yaml")
     camera = from_calibration(yaml.safe_load((CONFIG / "xtion_rgb.yaml").read_text()))
     for view in views:
-        T = inverse(guess) @ view.T_base_flange @ board.T_flange_tag
+        T = inverse(guess) @ arm.flange(view) @ board.T_flange_tag
         ray = T[:3, 3] / np.linalg.norm(T[:3, 3])
         tilt = np.degrees(np.arccos(-T[:3, 2] @ ray))
         assert config.tilt[0] - 1.0 < tilt < config.tilt[1] + 1.0
         assert config.distance[0] - 0.01 < np.linalg.norm(T[:3, 3]) < config.distance[1] + 0.01
         pixels = camera.project(points @ T[:3, :3].T + T[:3, 3])
         assert np.all(pixels > EDGE_PX) and np.all(pixels < np.array([639.0, 479.0]) - EDGE_PX)
-        assert planner.clearance(view.q, guess) > 0.0
+        assert planner.clearance(view, guess) > 0.0
 
 
-def test_views_turn_about_several_axes(views):
-    check_motion([CalibrationView(view.T_base_flange, np.eye(4), np.eye(6)) for view in views])
+def test_views_turn_about_several_axes(arm, views):
+    check_motion([CalibrationView(arm.flange(view), np.eye(4), np.eye(6)) for view in views])
 
 
 def test_the_chosen_views_are_surer_than_the_first_ones(planner, candidates, views, guess):
     def variance(views):
-        total = sum(planner._information(view, guess) for view in views) + 1e-6 * np.eye(12)
+        total = sum(planner.information(view, guess) for view in views) + 1e-6 * np.eye(12)
         return np.trace(np.linalg.inv(total)[6:9, 6:9])
 
     assert variance(views) < variance(candidates[: len(views)])
@@ -123,8 +123,8 @@ def test_every_way_of_the_tour_and_back_is_clear(planner, views, guess, config):
     assert len(legs) >= 8
     q = start
     for leg in legs:
-        np.testing.assert_array_equal(leg.path[-1], leg.view.q)
-        for goal in leg.path:
+        assert any(leg[-1] is view for view in views)
+        for goal in leg:
             assert planner.path_clear(q, goal, guess)
             q = goal
     for goal in planner.path_back(start, legs, guess):
@@ -143,7 +143,7 @@ def test_a_way_through_the_table_is_not_clear_but_out_of_it_is(planner, guess, c
 
 def test_back_on_its_own_track_where_the_straight_way_is_barred(planner, guess, config, monkeypatch):
     start, a, b = np.zeros(7), np.full(7, 0.1), np.full(7, 0.2)
-    legs = [TourLeg(ArmView(q, np.eye(4)), (q,)) for q in (a, b)]
+    legs = [[a], [b]]
     home = np.radians(config.start)
     monkeypatch.setattr(planner, "path_clear", lambda q, goal, _: q[0] == 0.1)
     np.testing.assert_array_equal(planner.path_back(start, legs, guess), [a, home])
@@ -179,7 +179,7 @@ def test_faults_of_the_configuration(key, value):
         parse(ViewsConfig, {**values, key: value})
 
 
-def test_the_shipped_settings_lead_to_an_accepted_calibration(views, guess):
+def test_the_shipped_settings_lead_to_an_accepted_calibration(arm, views, guess):
     """All planned views with the shipped number of images: the whole program is only tested with fewer."""
     board, limits = read(MarkerBoardConfig, "panel.yaml"), read(CalibrationConfig, "camera_calibration.yaml")
     assert (len(views), limits.pictures) == (15, 10)
@@ -187,13 +187,14 @@ def test_the_shipped_settings_lead_to_an_accepted_calibration(views, guess):
     truth = guess @ pose(rotation_about(1, 0.02), (0.02, -0.03, 0.01))
     taken = []
     for view in views:
-        T = inverse(truth) @ view.T_base_flange @ board.T_flange_tag
+        T_base_flange = arm.flange(view)
+        T = inverse(truth) @ T_base_flange @ board.T_flange_tag
         noise = rng.normal(0.0, 0.3 * SD, (limits.pictures, 6))
         detections = [BoardDetection(change(T, x), np.diag(SD**2)) for x in noise]
         with pytest.raises(ViewRejected) as caught:
-            view_from(detections[1:], view.T_base_flange, taken, limits)
+            view_from(detections[1:], T_base_flange, taken, limits)
         assert caught.value.cause == "detections"
-        taken.append(view_from(detections, view.T_base_flange, taken, limits))
+        taken.append(view_from(detections, T_base_flange, taken, limits))
     verdict = judge(taken, board.T_flange_tag, limits)
     assert verdict.accepted, verdict.sentence
     np.testing.assert_allclose(verdict.result.T_base_camera, truth, atol=2e-3)

@@ -13,9 +13,8 @@ from tag_renderer import render
 from apriltag_ros.photometric import PhotometricRefiner
 from apriltag_ros.target import TagTarget, TargetTag
 from common.poses import pose
-from vision.calibration.acceptance import BoardDetection
-from vision.calibration.evaluation import BoardObservation, calibrate
-from vision.marker_board.refinement import refined
+from vision.calibration.acceptance import BoardDetection, refined
+from vision.marker_board.pose_evaluation import BoardObservation, calibrate
 
 REFINER = PhotometricRefiner("tag36h11", TagTarget("tag_frame", (TargetTag(0, 0.097),)))
 

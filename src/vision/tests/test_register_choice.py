@@ -24,7 +24,7 @@ def install(tmp_path):
 
 
 def missing(*folders):
-    from vision.ros.camera.register_start import missing_packages
+    from vision.ros.camera.register_node import missing_packages
 
     return missing_packages(rospkg.RosPack([str(folder) for folder in folders] or None))
 

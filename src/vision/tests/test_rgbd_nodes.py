@@ -310,7 +310,7 @@ def test_the_nodelets_have_the_same_topics(ros, camera, wait_until):
     from sensor_msgs.msg import Image, PointCloud2
 
     from common.ros.images import array_from_image
-    from vision.ros.camera.register_start import missing_packages
+    from vision.ros.camera.register_node import missing_packages
 
     missing = missing_packages(rospkg.RosPack())
     if missing:

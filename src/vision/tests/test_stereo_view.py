@@ -12,10 +12,21 @@ from hypothesis import strategies as st
 from common.camera_model import pinhole
 from common.config import parse
 from common.errors import ConfigError, DeviceError
-from vision.stereo.config import StereoViewConfig, WebConfig, WindowConfig
-from vision.stereo.depth_rendering import LEFT, RIGHT, eye_map, inverse_depth, shifted
 from vision.stereo.lens import BLUE, CENTRES, GREEN, HEIGHT, RED, WIDTH, Dk2Lens, directions
-from vision.stereo.view import ImageAge, StereoView, age_text, mark_age
+from vision.stereo.view import (
+    LEFT,
+    RIGHT,
+    ImageAge,
+    StereoView,
+    StereoViewConfig,
+    WebConfig,
+    WindowConfig,
+    age_text,
+    eye_map,
+    inverse_depth,
+    mark_age,
+    shifted,
+)
 
 CAMERA = pinhole("test", 64, 48, [[60.0, 0.0, 31.5], [0.0, 60.0, 23.5], [0.0, 0.0, 1.0]])
 CONFIG = load("stereo_view.yaml")

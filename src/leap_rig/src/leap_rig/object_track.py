@@ -16,23 +16,14 @@ UPRIGHT_RAD = float(np.radians(10.0))
 
 @dataclass
 class ObjectTrack:
-    """One object during a run; times in seconds, lengths in metres, angles in radians.
+    """One object during a run; times in seconds, lengths in metres, angles in radians."""
 
-    Attributes:
-        lifted: time at which it first left the table, or None.
-        highest: greatest height of its lowest point above the table.
-        put_down: time at which the hand released it on the table after the lift; None while it is not there.
-        moved: horizontal distance from its first position.
-        tilt: angle between its vertical axis now and at first.
-        fell: whether it fell off the table.
-    """
-
-    lifted: float | None = None
-    highest: float = 0.0
-    put_down: float | None = None
-    moved: float = 0.0
-    tilt: float = 0.0
-    fell: bool = False
+    lifted: float | None = None  # time at which it first left the table
+    highest: float = 0.0  # greatest height of its lowest point above the table
+    put_down: float | None = None  # time at which the hand released it on the table after the lift
+    moved: float = 0.0  # horizontal distance from its first position
+    tilt: float = 0.0  # angle between its vertical axis now and at first
+    fell: bool = False  # whether it fell off the table
     _first: np.ndarray | None = None
 
     @property
@@ -41,15 +32,8 @@ class ObjectTrack:
         return self.lifted is not None and self.put_down is not None and self.tilt < UPRIGHT_RAD and not self.fell
 
     def observe(self, T_world_object: np.ndarray, clearance: float, on_table: bool, held: bool, now: float) -> None:
-        """Adds an observation.
-
-        Args:
-            T_world_object: pose, shape (4, 4).
-            clearance: height of the lowest point above the table [m].
-            on_table: whether it touches the table.
-            held: whether the robot touches it.
-            now: time [s].
-        """
+        """Adds a pose, shape (4, 4), with the height of the lowest point above the table [m], and whether table and
+        robot touch the object."""
         if self._first is None:
             self._first = T_world_object
         self.highest = max(self.highest, clearance)

@@ -34,16 +34,8 @@ COUNTERS = {
 
 
 def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remarks: Iterable[str] = ()) -> dict:
-    """Returns the summary as a mapping that JSON can hold.
-
-    `faults` lists why the run failed; `warnings` do not make it fail.
-
-    Args:
-        recorder: the record.
-        now: end of the run [s].
-        deaths: a clause for each node that died.
-        remarks: further warnings.
-    """
+    """Returns the summary of a run until `now` [s] as a mapping that JSON can hold. `faults` lists why the run failed,
+    with a clause for each node that died; `warnings`, with the remarks, do not make it fail."""
     began = recorder.started if recorder.started is not None else now
     summary = {
         "duration_s": round(now - began, 2),

@@ -2,6 +2,6 @@
 """Detector node of AprilTags in the images of a camera."""
 
 from apriltag_ros.ros.continuous_node import main
+from common.ros.node import run
 
-if __name__ == "__main__":
-    main()
+run("apriltag_ros_continuous_node", main)

@@ -2,6 +2,6 @@
 """Service node that detects AprilTags in an image in a file."""
 
 from apriltag_ros.ros.single_image_server import main
+from common.ros.node import run
 
-if __name__ == "__main__":
-    main()
+run("apriltag_ros_single_image_server", main)

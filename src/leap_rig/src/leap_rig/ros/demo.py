@@ -102,14 +102,8 @@ def _with_absolute_path(item: str) -> str:
 
 
 class Deaths(ProcessListener):
-    """Records the processes that exit during the run.
-
-    Attributes:
-        sentences: about the nodes that the rig needs.
-        remarks: about the nodes that it does not need.
-        expected: nodes that may exit.
-        ended: all nodes that exited.
-    """
+    """Records the processes that exit during the run: `sentences` about the nodes that the rig needs, `remarks` about
+    the others. Nodes in `expected` may exit; `ended` are all that exited."""
 
     def __init__(self) -> None:
         self.sentences: list[str] = []

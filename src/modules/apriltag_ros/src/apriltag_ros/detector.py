@@ -53,15 +53,10 @@ class TagDetector:
         self._last: dict[str, tuple[float, np.ndarray]] = {}
 
     def detect(self, grey: np.ndarray, camera: CameraModel, now: float) -> DetectionResult:
-        """Returns the detections in an image.
+        """Returns the detections in a grey image, shape (height, width), uint8, with the time stamp `now` [s].
 
-        Args:
-            grey: image, shape (height, width), uint8.
-            camera: model of the camera; with the setting `rectified` its rectified projection is used.
-            now: time stamp of the image [s].
-
-        Raises:
-            ValueError: the image does not have the camera's size, or is not grey.
+        With the setting `rectified` the camera's rectified projection is used. Raises ValueError if the image does not
+        have the camera's size, or is not grey.
         """
         if grey.shape != (camera.height, camera.width):
             raise ValueError(

@@ -33,11 +33,8 @@ class TagDetection:
 
 
 class TagFinder:
-    """Finds tags of one family. Create one finder per process: the library never frees a detector's memory.
-
-    Raises:
-        ImportError: the module `apriltag` is not the PyPI package.
-    """
+    """Finds tags of one family. Create one finder per process: the library never frees a detector's memory. Raises
+    ImportError if the module `apriltag` is not the PyPI package."""
 
     def __init__(self, settings: DetectorSettings) -> None:
         if not hasattr(apriltag, "DetectorOptions"):  # Debian's package has the same name and another interface
@@ -56,11 +53,8 @@ class TagFinder:
         )
 
     def find(self, grey: np.ndarray) -> tuple[TagDetection, ...]:
-        """Returns the tags in a grey image, shape (height, width), uint8.
-
-        Raises:
-            ValueError: the array has another shape or type.
-        """
+        """Returns the tags in a grey image, shape (height, width), uint8; raises ValueError for another shape or
+        type."""
         if grey.ndim != 2 or grey.dtype != np.uint8:
             raise ValueError(
                 f"the tag finder needs a grey image of uint8, shape (height, width), not {grey.dtype} {grey.shape}"

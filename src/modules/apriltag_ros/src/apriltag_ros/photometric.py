@@ -40,46 +40,28 @@ MODEL_SIGMA_PX = 0.05
 
 @dataclass(frozen=True, eq=False)
 class PoseRefinement:
-    """A refined pose, or the reason for its rejection.
+    """A refined pose, or the reason for its rejection."""
 
-    Attributes:
-        T_camera_tag: pose in the camera's optical frame, shape (4, 4) [m]; the start pose if rejected.
-        covariance: as in TagPose, shape (6, 6); None if rejected.
-        rejection: reason why the start pose is kept, without a full stop; empty for a refined pose.
-        blur: standard deviation of the point spread, without the pixel's own width [px].
-        residual: rms difference between image and rendering at the worst tag, as a fraction of its contrast.
-        moved: largest distance of a corner from the start [px].
-    """
-
-    T_camera_tag: np.ndarray
-    covariance: np.ndarray | None
-    rejection: str
-    blur: float = np.nan
-    residual: float = np.nan
-    moved: float = np.nan
+    T_camera_tag: np.ndarray  # pose in the camera's optical frame, shape (4, 4) [m]; the start pose if rejected
+    covariance: np.ndarray | None  # as in TagPose, shape (6, 6); None if rejected
+    rejection: str  # reason why the start pose is kept, without a full stop; empty for a refined pose
+    blur: float = np.nan  # standard deviation of the point spread, without the pixel's own width [px]
+    residual: float = np.nan  # rms difference of image and rendering at the worst tag, as a fraction of its contrast
+    moved: float = np.nan  # largest distance of a corner from the start [px]
 
 
 class PhotometricRefiner:
-    """Refines poses of one target, whose tags are of one `family`.
-
-    Raises:
-        ValueError: the family has no such tag.
-    """
+    """Refines poses of one target, whose tags are of one `family`; raises ValueError if that has no such tag."""
 
     def __init__(self, family: str, target: TagTarget) -> None:
         self._patterns = tuple(TagPattern(tag, black_cells(family, tag.id)) for tag in target.tags)
         self._points = target.corners
 
     def refine(self, grey: np.ndarray, camera: CameraModel, T_start: np.ndarray) -> PoseRefinement:
-        """Returns the pose whose rendering matches the image best.
+        """Returns the pose whose rendering matches the raw grey image, shape (height, width), uint8, best.
 
-        Args:
-            grey: raw image, shape (height, width), uint8.
-            camera: model of the camera, distortion included.
-            T_start: pose from the corners, shape (4, 4) [m].
-
-        Raises:
-            ValueError: the image does not have the camera's size, or is not grey.
+        T_start is the pose by the corners, shape (4, 4) [m], and the camera has its distortion. Raises ValueError if
+        the image does not have the camera's size, or is not grey.
         """
         if grey.shape != (camera.height, camera.width) or grey.dtype != np.uint8:
             raise ValueError(

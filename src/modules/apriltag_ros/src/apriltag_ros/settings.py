@@ -71,23 +71,14 @@ TAG_KEYS = ("standalone_tags", "tag_bundles")
 
 
 def detector_settings(values: Mapping[str, Any], prefix: str = "", others: tuple[str, ...] = ()) -> DetectorSettings:
-    """Returns the settings in `values`; missing keys have the defaults of the published package.
-
-    Raises:
-        ConfigError: with all faults.
-    """
+    """Returns the settings in `values`, with the defaults of the published package; raises ConfigError with all
+    faults."""
     return parse(DetectorSettings, values, prefix, others=(*TAG_KEYS, *others))
 
 
 def targets(values: Mapping[str, Any]) -> tuple[TagTarget, ...]:
-    """Returns the tags and bundles to detect.
-
-    Args:
-        values: mapping with `standalone_tags` and `tag_bundles`; either may be missing or empty.
-
-    Raises:
-        ConfigError: with all faults.
-    """
+    """Returns the targets in `standalone_tags` and `tag_bundles`, either of which may be missing or empty; raises
+    ConfigError with all faults."""
     faults: list[str] = []
     alone, bundles = _standalone(values, faults), _bundles(values, faults)
     found = (*alone, *bundles)

@@ -39,24 +39,15 @@ REPROJECTION, HINT = "reprojection", "hint"
 
 @dataclass(frozen=True, eq=False)
 class TagPose:
-    """The pose of a target and its uncertainty.
+    """The pose of a target and its uncertainty."""
 
-    Attributes:
-        T_camera_tag: pose in the camera's optical frame, shape (4, 4) [m].
-        covariance: of x, y, z and of small rotations about the camera's x, y, z axes, shape (6, 6) [m^2, m rad, rad^2];
-            reaches to the other pose while that may be the true one.
-        rms: rms distance of the reprojected corners [px].
-        ratio: rms of the other pose divided by this one's; infinite if there is no other.
-        other: the other pose, or None.
-        chosen_by: REPROJECTION or HINT.
-    """
-
-    T_camera_tag: np.ndarray
-    covariance: np.ndarray
-    rms: float
-    ratio: float
-    other: np.ndarray | None
-    chosen_by: str
+    T_camera_tag: np.ndarray  # pose in the camera's optical frame, shape (4, 4) [m]
+    covariance: np.ndarray  # of x, y, z and small rotations about the camera's axes, shape (6, 6) [m^2, m rad, rad^2]
+    """Reaches to the other pose while that may be the true one."""
+    rms: float  # rms distance of the reprojected corners [px]
+    ratio: float  # rms of the other pose divided by this one's; infinite without another
+    other: np.ndarray | None  # the other pose
+    chosen_by: str  # REPROJECTION or HINT
 
     @property
     def ambiguous(self) -> bool:
@@ -65,17 +56,12 @@ class TagPose:
 
 
 def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: np.ndarray | None = None) -> TagPose:
-    """Returns the pose of the target.
+    """Returns the pose of the target with at least four corners `points`, shape (n, 3) [m], at `pixels`, shape (n, 2)
+    [px].
 
-    Args:
-        points: corners in the target, shape (n, 3) [m], n >= 4.
-        pixels: the same corners in the image, shape (n, 2) [px].
-        camera: model of the camera.
-        hint: known rotation from the camera to the target, shape (3, 3), from an earlier or a depth image; decides
-            between two poses that explain the image about equally well.
-
-    Raises:
-        ValueError: there are fewer than four corners, or no pose has them all in front of the camera.
+    The hint is a known rotation from the camera to the target, shape (3, 3), from an earlier or a depth image; it
+    decides between two poses that explain the image about equally well. Raises ValueError if there are fewer than four
+    corners, or no pose has them all in front of the camera.
     """
     points, pixels = np.asarray(points, dtype=float), np.asarray(pixels, dtype=float)
     if len(points) < 4:
@@ -120,14 +106,8 @@ def _ambiguity(T: np.ndarray, rms: float, other: np.ndarray, other_rms: float, c
 
 
 def covariance(T: np.ndarray, points: np.ndarray, K: np.ndarray, sigma: float = CORNER_SIGMA_PX) -> np.ndarray:
-    """Returns the covariance, shape (6, 6), of a pose from corners with independent errors.
-
-    Args:
-        T: pose of the target in the camera, shape (4, 4) [m].
-        points: corners in the target, shape (n, 3) [m].
-        K: camera matrix, shape (3, 3) [px].
-        sigma: standard deviation of each coordinate of a corner [px].
-    """
+    """Returns the covariance, shape (6, 6), of the pose T, shape (4, 4) [m], from corners in the target, shape (n, 3)
+    [m], with the camera matrix K and independent errors with the standard deviation `sigma` in each coordinate [px]."""
     J = corner_jacobian(T, points, K).reshape(-1, 6)
     return sigma**2 * np.linalg.inv(J.T @ J)
 

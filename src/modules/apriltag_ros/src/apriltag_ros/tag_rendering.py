@@ -145,15 +145,8 @@ def _library() -> ctypes.CDLL:
 
 @lru_cache(maxsize=None)
 def black_cells(family: str, tag: int) -> np.ndarray:
-    """Returns which cells of the black square of a tag are black, top row first, shape (n, n), bool.
-
-    Args:
-        family: one of FAMILIES.
-        tag: id in the family.
-
-    Raises:
-        ValueError: the family has no such tag.
-    """
+    """Returns which cells of the black square of a tag are black, top row first, shape (n, n), bool; raises ValueError
+    if the family, one of FAMILIES, has no such tag."""
     if family not in FAMILIES:
         raise ValueError(f"unknown tag family {family}; use one of {', '.join(FAMILIES)}")
     table = _library().apriltag_family_create(family.encode()).contents

@@ -43,14 +43,8 @@ class TagTarget:
         return np.concatenate([tag.corners for tag in self.tags])
 
     def matched(self, corners: dict[int, np.ndarray]) -> tuple[tuple[TargetTag, ...], np.ndarray, np.ndarray]:
-        """Returns the detected tags of the target, and their corners in the target and in the image.
-
-        Args:
-            corners: detected corners by tag id, each shape (4, 2) [px].
-
-        Returns:
-            The tags, points of shape (4 n, 3) [m], and pixels of shape (4 n, 2) [px].
-        """
+        """Returns the detected tags of the target, and their corners in the target, shape (4 n, 3) [m], and in the
+        image, shape (4 n, 2) [px], from the detected corners by tag id, each shape (4, 2) [px]."""
         tags = tuple(tag for tag in self.tags if tag.id in corners)
         if not tags:
             return (), np.empty((0, 3)), np.empty((0, 2))

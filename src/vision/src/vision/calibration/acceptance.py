@@ -6,23 +6,18 @@ of one image, because most of a corner's error is the same in every image, plus 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 
+from apriltag_ros.photometric import PhotometricRefiner
+from common.camera_model import CameraModel
 from common.config import flag, integer, number
 from common.poses import inverse, pose
 from common.rotations import rotation_angle
-from vision.calibration.hand_eye import (
-    CalibrationView,
-    DegenerateViews,
-    HandEyeSolution,
-    leave_one_out,
-    point_sd,
-    scales,
-    solve,
-)
+from vision.calibration import hand_eye
+from vision.calibration.hand_eye import CalibrationView, DegenerateViews, HandEyeSolution
 
 
 @dataclass(frozen=True)
@@ -41,9 +36,7 @@ class CalibrationConfig:
     min_share: float = number(above=0.5, high=1.0, doc="minimum fraction of consistent views")
     max_rms_mm: float = number("mm", above=0.0, high=50.0, doc="maximum rms position error of the views")
     max_rms_deg: float = number("deg", above=0.0, high=10.0, doc="maximum rms orientation error of the views")
-    max_point_sd_mm: float = number(
-        "mm", above=0.0, high=50.0, doc="maximum standard deviation of a point at the marker board"
-    )
+    max_point_sd_mm: float = number("mm", above=0.0, high=50.0, doc="maximum standard deviation of a board point")
     max_turn_sd_deg: float = number("deg", above=0.0, high=10.0, doc="maximum standard deviation of the orientation")
     max_scale: float = number(above=0.0, high=0.2, doc="maximum fraction by which size or distance may be wrong")
     max_panel_mm: float = number("mm", above=0.0, high=100.0, doc="maximum distance of the board from its drawing")
@@ -59,11 +52,7 @@ class BoardDetection:
 
 
 class ViewRejected(ValueError):
-    """A view cannot be used.
-
-    Attributes:
-        cause: "detections" (too few), "repeated" (the arm was here before), "moved", or "uncertain".
-    """
+    """A view cannot be used; `cause` is "detections" (too few), "repeated", "moved" or "uncertain"."""
 
     def __init__(self, cause: str, sentence: str) -> None:
         self.cause = cause
@@ -101,21 +90,38 @@ class Verdict:
         return f"The calibration is rejected: {' '.join(self.failed.values())} ({accuracy}.)"
 
 
+def refined(
+    pairs: list[tuple[BoardDetection, np.ndarray]], camera: CameraModel, refiner: PhotometricRefiner
+) -> tuple[list[BoardDetection], str]:
+    """Returns the detections with refined poses and an empty string.
+
+    If one image cannot be used, all detections stay unrefined, because the errors of both kinds differ; the string is
+    then the reason, without a full stop. Raises ValueError if an image does not have the camera's size.
+
+    Args:
+        pairs: detections by the corners, each with its image, shape (height, width), uint8.
+        camera: model of the raw images, distortion included.
+    """
+    better = []
+    for detection, grey in pairs:
+        result = refiner.refine(grey, camera, detection.T_camera_board)
+        if result.covariance is None:
+            return [detection for detection, _ in pairs], result.rejection
+        better.append(replace(detection, T_camera_board=result.T_camera_tag, covariance=result.covariance))
+    return better, ""
+
+
 def view_from(
     detections: list[BoardDetection],
     T_base_flange: np.ndarray,
     earlier: list[CalibrationView],
     config: CalibrationConfig,
 ) -> CalibrationView:
-    """Returns the view of the arm at one pose.
+    """Returns the view at the measured flange pose, shape (4, 4) [m]; raises ViewRejected if it cannot be used.
 
     Args:
         detections: the marker board in the images of this view.
-        T_base_flange: flange pose measured by the arm, shape (4, 4) [m].
         earlier: views that are already used.
-
-    Raises:
-        ViewRejected: the view cannot be used.
     """
     if len(detections) < config.pictures:
         raise ViewRejected(
@@ -152,24 +158,21 @@ def mean_pose(poses: list[np.ndarray]) -> np.ndarray:
 def judge(views: list[CalibrationView], T_flange_board: np.ndarray, config: CalibrationConfig) -> Verdict:
     """Returns the calibration from the views and the checks that it fails.
 
-    Args:
-        T_flange_board: pose of the marker board by its drawing, shape (4, 4) [m].
-
-    Raises:
-        DegenerateViews: the views do not determine the calibration.
+    T_flange_board is the pose of the marker board by its drawing, shape (4, 4) [m]. Raises DegenerateViews if the views
+    do not determine the calibration.
     """
     if len(views) < config.min_views:
         raise DegenerateViews(f"{len(views)} views are too few: take at least {config.min_views}")
-    result = solve(views)
+    result = hand_eye.solve(views)
     errors = result.errors[result.fits]
     unit = np.array([1e3, np.degrees(1.0)])
     rms = unit * np.sqrt([np.mean(np.sum(part**2, axis=1)) for part in (errors[:, :3], errors[:, 3:])])
-    predicted = unit * leave_one_out(views, result)
+    predicted = unit * hand_eye.leave_one_out(views, result)
     middle = np.mean([(view.T_base_flange @ result.T_flange_board)[:3, 3] for view in views], axis=0)
-    point = 1e3 * point_sd(result, middle)
+    point = 1e3 * hand_eye.point_sd(result, middle)
     turn = float(np.degrees(np.sqrt(np.trace(result.covariance[9:, 9:]))))
     board = np.array(_distance(T_flange_board, result.T_flange_board))
-    (size, depth), sds = scales(views, result)
+    (size, depth), sds = hand_eye.scales(views, result)
     count, fraction = int(result.fits.sum()), float(result.fits.mean())
     checks = {
         "min_views": (
@@ -215,11 +218,8 @@ def judge(views: list[CalibrationView], T_flange_board: np.ndarray, config: Cali
 
 
 def check_alone(view: CalibrationView, config: CalibrationConfig) -> float:
-    """Returns the standard deviation of a point at the marker board [mm] if a single view defines the camera pose.
-
-    Raises:
-        ViewRejected: the camera pose would be too uncertain.
-    """
+    """Returns the standard deviation of a point at the marker board [mm] if a single view defines the camera pose;
+    raises ViewRejected if that would be too uncertain."""
     point = 1e3 * float(np.sqrt(np.trace(view.covariance[:3, :3])))
     turn = float(np.degrees(np.sqrt(np.trace(view.covariance[3:, 3:]))))
     failed = _failed(_uncertainty_checks(point, turn, config))

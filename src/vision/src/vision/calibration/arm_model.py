@@ -17,7 +17,6 @@ JOINTS = [f"kuka/joint_{i}" for i in range(1, 8)]
 SHOULDER, ELBOW, WRIST = "kuka/joint_2", "kuka/joint_4", "kuka/joint_6"
 MARGIN_RAD = np.radians(5.0)
 """Distance of the views from the ends of the joint ranges."""
-
 MAX_STEPS = 60
 DAMPING = 1e-4
 MAX_STEP_RAD = 0.3

@@ -12,7 +12,7 @@ along the axes of the frame in which the pose is given [m, rad].
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, compress
 
 import cv2
 import numpy as np
@@ -24,15 +24,12 @@ from common.poses import inverse, pose, read_only
 MIN_VIEWS = 3
 MIN_SECOND_AXIS_RAD = np.radians(4.0)
 """The flange has to turn about several axes: minimum rms rotation about the second of them."""
-
 MAX_TRIPLES = 60
 """With nearly half of the views wrong, no triple is free of them in one case of 50 000."""
-
 MAX_STEPS = 30
 CONVERGED = 1e-12
 CHI2_MEDIAN, CHI2_BOUND = 5.348, 22.458
 """Median and 99.9 % quantile of the chi-squared distribution with six degrees of freedom."""
-
 ROUNDING_SD = 1e-10
 """Smallest standard deviation [m, rad]: noise-free views would divide by zero."""
 
@@ -65,26 +62,21 @@ class HandEyeSolution:
 def solve(views: list[CalibrationView], seed: int = 0) -> HandEyeSolution:
     """Returns the calibration; views may be wrong as long as more than half are right.
 
-    Args:
-        views: at least three.
-        seed: seed of the choice of triples, if there are more than MAX_TRIPLES.
-
-    Raises:
-        DegenerateViews: there are too few views, or the flange turns about one axis only.
+    The seed is that of the choice of triples, if there are more than MAX_TRIPLES. Raises DegenerateViews if there are
+    fewer than three views, or the flange turns about one axis only.
     """
     check_motion(views)
     X, Z = _robust_start(views, np.random.default_rng(seed))
     fits = _fitting(views, X, Z)
     for _ in range(MAX_STEPS):
-        kept = [view for view, fit in zip(views, fits) if fit]
+        kept = list(compress(views, fits))
         check_motion(kept)
         X, Z, _, _ = _least_squares(kept, X, Z)
         before, fits = fits, _fitting(views, X, Z)
         if np.array_equal(before, fits):
             break
     fits = before
-    kept = [view for view, fit in zip(views, fits) if fit]
-    X, Z, covariance, chi2_ratio = _least_squares(kept, X, Z)
+    X, Z, covariance, chi2_ratio = _least_squares(list(compress(views, fits)), X, Z)
     errors = np.array([_error(view, X, Z) for view in views])
     covariance = covariance * max(1.0, chi2_ratio)
     return HandEyeSolution(read_only(Z), read_only(X), read_only(covariance), fits, read_only(errors), chi2_ratio)
@@ -118,20 +110,16 @@ def scales(views: list[CalibrationView], result: HandEyeSolution) -> tuple[np.nd
 
     The first is the factor by which everything appears too large: 1 unless the printed tag size differs from the
     configured one. The second is the factor by which the marker board appears too far away: 1 unless the focal length
-    is wrong, which leaves sideways translations as they are.
-
-    Returns:
-        Factors and standard deviations, each shape (2,).
+    is wrong, which leaves sideways translations as they are. Both results have the shape (2,).
     """
     X, Z = result.T_flange_board, result.T_base_camera
     rows, errors = [], []
-    for view, fits in zip(views, result.fits):
-        if fits:
-            W, p = _whitening(view), view.T_camera_board[:3, 3]
-            change = np.zeros((6, 2))
-            change[:3, 0], change[2, 1] = p, p[2]
-            rows.append(W @ np.hstack((_error_jacobian(view, X, Z), change)))
-            errors.append(W @ _error(view, X, Z))
+    for view in compress(views, result.fits):
+        W, p = _whitening(view), view.T_camera_board[:3, 3]
+        change = np.zeros((6, 2))
+        change[:3, 0], change[2, 1] = p, p[2]
+        rows.append(W @ np.hstack((_error_jacobian(view, X, Z), change)))
+        errors.append(W @ _error(view, X, Z))
     J = np.concatenate(rows)
     too_much = -np.linalg.lstsq(J, np.concatenate(errors), rcond=None)[0][-2:]
     variances = np.diag(np.linalg.inv(J.T @ J))[-2:] * max(1.0, result.chi2_ratio)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -27,22 +27,35 @@ class CameraPoseConfig:
     detector: str = text(doc="name of the detector node", absent="apriltag_ros_continuous_node")
 
 
+@dataclass(frozen=True)
+class RecordHead:
+    """The single values of a calibration."""
+
+    date: str = text()  # as year-month-dayThour:minute:second
+    kind: str = choice(VIEWS, LIVE)  # by several views, or by the board's drawing and a single view
+    robot: str = text()  # the arm
+    flange: str = text()  # its media flange
+    panel: str = text()  # frame of the marker board
+    camera: str = text()  # serial number of the camera
+    camera_frame: str = text()  # the optical frame whose pose this is
+    rms_mm: float | None = number("mm", low=0.0, absent=None)
+    rms_deg: float | None = number("deg", low=0.0, absent=None)
+    """rms errors of the views; None for LIVE, where no second view contradicts the first."""
+    point_sd_mm: float = number("mm", low=0.0)  # standard deviation of a point at the marker board
+
+    def faults(self) -> list[str]:
+        """Returns contradictions between fields."""
+        if self.kind == VIEWS and None in (self.rms_mm, self.rms_deg):
+            return ["rms_mm and rms_deg are missing; a calibration of the kind views needs them."]
+        return []
+
+
 @dataclass(frozen=True, eq=False)
-class CalibrationRecord:
+class CalibrationRecord(RecordHead):
     """The content of one file."""
 
-    date: str  # as year-month-dayThour:minute:second
-    kind: str  # VIEWS for a calibration by several views, LIVE for one by the board's drawing and a single view
-    robot: str  # the arm and the media flange
-    flange: str  # the arm and the media flange
-    panel: str  # frame of the marker board
-    camera: str  # serial number of the camera
-    camera_frame: str  # the optical frame whose pose this is
     T_base_camera: np.ndarray  # in kuka/base_frame, shape (4, 4) [m]
     T_flange_board: np.ndarray  # shape (4, 4) [m]
-    rms_mm: float | None  # rms errors of the views; None for LIVE, where no second view contradicts the first
-    rms_deg: float | None  # rms errors of the views; None for LIVE, where no second view contradicts the first
-    point_sd_mm: float  # standard deviation of a point at the marker board
     errors: np.ndarray  # error of each view [mm, deg], shape (n, 2); shape (0, 2) for LIVE
     views: tuple[CalibrationView, ...]  # the views that it was computed from
 
@@ -52,26 +65,6 @@ class CalibrationRecord:
         if self.kind == LIVE:
             return f"one view without confirmation, standard deviation of a point {self.point_sd_mm:.2f} mm"
         return f"{self.rms_mm:.2f} mm, {self.rms_deg:.2f} deg in {len(self.views)} views"
-
-
-@dataclass(frozen=True)
-class _Head:
-    date: str = text()
-    kind: str = choice(VIEWS, LIVE)
-    robot: str = text()
-    flange: str = text()
-    panel: str = text()
-    camera: str = text()
-    camera_frame: str = text()
-    rms_mm: float | None = number("mm", low=0.0, absent=None)
-    rms_deg: float | None = number("deg", low=0.0, absent=None)
-    point_sd_mm: float = number("mm", low=0.0)
-
-    def faults(self) -> list[str]:
-        """Returns contradictions between fields."""
-        if self.kind == VIEWS and None in (self.rms_mm, self.rms_deg):
-            return ["rms_mm and rms_deg are missing; a calibration of the kind views needs them."]
-        return []
 
 
 @dataclass(frozen=True)
@@ -86,18 +79,13 @@ class _View:
     covariance: np.ndarray = vector(36)
 
 
-HEAD = ("date", "kind", "robot", "flange", "panel", "camera", "camera_frame", "rms_mm", "rms_deg", "point_sd_mm")
 POSES = {"T_base_camera": "T_base_camera", "T_flange_panel": "T_flange_board"}
 VIEW_POSES = {"T_base_flange": "T_base_flange", "T_camera_panel": "T_camera_board"}
 """The poses: key in the file, attribute of the record."""
 
 
 def by_views(verdict: Verdict, views: list[CalibrationView], **head: str) -> CalibrationRecord:
-    """Returns the record of a calibration by several views.
-
-    Args:
-        head: date, robot, flange, panel, camera and camera_frame.
-    """
+    """Returns the record of a calibration by views; `head` has date, robot, flange, panel, camera and camera_frame."""
     errors = verdict.result.errors
     norms = (1e3 * np.linalg.norm(errors[:, :3], axis=1), np.degrees(np.linalg.norm(errors[:, 3:], axis=1)))
     return CalibrationRecord(
@@ -115,27 +103,23 @@ def by_views(verdict: Verdict, views: list[CalibrationView], **head: str) -> Cal
 
 def mapping_from_record(record: CalibrationRecord) -> dict[str, Any]:
     """Returns the content of the yaml file of a record."""
-    values: dict[str, Any] = {key: getattr(record, key) for key in HEAD if getattr(record, key) is not None}
-    values.update(_mapping_of_poses(record, POSES))
-    values["views"] = [
+    values = {field.name: getattr(record, field.name) for field in fields(RecordHead)}
+    head = {key: value for key, value in values.items() if value is not None}
+    views = [
         {**_mapping_of_poses(view, VIEW_POSES), "covariance": np.ravel(view.covariance).tolist()}
         for view in record.views
     ]
-    for entry, error in zip(values["views"], record.errors):
+    for entry, error in zip(views, record.errors):
         entry["error"] = error.tolist()
-    return values
+    return {**head, **_mapping_of_poses(record, POSES), "views": views}
 
 
 def record_from_mapping(values: Any) -> CalibrationRecord:
-    """Returns the record in the content of a yaml file.
-
-    Raises:
-        ConfigError: with all faults.
-    """
+    """Returns the record in the content of a yaml file; raises ConfigError with all faults."""
     faults: list[str] = []
     if not isinstance(values, Mapping):
         raise ConfigError([f"A calibration is a mapping of keys to values, not {type(values).__name__}."])
-    head = parse_part(_Head, values, "", faults, (*POSES, "views"))
+    head = parse_part(RecordHead, values, "", faults, (*POSES, "views"))
     poses = _poses(values, "", POSES, faults)
     views, errors = [], []
     entries = values.get("views")
@@ -144,30 +128,21 @@ def record_from_mapping(values: Any) -> CalibrationRecord:
         entries = []
     for i, entry in enumerate(entries):
         view = parse_part(_View, entry, f"views[{i}]/", faults, VIEW_POSES)
-        if view is None:
-            continue
-        view_poses = _poses(entry, f"views[{i}]/", VIEW_POSES, faults)
-        if view_poses is not None:
+        view_poses = None if view is None else _poses(entry, f"views[{i}]/", VIEW_POSES, faults)
+        if view is not None and view_poses is not None:
             views.append(CalibrationView(**view_poses, covariance=read_only(view.covariance.reshape(6, 6))))
-            if view.error is not None:
-                errors.append(view.error)
+            errors += [] if view.error is None else [view.error]
     if head is not None and head.kind == VIEWS and len(errors) < len(views):
         faults.append("A view has no error; a calibration of the kind views needs one for each.")
-    if faults or poses is None:
+    if faults or head is None or poses is None:
         raise ConfigError(faults)
-    return CalibrationRecord(
-        **{key: getattr(head, key) for key in HEAD},
-        **poses,
-        errors=read_only(np.reshape(errors, (-1, 2))),
-        views=tuple(views),
-    )
+    return CalibrationRecord(**vars(head), **poses, errors=read_only(np.reshape(errors, (-1, 2))), views=tuple(views))
 
 
 def _mapping_of_poses(source: Any, names: dict[str, str]) -> dict[str, Any]:
-    poses = {key: getattr(source, name) for key, name in names.items()}
     return {
         key: {"position": T[:3, 3].tolist(), "quaternion": quaternion_from_rotation(T[:3, :3]).tolist()}
-        for key, T in poses.items()
+        for key, T in ((key, getattr(source, name)) for key, name in names.items())
     }
 
 
@@ -175,12 +150,11 @@ def _poses(values: Mapping, prefix: str, names: dict[str, str], faults: list[str
     """Returns the poses by attribute, or None after adding what is wrong with them to `faults`."""
     poses = {}
     for key, name in names.items():
-        where = f"{prefix}{key}/"
         given: Any = values.get(key)
-        read = parse_part(_Pose, given, where, faults)
+        read = parse_part(_Pose, given, f"{prefix}{key}/", faults)
         try:
             if read is not None:
                 poses[name] = read_only(pose(rotation_from_quaternion(read.quaternion), read.position))
         except ValueError as error:
-            faults.append(f"{where}quaternion: {error}.")
+            faults.append(f"{prefix}{key}/quaternion: {error}.")
     return poses if len(poses) == len(names) else None

@@ -9,6 +9,7 @@ another capsule, the marker board a grid of points.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,13 +21,13 @@ from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about, unit
 from vision.calibration.arm_model import ArmModel
 from vision.calibration.hand_eye import information
+from vision.marker_board.board import MarkerBoardConfig
 
 ARM_RADIUS_M = 0.075
 HAND_LENGTH_M, HAND_RADIUS_M = 0.25, 0.06
 CAMERA_CLEARANCE_M = 0.25
 EDGE_PX = 25.0
 """Distance of the marker board from the edges of the image."""
-
 GRID = 5
 PATH_STEP_RAD = np.radians(4.0)
 TOLERANCE_M = 0.002
@@ -59,27 +60,10 @@ class ViewsConfig:
         return faults
 
 
-@dataclass(frozen=True, eq=False)
-class ArmView:
-    """The arm at a view: joints, shape (7,) [rad], and T_base_flange, shape (4, 4) [m]."""
-
-    q: np.ndarray
-    T_base_flange: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class TourLeg:
-    """The path to one view: joints to visit in turn, each shape (7,) [rad]; the last are those of the view."""
-
-    view: ArmView
-    path: tuple[np.ndarray, ...]
-
-
 def guessed_camera(config: ViewsConfig, R_world_base: np.ndarray) -> np.ndarray:
     """Returns T_base_camera, shape (4, 4), of a level camera at the guessed position.
 
-    Args:
-        R_world_base: orientation of the base in the upright world, shape (3, 3); the guess is given in that world.
+    The guess is given in the upright world, in which the base has the orientation R_world_base, shape (3, 3).
     """
     forward = unit(config.guess_target - config.guess_position)
     right = unit(np.cross(forward, (0.0, 0.0, 1.0)))
@@ -88,12 +72,11 @@ def guessed_camera(config: ViewsConfig, R_world_base: np.ndarray) -> np.ndarray:
 
 
 class ViewPlanner:
-    """Finds arm poses for the views, and paths between them.
+    """Finds the views, as joints of the arm, shape (7,) [rad], and paths between them: joints to visit in turn.
 
     Args:
         points: corners of the marker board's tags, shape (n, 3) [m].
-        plate: edge of the marker board [m].
-        T_flange_board: pose of the marker board by its drawing, shape (4, 4) [m].
+        board: the marker board by its drawing.
         R_world_base: orientation of the base in the upright world, shape (3, 3).
     """
 
@@ -103,44 +86,38 @@ class ViewPlanner:
         arm: ArmModel,
         camera: CameraModel,
         points: np.ndarray,
-        plate: float,
-        T_flange_board: np.ndarray,
+        board: MarkerBoardConfig,
         R_world_base: np.ndarray,
     ) -> None:
         self._config, self._arm, self._camera, self._points = config, arm, camera, points
-        self._T_flange_board, self._up = T_flange_board, R_world_base[2]
+        self._T_flange_board, self._up = board.T_flange_tag, R_world_base[2]
         self._start = np.radians(config.start)
-        side = np.linspace(-plate / 2.0, plate / 2.0, GRID)
+        side = np.linspace(-board.plate / 2.0, board.plate / 2.0, GRID)
         self._plate = np.array([(x, y, 0.0) for x in side for y in side])
 
     def candidates(
         self, T_base_camera: np.ndarray, rng: np.random.Generator, centre_only: bool = False
-    ) -> list[ArmView]:
-        """Returns arm poses at which the camera should see the marker board.
+    ) -> list[np.ndarray]:
+        """Returns views in which a camera at the guessed T_base_camera, shape (4, 4) [m], should see the board.
 
-        Args:
-            T_base_camera: guess of the camera pose, shape (4, 4) [m].
-            centre_only: keep the board in the image centre, where the camera sees it in spite of a bad guess.
+        `centre_only` keeps the board in the image centre, where the camera sees it in spite of a bad guess.
         """
-        found: list[ArmView] = []
+        found: list[np.ndarray] = []
         for _ in range(self._config.tries if not centre_only else self._config.tries // 4):
             T_base_flange = T_base_camera @ self._random_board(rng, centre_only) @ inverse(self._T_flange_board)
-            nearest = min(
-                (view.q for view in found),
-                key=lambda q: float(np.linalg.norm(self._arm.flange(q)[:3] - T_base_flange[:3])),
-                default=self._start,
-            )
+            distances = [float(np.linalg.norm(self._arm.flange(q)[:3] - T_base_flange[:3])) for q in found]
+            nearest = found[np.argmin(distances)] if found else self._start
             for q_seed in (nearest, self._start):
                 q = self._arm.joints_for(T_base_flange, q_seed)
                 if q is not None and self.clearance(q, T_base_camera) > 0.0 and self.visible(q, T_base_camera):
-                    found.append(ArmView(read_only(q), read_only(self._arm.flange(q))))
+                    found.append(read_only(q))
                     break
         return found
 
-    def choose(self, candidates: list[ArmView], T_base_camera: np.ndarray) -> list[ArmView]:
+    def choose(self, candidates: list[np.ndarray], T_base_camera: np.ndarray) -> list[np.ndarray]:
         """Returns the most informative views, at most `count` of the configuration."""
-        gains = [self._information(view, T_base_camera) for view in candidates]
-        chosen: list[ArmView] = []
+        gains = [self.information(q, T_base_camera) for q in candidates]
+        chosen: list[np.ndarray] = []
         total, left = PRIOR * np.eye(12), list(range(len(candidates)))
         while left and len(chosen) < self._config.count:
             best = max(left, key=lambda i: np.linalg.slogdet(total + gains[i])[1])
@@ -149,35 +126,32 @@ class ViewPlanner:
             chosen.append(candidates[best])
         return chosen
 
-    def tour(self, views: list[ArmView], q: ArrayLike, T_base_camera: np.ndarray) -> list[TourLeg]:
-        """Returns the paths from q, shape (7,) [rad], through the views.
+    def tour(self, views: list[np.ndarray], q: ArrayLike, T_base_camera: np.ndarray) -> list[list[np.ndarray]]:
+        """Returns a path to each view in turn, the first from q.
 
         The nearest view with a clear path comes next, directly or through the start. Views without one are left out.
         """
         left, legs, here = list(views), [], np.asarray(q)
         while left:
-            left.sort(key=lambda view: float(np.max(np.abs(view.q - here))))
-            for view in left:
-                paths = ([view.q], [self._start, view.q])
-                path = next((path for path in paths if self._all_clear([here, *path], T_base_camera)), None)
-                if path is not None:
-                    legs.append(TourLeg(view, tuple(read_only(goal) for goal in path)))
-                    left.remove(view)
-                    here = view.q
-                    break
-            else:
+            left.sort(key=lambda view: float(np.max(np.abs(view - here))))
+            tries = ([*via, view] for view in left for via in ([], [self._start]))
+            path = next((path for path in tries if self._all_clear([here, *path], T_base_camera)), None)
+            if path is None:
                 break
+            legs.append(path)
+            here = path[-1]
+            left = [view for view in left if view is not here]
         return legs
 
-    def path_back(self, q: ArrayLike, legs: list[TourLeg], T_base_camera: np.ndarray) -> list[np.ndarray]:
+    def path_back(self, q: ArrayLike, legs: list[list[np.ndarray]], T_base_camera: np.ndarray) -> list[np.ndarray]:
         """Returns joints to visit from the end of the legs, which began at q, back to the start.
 
         The arm retraces its path until the motion to the start is clear; empty if it never is.
         """
-        track = [np.asarray(q), *(goal for leg in legs for goal in leg.path)]
-        for i, here in enumerate(track[::-1]):
+        track = [np.asarray(q), *chain(*legs)][::-1]
+        for i, here in enumerate(track):
             if self.path_clear(here, self._start, T_base_camera):
-                return [*track[::-1][1 : i + 1], self._start]
+                return [*track[1 : i + 1], self._start]
         return []
 
     def path_clear(self, q: np.ndarray, goal: np.ndarray, T_base_camera: np.ndarray) -> bool:
@@ -248,10 +222,12 @@ class ViewPlanner:
         tilted = rotation_about(2, azimuth) @ rotation_about(0, tilt) @ rotation_about(2, -azimuth)
         return pose(along_ray @ tilted @ rotation_about(0, np.pi) @ rotation_about(2, turn), distance * z)
 
-    def _information(self, view: ArmView, T_base_camera: np.ndarray) -> np.ndarray:
-        T_camera_board = inverse(T_base_camera) @ view.T_base_flange @ self._T_flange_board
+    def information(self, q: np.ndarray, T_base_camera: np.ndarray) -> np.ndarray:
+        """Returns the Fisher information that a view adds to the calibration, shape (12, 12)."""
+        T_base_flange = self._arm.flange(q)
+        T_camera_board = inverse(T_base_camera) @ T_base_flange @ self._T_flange_board
         detection = covariance(T_camera_board, self._points, self._camera.K)
-        return information(view.T_base_flange, self._T_flange_board, T_base_camera, detection)
+        return information(T_base_flange, self._T_flange_board, T_base_camera, detection)
 
 
 def _distances(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -11,15 +11,7 @@ import dataclasses
 import numpy as np
 
 from common.config import flag, vector
-from common.frames import (
-    CAMERA_LINK,
-    DEPTH,
-    DEPTH_ALIAS,
-    DEPTH_OPTICAL,
-    RGB,
-    RGB_ALIAS,
-    RGB_OPTICAL,
-)
+from common.frames import CAMERA_LINK, DEPTH, DEPTH_ALIAS, DEPTH_OPTICAL, RGB, RGB_ALIAS, RGB_OPTICAL
 from common.poses import inverse, pose
 
 R_CAMERA_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -46,11 +46,8 @@ class OpenniFrame:
 
 
 class OpenniCamera:
-    """One device, not thread-safe. The intrinsics `rgb` and `depth` define the sizes of the images.
-
-    Raises:
-        DeviceError: the library or the Python package is missing.
-    """
+    """One device, not thread-safe. The intrinsics `rgb` and `depth` define the sizes of the images. Raises DeviceError
+    if the library or the Python package is missing."""
 
     def __init__(self, config: XtionConfig, rgb: CameraModel, depth: CameraModel) -> None:
         self._config = config
@@ -60,11 +57,8 @@ class OpenniCamera:
         self._streams: dict[str, Any] = {}
 
     def connect(self) -> str:
-        """Opens the device, starts both streams and returns the device's name.
-
-        Raises:
-            DeviceError: there is no device, or it does not support the configuration.
-        """
+        """Opens the device, starts both streams and returns the device's name. Raises DeviceError if there is no
+        device, or it does not support the configuration."""
         self.disconnect()
         openni = self._openni
         uri = None if self._config.device == ANY else self._config.device.encode()
@@ -91,11 +85,8 @@ class OpenniCamera:
         return ""
 
     def read(self, timeout: float) -> OpenniFrame | None:
-        """Returns the next image of either stream, or None if none arrives within `timeout` [s].
-
-        Raises:
-            DeviceError: the device is lost.
-        """
+        """Returns the next image of either stream, or None after `timeout` [s]; raises DeviceError if the device is
+        lost."""
         names, streams = list(self._streams), list(self._streams.values())
         try:
             ready = self._openni.wait_for_any_stream(streams, timeout)

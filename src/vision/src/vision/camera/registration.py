@@ -26,17 +26,11 @@ class PairsConfig:
 
 
 class Registration:
-    """Registers the images of one pair of cameras.
+    """Registers the images of a colour camera with a depth camera at T_rgb_depth, shape (4, 4) [m]; both images are
+    raw.
 
-    Args:
-        rgb, depth: models of the cameras with raw images.
-        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
-
-    Attributes:
-        camera: the rectified colour camera to which all results belong.
-
-    Raises:
-        ValueError: the distortion of a camera cannot be inverted.
+    All results belong to `camera`, the rectified colour camera. Raises ValueError if a distortion cannot be inverted,
+    and, as do its methods, for an image without its camera's size.
     """
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
@@ -56,23 +50,13 @@ class Registration:
         self._raw_maps = cv2.convertMaps(raw[..., 0], raw[..., 1], cv2.CV_16SC2, nninterpolation=True)
 
     def rectify(self, colour: np.ndarray) -> np.ndarray:
-        """Returns the rectified colour image, shape (height, width, 3).
-
-        Raises:
-            ValueError: the image does not have the camera's size.
-        """
+        """Returns the rectified colour image, shape (height, width, 3)."""
         self._check(colour.shape[:2], self._x.shape, "colour")
         return cv2.remap(colour, *self._maps, cv2.INTER_LINEAR)
 
     def register(self, depth: np.ndarray) -> np.ndarray:
-        """Returns depth in the rectified colour camera's pixels, shape (height, width), float32 [m], NaN where unknown.
-
-        Args:
-            depth: raw image, shape (height, width), float32 [m], NaN where unknown.
-
-        Raises:
-            ValueError: the image does not have the camera's size.
-        """
+        """Returns depth in the rectified colour camera's pixels from the raw image; both float32 [m], NaN where
+        unknown."""
         self._check(depth.shape, self._shape, "depth")
         z = depth.ravel()
         valid = np.flatnonzero(np.isfinite(z) & (z > 0.0))
@@ -92,12 +76,8 @@ class Registration:
         return cv2.remap(registered, *self._raw_maps, cv2.INTER_NEAREST, borderValue=(np.nan,))
 
     def cloud(self, registered: np.ndarray, rectified: np.ndarray) -> np.ndarray:
-        """Returns the points, shape (height, width), type POINT, in the rectified colour camera's frame.
-
-        Args:
-            registered: result of `register`.
-            rectified: colour image in RGB, result of `rectify`.
-        """
+        """Returns the points, shape (height, width), type POINT, in the rectified colour camera's frame, from the
+        results of `register` and, in RGB, of `rectify`."""
         points = np.empty(registered.shape, POINT)
         points["x"], points["y"], points["z"] = self._x * registered, self._y * registered, registered
         red, green, blue = (rectified[..., i].astype(np.uint32) for i in range(3))

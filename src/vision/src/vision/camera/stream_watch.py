@@ -58,12 +58,7 @@ class StreamWatch:
             self._times.append(now)
 
     def add_content(self, digest: int, now: float, filled: float = 1.0) -> None:
-        """Records the content of an image that arrived at the time `now` [s].
-
-        Args:
-            digest: checksum of the image.
-            filled: fraction of pixels with a depth.
-        """
+        """Records an image's checksum and fraction of pixels with a depth; it arrived at the time `now` [s]."""
         if digest != self._digest:
             self._digest, self._new_digest = digest, now
         self._filled = filled

@@ -65,21 +65,16 @@ class PlaneFit:
 def fit_board(
     depth: np.ndarray, camera: CameraModel, T_depth_board: np.ndarray, plate: float, config: PlanePoseConfig
 ) -> PlaneFit:
-    """Returns the marker board's plane in the frame of the depth camera.
+    """Returns the marker board's plane in the depth camera's frame; raises ValueError for an image of another size.
 
     Args:
         depth: raw image, shape (height, width), float32 [m], NaN where unknown.
-        camera: the depth camera.
         T_depth_board: rough pose of the marker board, by the colour image, shape (4, 4) [m].
         plate: edge of the square plate round the marker board's origin [m].
-
-    Raises:
-        ValueError: the image does not have the camera's size.
     """
-    if depth.shape != (camera.height, camera.width):
-        raise ValueError(
-            f"the depth image is {depth.shape[::-1]}, but its camera_info says {(camera.width, camera.height)}"
-        )
+    size = (camera.width, camera.height)
+    if depth.shape[::-1] != size:
+        raise ValueError(f"the depth image is {depth.shape[::-1]}, but its camera_info says {size}")
     inside = _outline(camera, T_depth_board, plate * config.outline_share, config.outline_px)
     if inside is None or not inside.any():
         return _none("the marker board is outside the depth image: move it towards the centre")
@@ -88,9 +83,8 @@ def fit_board(
     near = inside & (np.abs(depth - expected) < RANGE_GATE * expected + half_tilted)
     count, cover = int(near.sum()), float(near.sum() / inside.sum())
     if count < config.min_pixels or cover < config.min_cover:
-        return _none(
-            f"only {count} pixels, {cover:.0%} of the marker board, have a depth near it: uncover it", count, cover
-        )
+        reason = f"only {count} pixels, {cover:.0%} of the marker board, have a depth near it: uncover it"
+        return _none(reason, count, cover)
     stride = max(1, count // MAX_PIXELS)
     v, u = (index[::stride] for index in np.nonzero(near))
     rays = camera.rays(np.stack((u, v), axis=-1))
@@ -98,12 +92,8 @@ def fit_board(
     a, weights, sd = fit_plane(rays, w, config.noise + config.noise_floor / expected**2)
     inliers = float((weights > 0.0).mean())
     if inliers < config.min_inliers:
-        return _none(
-            f"only {inliers:.0%} of the board's pixels lie in one plane: uncover it, and check that the plate is flat",
-            count,
-            cover,
-            inliers,
-        )
+        found = f"only {inliers:.0%} of the board's pixels lie in one plane"
+        return _none(f"{found}: uncover it, and check that the plate is flat", count, cover, inliers)
     shared = max(1.0, config.noise_pixels / stride)
     noise = shared * sd**2 * np.linalg.inv((rays * weights[:, None]).T @ rays)
     middle = T_depth_board[:3, 3] / expected
@@ -115,13 +105,9 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
     """Returns the plane through most pixels, shape (3,) [1/m], the weights of the pixels, shape (n,), and the standard
     deviation of the inliers' errors [1/m].
 
-    The start is the best of many planes through three pixels (MSAC: RANSAC with errors that are clipped at the gate),
-    followed by iteratively reweighted least squares. The triples are the same in every call.
-
-    Args:
-        rays: of the pixels, shape (n, 3).
-        w: their inverse depths, shape (n,) [1/m].
-        noise: maximum standard deviation of an inverse depth [1/m].
+    The pixels have `rays`, shape (n, 3), and inverse depths w, shape (n,) [1/m], with the maximum standard deviation
+    `noise` [1/m]. The start is the best of many planes through three pixels (MSAC: RANSAC with errors that are clipped
+    at the gate), followed by iteratively reweighted least squares. The triples are the same in every call.
     """
     triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
     corners = rays[triples]
@@ -141,10 +127,8 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
 def unit_covariance(a: np.ndarray, middle: np.ndarray, config: PlanePoseConfig) -> np.ndarray:
     """Returns the covariance of the plane a from the errors of the sensor unit, shape (3, 3) [1/m^2].
 
-    A wrong scale stretches a; over the marker board the smooth error of inverse depth is an offset and two slopes.
-
-    Args:
-        middle: ray to the middle of the marker board, x, y, 1.
+    A wrong scale stretches a; over the marker board, whose middle is at the ray `middle` (x, y, 1), the smooth error of
+    inverse depth is an offset and two slopes.
     """
     J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-middle[0], -middle[1], 1.0]])
     smooth = np.diag(np.square([config.warp_slope_sd, config.warp_slope_sd, config.warp_sd]))

@@ -13,7 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from apriltag_ros.detector import TagDetector, TargetDetection
+from apriltag_ros.settings import DetectorSettings
 from apriltag_ros.tag_pose import corner_jacobian
+from apriltag_ros.target import TagTarget
 from common.camera_model import CameraModel
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about, unit
@@ -47,6 +50,55 @@ class RgbdPose:
     reason: str  # why there is no fused pose, without a full stop; empty if there is one
 
 
+@dataclass(frozen=True, eq=False)
+class RgbdDetection:
+    """The marker board in a pair of images: the detector's result, and its poses with depth."""
+
+    colour: TargetDetection
+    depth: RgbdPose
+
+
+class RgbdDetector:
+    """Detects one flat marker board on a square plate with the edge `plate` [m] round the origin of its tags.
+
+    Raises ValueError if the tags do not lie in the plane of the plate.
+    """
+
+    def __init__(self, settings: DetectorSettings, target: TagTarget, plate: float, config: PlanePoseConfig) -> None:
+        if np.any(np.abs(target.corners[:, 2]) > 1e-6):
+            raise ValueError(f"the tags of {target.name} do not lie in the plate, z = 0: correct tags.yaml")
+        self._detector = TagDetector(settings, (target,))
+        self._rectified = settings.rectified
+        self._plate, self._config = plate, config
+
+    def detect(
+        self,
+        grey: np.ndarray,
+        rgb: CameraModel,
+        depth_image: np.ndarray,
+        depth: CameraModel,
+        T_rgb_depth: np.ndarray,
+        now: float,
+    ) -> RgbdDetection | None:
+        """Returns the marker board, or None if no tag of it is visible or its corners fit no pose.
+
+        Raises ValueError if an image does not have its camera's size. Arguments as for `rgbd_pose`, and:
+
+        Args:
+            grey: colour image in grey, shape (height, width), uint8.
+            now: time stamp of the images [s].
+        """
+        result = self._detector.detect(grey, rgb, now)
+        if not result.targets:
+            return None
+        detection = result.targets[0]
+        _, points, pixels = detection.target.matched({tag.id: tag.corners for tag in result.tags})
+        camera = rgb.rectified() if self._rectified else rgb
+        T = detection.pose.T_camera_tag
+        poses = rgbd_pose(T, points, pixels, camera, depth_image, depth, T_rgb_depth, self._plate, self._config)
+        return RgbdDetection(detection, poses)
+
+
 def rgbd_pose(
     T_rgb_board: np.ndarray,
     points: np.ndarray,
@@ -68,10 +120,8 @@ def rgbd_pose(
         depth_image: raw, shape (height, width), float32 [m], NaN where unknown.
         T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
         plate: edge of the square plate [m].
-        config: errors of the sensors, and limits.
 
-    Raises:
-        ValueError: the depth image does not have its camera's size, or the corners do not lie in the plate's plane.
+    Raises ValueError if the depth image does not have its camera's size, or the corners do not lie in the plate.
     """
     if np.abs(points[:, 2]).max() > FLAT_M:
         raise ValueError("the corners do not lie in the plane of the plate, z = 0: correct tags.yaml")
@@ -152,11 +202,8 @@ def fuse(
     covariance: np.ndarray,
 ) -> PoseEstimate | None:
     """Returns the pose that fits corners and plane best by their covariances (Gauss-Newton), or None if the search does
-    not converge.
-
-    Args:
-        start: shape (4, 4) [m]; the plane's pose, which decides between the corners' two solutions.
-        points, rays, K, noise, a, covariance: as for `plane_estimate`.
+    not converge. It starts from the plane's pose, shape (4, 4) [m], which decides between the corners' two solutions;
+    the rest is as for `plane_estimate`.
     """
     T, W_corner, W_plane = start, np.linalg.inv(noise), np.linalg.inv(covariance)
     for _ in range(MAX_STEPS):

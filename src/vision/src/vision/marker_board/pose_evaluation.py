@@ -1,4 +1,4 @@
-"""Errors of marker board poses against the truth, by distance and tilt, as tables.
+"""Errors of marker board poses against the truth, by distance and tilt, as tables; and of whole calibrations.
 
 Three errors are reported: of the board's centre, of its orientation, and of a point REACH_M away from it, as of an
 object that is grasped there (root mean square over all directions).
@@ -11,7 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from common.poses import inverse, pose
 from common.rotations import rotation_angle
+from vision.calibration.acceptance import BoardDetection, CalibrationConfig, judge, view_from
+from vision.calibration.hand_eye import CalibrationView
 from vision.marker_board.plane_pose import PoseEstimate, RgbdPose
 
 METHODS = ("colour", "plane", "fused")
@@ -20,6 +23,8 @@ CSV_HEAD = (
     "variant,distance_m,tilt_deg,method,pictures,found,position_mm_median,position_mm_95,rotation_deg_median,"
     "rotation_deg_95,reach_mm_median,reach_mm_95,normalised_square_mean"
 )
+T_BASE_CAMERA = pose([[-0.5, 0.0, -np.sqrt(0.75)], [np.sqrt(0.75), 0.0, -0.5], [0.0, -1.0, 0.0]], (1.1, 0.2, 0.7))
+"""The true camera pose; the choice does not matter."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +47,8 @@ class PoseTrial:
 
 
 def trial(distance: float, tilt: float, T_truth: np.ndarray, poses: RgbdPose | None) -> PoseTrial:
-    """Returns the errors of the poses in a pair of images, where the truth is T_truth, shape (4, 4) [m].
-
-    Args:
-        poses: the detected poses; None if no tag was detected.
-    """
+    """Returns the errors of the poses in a pair of images with the truth T_truth, shape (4, 4) [m]; None: no tag was
+    detected."""
     found = {} if poses is None else {name: getattr(poses, name) for name in METHODS}
     return PoseTrial(distance, tilt, {name: errors_of(T_truth, e) for name, e in found.items() if e is not None})
 
@@ -60,13 +62,8 @@ def values(
     trials: list[PoseTrial], method: str, quantity: str, distance: float | None = None, tilt: float | None = None
 ) -> np.ndarray:
     """Returns a quantity of PoseErrors for all trials with a pose, filtered by distance and tilt if given."""
-    return np.array(
-        [
-            getattr(t.errors[method], quantity)
-            for t in trials
-            if method in t.errors and distance in (None, t.distance) and tilt in (None, t.tilt)
-        ]
-    )
+    chosen = (t for t in trials if distance in (None, t.distance) and tilt in (None, t.tilt))
+    return np.array([getattr(t.errors[method], quantity) for t in chosen if method in t.errors])
 
 
 def markdown(trials: list[PoseTrial], methods: tuple[str, ...] = METHODS) -> list[str]:
@@ -110,3 +107,52 @@ def errors_of(T: np.ndarray, estimate: PoseEstimate) -> PoseErrors:
     reach = np.sqrt(shift @ shift + 2.0 / 3.0 * (REACH_M * angle) ** 2)
     square = error @ np.linalg.solve(estimate.covariance, error) / 6.0
     return PoseErrors(1e3 * float(np.linalg.norm(shift)), float(np.degrees(angle)), 1e3 * float(reach), float(square))
+
+
+@dataclass(frozen=True, eq=False)
+class BoardObservation:
+    """A detection of the marker board with its true pose in the camera, shape (4, 4) [m]."""
+
+    T_truth: np.ndarray
+    detection: BoardDetection
+
+
+@dataclass(frozen=True)
+class CalibrationAccuracy:
+    """Errors of one calibration."""
+
+    position: float  # of the camera [mm]
+    rotation: float  # of the camera [deg]
+    point: float  # of a point in the middle of the views, as the camera measures it [mm]
+    stated: float  # standard deviation of that point by the calibration [mm]
+    accepted: bool  # whether the calibration passed its checks
+
+
+def calibrate(
+    observations: list[BoardObservation],
+    T_flange_board: np.ndarray,
+    config: CalibrationConfig,
+    arm: tuple[float, float],
+    rng: np.random.Generator,
+) -> CalibrationAccuracy:
+    """Returns the errors of the calibration from observations, each of them a view of one image.
+
+    T_flange_board has the shape (4, 4) [m]; `arm` are the standard deviations of the arm's errors along and about each
+    axis [m, rad], and `rng` is their source.
+    """
+    views: list[CalibrationView] = []
+    for observation in observations:
+        T_base_flange = T_BASE_CAMERA @ observation.T_truth @ inverse(T_flange_board)
+        shift, turn = (sd * rng.normal(size=3) for sd in arm)
+        measured = pose(pin.exp3(turn) @ T_base_flange[:3, :3], T_base_flange[:3, 3] + shift)
+        views.append(view_from([observation.detection], measured, views, config))
+    verdict = judge(views, T_flange_board, config)
+    off = verdict.result.T_base_camera @ inverse(T_BASE_CAMERA)
+    middle = np.mean([(T_BASE_CAMERA @ observation.T_truth)[:3, 3] for observation in observations], axis=0)
+    return CalibrationAccuracy(
+        position=1e3 * float(np.linalg.norm(verdict.result.T_base_camera[:3, 3] - T_BASE_CAMERA[:3, 3])),
+        rotation=float(np.degrees(rotation_angle(off[:3, :3]))),
+        point=1e3 * float(np.linalg.norm(off[:3, :3] @ middle + off[:3, 3] - middle)),
+        stated=verdict.point_sd_mm,
+        accepted=verdict.accepted,
+    )

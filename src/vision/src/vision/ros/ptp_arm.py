@@ -1,13 +1,11 @@
-"""The arm that moves from view to view over the toolbox's server, which serves one program at a time.
-
-While this program has the arm, it publishes joints and flange, as the arm's controllers do otherwise.
-"""
+"""The arm that moves from view to view over the toolbox's server, which serves one program at a time."""
 
 from __future__ import annotations
 
 import contextlib
+from argparse import Namespace
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import rospy
@@ -23,7 +21,7 @@ from common.ros.service_calls import listens
 from kst import JointLimits, KstClient, KstError, PtpLimits, PtpProgress, ServerBusy, read_joints, run_ptp
 from rig_description.arms import ARMS, MEDIA_FLANGES
 from vision.calibration.arm_model import JOINTS, ArmModel
-from vision.ros.calibration.store import StoreConfig
+from vision.ros.calibration.calibration_setup import StoreConfig
 
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", "kuka_simple_node")
 DEFAULT_PORT = 30001
@@ -40,49 +38,41 @@ class ArmAddress:
     port: int = integer(low=1, high=65535, doc="TCP port of the toolbox server")
     mounting: np.ndarray = mounting_field()
 
-    @property
-    def orientation(self) -> str:
-        """Orientation of the base, as a part of a sentence."""
-        if not self.mounting.any():
-            return "base upright"
-        roll, pitch, yaw = self.mounting
-        return f"base turned by roll {roll:g}, pitch {pitch:g}, yaw {yaw:g} deg against the upright world"
 
+def arm_address(store: StoreConfig, options: Namespace) -> ArmAddress:
+    """Returns the robot of the parameters under kuka/, else that of the store; options that are not None override it.
 
-def arm_address(store: StoreConfig, given: dict) -> ArmAddress:
-    """Returns the robot of the parameters under kuka/, else that of the store, changed by what is given and not None.
-
-    Raises:
-        ConfigError: with all faults.
+    Raises ConfigError with all faults.
     """
     values = {"robot": store.robot, "flange": store.flange, "port": DEFAULT_PORT, **rospy.get_param("kuka", {})}
-    values.update({key: value for key, value in given.items() if value is not None})
-    known = {key: values[key] for key in ("robot", "flange", "ip", "port", "mounting") if key in values}
-    address = parse(ArmAddress, known, prefix="kuka/")
+    values.update({key: value for key, value in vars(options).items() if value is not None})
+    names = [field.name for field in fields(ArmAddress)]
+    address = parse(ArmAddress, {key: values[key] for key in names if key in values}, prefix="kuka/")
     if (address.robot, address.flange) != (store.robot, store.flange):
-        raise ConfigError(
-            [
-                f"The arm is {address.robot} with {address.flange}, but camera_apriltag.launch was started for "
-                f"{store.robot} with {store.flange}: give it the arguments robot and flange."
-            ]
+        fault = (
+            f"The arm is {address.robot} with {address.flange}, but camera_apriltag.launch was started for "
+            f"{store.robot} with {store.flange}: give it the arguments robot and flange."
         )
+        raise ConfigError([fault])
     return address
 
 
 class PtpArm:
-    """Moves the arm from point to point and reports its joints and flange.
-
-    Args:
-        address: of its server.
-        model: of the arm.
-        velocity: fraction of full joint speed, (0, 1].
+    """Moves the arm with a fraction of full joint speed, (0, 1]; publishes joints and flange, as its controllers do.
 
     Every call raises DeviceError if the robot does not answer or refuses; so does the constructor, also if a controller
     node has the robot.
     """
 
     def __init__(self, address: ArmAddress, model: ArmModel, velocity: float) -> None:
-        _refuse_if_held()
+        master = rospy.get_master()
+        for name in CONTROLLERS:
+            code, _, uri = master.lookupNode(rospy.resolve_name(name))
+            if code == 1 and listens(uri):
+                raise DeviceError(
+                    f"The node {name} has the robot's only connection; stop it first (rosservice call kuka/exit_app), "
+                    "or move the arm with it and use --by-hand without --ip."
+                )
         self._velocity = velocity
         self._model = model
         self._broadcaster = tf2_ros.TransformBroadcaster()
@@ -114,8 +104,9 @@ class PtpArm:
             run_ptp(self._client, q, self._velocity, LIMITS, self._report)
 
     def close(self) -> None:
-        """Ends the connection; never raises."""
+        """Closes the connection and tells the operator; never raises."""
         self._client.close()
+        print("The connection is closed, and with it the server on the robot; restart it there for the next program.")
 
     def _report(self, progress: PtpProgress, joints: np.ndarray) -> None:
         self._publish(joints)
@@ -137,14 +128,3 @@ def _device_errors() -> Iterator[None]:
         yield
     except KstError as error:
         raise DeviceError(f"The robot: {error}.") from error
-
-
-def _refuse_if_held() -> None:
-    master = rospy.get_master()
-    for name in CONTROLLERS:
-        code, _, uri = master.lookupNode(rospy.resolve_name(name))
-        if code == 1 and listens(uri):
-            raise DeviceError(
-                f"The node {name} has the robot's only connection; stop it first (rosservice call kuka/exit_app), "
-                "or move the arm with it and use --by-hand without --ip."
-            )

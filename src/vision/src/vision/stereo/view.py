@@ -2,7 +2,9 @@
 
     colour, depth -> rectified -> one image for each eye -> mark of its age if it is old -> lens -> screen
 
-Everything that depends on the camera alone is computed once.
+Everything that depends on the camera alone is computed once. The two eyes look along the camera's axis, half their
+distance to its left and right. A point at depth z then lies f b / z pixels farther to the right in the left eye's image
+than in the right eye's, so that it appears at its true distance (depth-image-based rendering).
 """
 
 from __future__ import annotations
@@ -13,14 +15,63 @@ import cv2
 import numpy as np
 
 from common.camera_model import CameraModel
-from vision.stereo.config import StereoViewConfig
-from vision.stereo.depth_rendering import LEFT, RIGHT, eye_map, inverse_depth, shifted
+from common.config import choice, flag, integer, number, path, text
 from vision.stereo.lens import Dk2Lens, NoLens
 
+LEFT, RIGHT = 1, -1
+"""The eyes: the direction in which their images shift as an object comes nearer."""
+NONE = np.float32(-1e6)
+"""Marks a pixel of a map to which no image pixel moved."""
 DARK = 0.4
 """Brightness of a marked image."""
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 COLOUR = (255, 200, 60)
+
+
+@dataclass(frozen=True)
+class StereoViewConfig:
+    """The schema of stereo_view.yaml."""
+
+    lens: str = choice("dk2", "none", doc="lens to correct: the Rift DK2's, or none for a viewer that does it itself")
+    chromatic: bool = flag(doc="correct the chromatic aberration of the lens too")
+    magnification: float = number(above=0.0, high=4.0, doc="1 shows true angles, larger values a larger image")
+    depth: bool = flag(doc="give each eye its own view by the depth image; false: the same image twice")
+    eye_distance: float = number("m", low=0.05, high=0.08, doc="distance between the operator's eyes")
+    flat_distance: float = number("m", low=0.3, doc="apparent distance of the image while there is no depth")
+    nearest: float = number("m", low=0.1, doc="nearer objects are shown at this distance")
+    depth_gap: float = number("s", low=0.0, high=1.0, doc="maximum time between colour and depth image")
+    age_after: float = number("s", low=0.1, high=10.0, doc="an older image is marked with its age")
+    jpeg_quality: int = integer("%", low=10, high=100, doc="quality of the images for the web page")
+
+    def faults(self) -> list[str]:
+        """Returns contradictions between fields."""
+        if self.nearest > self.flat_distance:
+            return [f"nearest is {self.nearest:g} m, but must be at most flat_distance, {self.flat_distance:g} m."]
+        return []
+
+
+@dataclass(frozen=True)
+class WindowConfig:
+    """Private parameters of the node stereo_view."""
+
+    output: str = text(doc="the display's output; empty: the Rift, or a window without one", absent="", empty=True)
+
+
+@dataclass(frozen=True)
+class WebConfig:
+    """Private parameters of the node stereo_web."""
+
+    host: str = text(doc="address to serve on")
+    port: int = integer(low=0, high=65535, doc="port; 0: any free one")
+    page: str = path(doc="file of the page")
+    certificate: str = path(doc="file of a certificate (PEM), for https")
+    key: str = path(doc="file of the certificate's key (PEM)")
+
+    def faults(self) -> list[str]:
+        """Returns contradictions between fields."""
+        if bool(self.certificate) != bool(self.key):
+            return ["https needs both certificate and key, but only one is given."]
+        return []
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +79,7 @@ class EyeImages:
     """The images for the two eyes."""
 
     left: np.ndarray  # RGB, shape (height, width, 3), uint8, of a rectified camera at each eye
-    right: np.ndarray  # RGB, shape (height, width, 3), uint8, of a rectified camera at each eye
+    right: np.ndarray
     deep: bool  # whether they differ by depth, rather than by one shift of the whole image
 
     def aged(self, age: float | None) -> EyeImages:
@@ -37,26 +88,16 @@ class EyeImages:
 
 
 class StereoView:
-    """Makes the eye images of one camera.
-
-    Args:
-        rgb: model of the colour camera with raw images; depth must be in its pixels.
-
-    Attributes:
-        camera: the rectified camera of each eye image.
-        screen: draws both eye images on one screen.
-    """
+    """Makes the eye images from raw images of `rgb` and depth in its pixels. `camera` is the rectified camera of each
+    eye image; `screen` draws both on one screen."""
 
     def __init__(self, rgb: CameraModel, config: StereoViewConfig) -> None:
-        self.camera = rgb.rectified()
-        self._config = config
+        self.camera, self._config = rgb.rectified(), config
         size = (rgb.width, rgb.height)
         self._maps = cv2.initUndistortRectifyMap(rgb.K, rgb.D, rgb.R, self.camera.K, size, cv2.CV_16SC2)
         self._half_fb = 0.5 * self.camera.K[0, 0] * config.eye_distance
-        self.screen: NoLens | Dk2Lens
-        if config.lens == "none":
-            self.screen = NoLens(self.camera)
-        else:
+        self.screen: Dk2Lens | NoLens = NoLens(self.camera)
+        if config.lens == "dk2":
             self.screen = Dk2Lens(self.camera, config.magnification, config.chromatic)
 
     @property
@@ -67,15 +108,11 @@ class StereoView:
         return left, width / K[0, 0] - left, up, height / K[1, 1] - up
 
     def eyes(self, colour: np.ndarray, depth: np.ndarray | None) -> EyeImages:
-        """Returns both eye images.
+        """Returns both eye images from a raw RGB image, shape (height, width, 3), uint8, and depth in the same pixels,
+        shape (height, width) [m], NaN where unknown.
 
-        Args:
-            colour: raw RGB image, shape (height, width, 3), uint8.
-            depth: in the same pixels, shape (height, width) [m], NaN where unknown. None: the image is flat and appears
-                at the configured distance, or is not shifted at all if the configuration disables depth.
-
-        Raises:
-            ValueError: an image does not have the camera's size.
+        Without depth the image is flat and appears at the configured distance, or is not shifted at all if the
+        configuration disables depth. Raises ValueError if an image does not have the camera's size.
         """
         size = (self.camera.height, self.camera.width)
         for name, image in (("colour", colour), ("depth", depth)):
@@ -83,8 +120,10 @@ class StereoView:
                 raise ValueError(f"the {name} image has the shape {image.shape}, but camera_info says {size}")
         flat = cv2.remap(colour, *self._maps, cv2.INTER_LINEAR)
         if depth is None:
-            shift = round(self._half_fb / self._config.flat_distance) if self._config.depth else 0
-            return EyeImages(_moved(flat, shift), _moved(flat, -shift), False)
+            columns = round(self._half_fb / self._config.flat_distance) if self._config.depth else 0
+            moves = (np.array([[1.0, 0.0, move], [0.0, 1.0, 0.0]]) for move in (columns, -columns))
+            left, right = (cv2.warpAffine(flat, M, size[::-1], flags=cv2.INTER_NEAREST) for M in moves)
+            return EyeImages(left, right, False)
         # Nearest neighbour: interpolation would blend an edge with the wall behind it.
         z = cv2.remap(depth, *self._maps, cv2.INTER_NEAREST, borderValue=(float("nan"),))
         shift = self._half_fb * inverse_depth(z, self._config.nearest, self._config.flat_distance)
@@ -131,7 +170,71 @@ def mark_age(image: np.ndarray, age: float | None) -> np.ndarray:
     return marked
 
 
-def _moved(image: np.ndarray, columns: int) -> np.ndarray:
-    """Returns the image moved to the right by some columns, with black behind it."""
-    shift = np.array([[1.0, 0.0, columns], [0.0, 1.0, 0.0]])
-    return cv2.warpAffine(image, shift, image.shape[1::-1], flags=cv2.INTER_NEAREST)
+def inverse_depth(depth: np.ndarray, nearest: float, instead: float) -> np.ndarray:
+    """Returns 1/z for every pixel, float32 [1/m], of a depth image, shape (height, width) [m].
+
+    A pixel without depth (NaN, infinite, not positive) gets the depth of the farther of its neighbours to the left and
+    right, because most gaps are shadows of near objects. A row without any depth gets the farthest of all depths, and
+    an image without any gets `instead` [m]. Depths smaller than `nearest` [m] are replaced by it.
+    """
+    known = np.isfinite(depth) & (depth > 0.0)
+    if not known.any():
+        return np.full(depth.shape, 1.0 / instead, np.float32)
+    near = np.divide(1.0, depth, out=np.full(depth.shape, np.inf, np.float32), where=known, dtype=np.float32)
+    farthest = near.min()
+    rows, holes = np.nonzero(~known)
+    left, right = (columns[rows, holes] for columns in _neighbours(known))
+    from_left = np.where(left >= 0, near[rows, left], np.inf)
+    from_right = np.where(right >= 0, near[rows, right], np.inf)
+    filled = np.minimum(from_left, from_right)
+    near[rows, holes] = np.where(np.isfinite(filled), filled, farthest)
+    return np.minimum(near, np.float32(1.0 / nearest), out=near)
+
+
+def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
+    """Returns the image column that each pixel of an eye's image shows, shape (height, width), float32 [px].
+
+    `shift` is half the disparity of each pixel, not negative [px]; `eye` is LEFT or RIGHT. Where several pixels
+    coincide, the nearest wins. A hole, which opens beside a near object, shows the edge of the background. Columns
+    outside the image are outside the camera's view.
+    """
+    height, width = shift.shape
+    # A later assignment wins. The left eye's pixels move right: of those that coincide, the nearest began leftmost.
+    order = slice(None, None, -1 if eye == LEFT else 1)
+    move = eye * shift[:, order]
+    target = np.rint(np.arange(width, dtype=np.float32)[order] + move)
+    inside = (target >= 0) & (target < width)
+    pixel = width * np.arange(height, dtype=np.int32)[:, None] + target.astype(np.int32)
+    source = np.full(height * width, NONE, np.float32)
+    source[pixel[inside]] = (target - move)[inside]
+    return _without_holes(source.reshape(height, width), eye)
+
+
+def shifted(image: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Returns the image, shape (height, width, 3), read at the columns of `eye_map`; black outside."""
+    rows = np.broadcast_to(np.arange(columns.shape[0], dtype=np.float32)[:, None], columns.shape)
+    return cv2.remap(image, columns, np.ascontiguousarray(rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+
+
+def _without_holes(source: np.ndarray, eye: int) -> np.ndarray:
+    known = source > NONE
+    if known.all():
+        return source
+    rows, holes = np.nonzero(~known)
+    left, right = (columns[rows, holes] for columns in _neighbours(known))
+    # The neighbour that moved less is farther away; at the edge there is only one neighbour.
+    moved_left = np.where(left >= 0, eye * (left - source[rows, left]), np.inf)
+    moved_right = np.where(right >= 0, eye * (right - source[rows, right]), np.inf)
+    behind = np.where(moved_left <= moved_right, left, right)
+    at_edge = (left < 0) | (right < 0)
+    source[rows, holes] = source[rows, behind] + np.where(at_edge, holes - behind, 0)
+    return source
+
+
+def _neighbours(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the nearest known column at or left of each pixel, and at or right of it; -1 where there is none."""
+    width = known.shape[1]
+    columns = np.arange(width, dtype=np.int32)
+    left = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
+    right = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
+    return left, np.where(right < width, right, -1)

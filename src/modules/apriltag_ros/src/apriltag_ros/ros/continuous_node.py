@@ -20,7 +20,7 @@ from common.errors import ConfigError
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import array_from_image, camera_model_from_info, image_message
-from common.ros.node import run, while_running
+from common.ros.node import while_running
 
 BUFFER_BYTES = 2**24
 """Room for several images: rospy drops old images only after it has read them."""
@@ -120,12 +120,8 @@ def _grey(message: Image) -> np.ndarray:
     raise ValueError(f"its encoding is {message.encoding}, but the detector needs mono8, rgb8 or bgr8")
 
 
-def _run() -> None:
+def main() -> None:
+    """Runs the node with its private parameters."""
     cv2.setNumThreads(1)
     ContinuousNode()
     rospy.spin()
-
-
-def main() -> None:
-    """Runs the node until ROS shuts down."""
-    run("apriltag_ros_continuous_node", _run)

@@ -17,11 +17,7 @@ OTHERS = ("queue_size", "camera_frame", "tag_border")
 
 
 def read_parameters() -> tuple[DetectorSettings, tuple[TagTarget, ...]]:
-    """Returns the settings and the targets.
-
-    Raises:
-        ConfigError: the parameters have faults; all are listed.
-    """
+    """Returns the settings and the targets; raises ConfigError with all faults of the parameters."""
     values = private_values()
     settings = detector_settings(values, prefix="~", others=OTHERS)
     return settings, targets({key: values.get(key) for key in TAG_KEYS})

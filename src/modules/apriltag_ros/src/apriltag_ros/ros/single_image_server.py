@@ -11,7 +11,6 @@ from apriltag_ros.finder import draw_tags
 from apriltag_ros.ros.messages import detection_array, read_parameters
 from apriltag_ros.srv import AnalyzeSingleImage, AnalyzeSingleImageResponse
 from common.ros.images import camera_model_from_info
-from common.ros.node import run
 
 
 def _answer(detector: TagDetector, request) -> AnalyzeSingleImageResponse:
@@ -32,13 +31,9 @@ def _answer(detector: TagDetector, request) -> AnalyzeSingleImageResponse:
     return AnalyzeSingleImageResponse(detection_array(result.targets, header))
 
 
-def _run() -> None:
+def main() -> None:
+    """Runs the node with its private parameters."""
     detector = TagDetector(*read_parameters())
     rospy.Service("single_image_tag_detection", AnalyzeSingleImage, lambda request: _answer(detector, request))
     rospy.loginfo("Ready: %s.", rospy.resolve_name("single_image_tag_detection"))
     rospy.spin()
-
-
-def main() -> None:
-    """Runs the node until ROS shuts down."""
-    run("apriltag_ros_single_image_server", _run)

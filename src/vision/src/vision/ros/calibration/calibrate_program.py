@@ -6,11 +6,12 @@ It asks before the arm moves and before a result is kept. The detector and the n
 from __future__ import annotations
 
 import argparse
-import contextlib
 import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import closing, suppress
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -27,16 +28,13 @@ from rig_description.urdf import urdf
 from vision.calibration.acceptance import judge, mean_pose, table, view_from
 from vision.calibration.arm_model import ArmModel
 from vision.calibration.hand_eye import CalibrationView, DegenerateViews
-from vision.calibration.record import CalibrationRecord, by_views
-from vision.calibration.view_planner import ArmView, TourLeg, ViewPlanner, ViewsConfig, guessed_camera
-from vision.ros.calibration.calibration_setup import NAMESPACE, CalibrationSetup, read_setup
+from vision.calibration.record import by_views
+from vision.calibration.view_planner import ViewPlanner, ViewsConfig, guessed_camera
+from vision.ros.calibration.calibration_setup import NAMESPACE, CalibrationSetup, TfPoses, read, read_setup
 from vision.ros.calibration.rviz_comparison import RvizComparison
-from vision.ros.calibration.store import read
-from vision.ros.calibration.tf_poses import TfPoses
-from vision.ros.marker_board.detections import BoardListener
-from vision.ros.marker_board.view_capture import VIEW_TIMEOUT_S, ViewCapture
+from vision.ros.marker_board.detections import VIEW_TIMEOUT_S, BoardListener, ViewCapture
 from vision.ros.number_arguments import real
-from vision.ros.ptp_arm import ArmAddress, PtpArm, arm_address
+from vision.ros.ptp_arm import PtpArm, arm_address
 
 NODE = "calibrate_camera"
 DETECTOR = "apriltag_ros_continuous_node"
@@ -45,6 +43,7 @@ RELOAD_S = 1.0
 FIRST_VIEWS = 6
 FLANGE_WAIT_S = 3.0
 STILL_M = 5e-4
+FULL_SPEED_RAD_S = np.radians(98.0)
 INTERRUPTED = 130
 
 
@@ -78,24 +77,19 @@ def _run(options: argparse.Namespace) -> None:
     listener, comparison = BoardListener(setup.target), RvizComparison()
     if options.again:
         record = read(options.again)
-        _refuse_foreign(record, setup)
-        _conclude(options, setup, list(record.views), record.camera_frame, comparison)
-        return
-    take = _views_by_hand if options.by_hand else _views_by_arm
-    views = take(options, setup, listener)
-    _conclude(options, setup, views, listener.frame, comparison)
-
-
-def _refuse_foreign(record: CalibrationRecord, setup: CalibrationSetup) -> None:
-    """Raises DeviceError if the views in a file belong to another arm, media flange, camera or marker board."""
-    present = {key: value for key, value in setup.head.items() if key != "date"}
-    others = [
-        f"{key} {getattr(record, key)}, not {value}" for key, value in present.items() if getattr(record, key) != value
-    ]
-    if others:
-        raise DeviceError(
-            f"The file belongs to another rig: {'; '.join(others)}. Start camera_apriltag.launch for that rig."
-        )
+        present = {key: value for key, value in setup.head.items() if key != "date"}
+        others = [
+            f"{k} {getattr(record, k)}, not {value}" for k, value in present.items() if getattr(record, k) != value
+        ]
+        if others:
+            raise DeviceError(
+                f"The file belongs to another rig: {'; '.join(others)}. Start camera_apriltag.launch for that rig."
+            )
+        views, frame = list(record.views), record.camera_frame
+    else:
+        take = _views_by_hand if options.by_hand else _views_by_arm
+        views, frame = take(options, setup, listener), listener.frame
+    _conclude(options, setup, views, frame, comparison)
 
 
 def _views_by_hand(
@@ -110,12 +104,10 @@ def _views_by_hand(
         except DeviceError as error:
             raise DeviceError(f"{error} Without a controller use --ip: the program then asks the arm itself.") from None
         return _taken_by_hand(setup, capture, lambda: poses.flange(rospy.Time.now(), FLANGE_WAIT_S))
-    address = _address(options, setup)
-    arm = PtpArm(address, ArmModel(urdf(address.robot, address.flange)), options.velocity)
-    try:
+    address = arm_address(setup.store_config, options)
+    model = ArmModel(urdf(address.robot, address.flange))
+    with closing(PtpArm(address, model, options.velocity)) as arm:
         return _taken_by_hand(setup, capture, arm.flange)
-    finally:
-        _close(arm)
 
 
 def _taken_by_hand(
@@ -142,28 +134,26 @@ def _taken_by_hand(
 def _views_by_arm(
     options: argparse.Namespace, setup: CalibrationSetup, listener: BoardListener
 ) -> list[CalibrationView]:
-    address = _address(options, setup)
+    address = arm_address(setup.store_config, options)
     config = wait_for_config(ViewsConfig, f"{NAMESPACE}/views")
     model = ArmModel(urdf(address.robot, address.flange))
     R_world_base = rotation_of_mounting(address.mounting)
     capture = ViewCapture(setup, listener, DETECTOR)
-    board = setup.board
-    planner = ViewPlanner(
-        config, model, capture.camera, setup.target.corners, board.plate, board.T_flange_tag, R_world_base
-    )
+    planner = ViewPlanner(config, model, capture.camera, setup.target.corners, setup.board, R_world_base)
     rng = np.random.default_rng(options.seed)
     if not options.yes and not sys.stdin.isatty():
         raise CalibrationRefused("Without a terminal the program cannot ask whether the arm may move; use --yes.")
-    start = ", ".join(f"{angle:g}" for angle in config.start)
-    print(f"The arm is {address.robot} with {address.flange}, its {address.orientation}.")
-    print(f"It moves to {start} deg, and then to the views, at {options.velocity:.0%} of full speed.")
+    turned = "turned by roll {:g}, pitch {:g}, yaw {:g} deg against the upright world".format(*address.mounting)
+    base = turned if address.mounting.any() else "upright"
+    print(f"The arm is {address.robot} with {address.flange}, its base {base}.")
+    angles = ", ".join(f"{angle:g}" for angle in config.start)
+    print(f"It moves to {angles} deg, and then to the views, at {options.velocity:.0%} of full speed.")
     _confirm(options, "Is its path free, and may it move?")
-    arm = PtpArm(address, model, options.velocity)
-    try:
-        found = setup.store.newest()
+    with closing(PtpArm(address, model, options.velocity)) as arm:
+        found, start = setup.store.newest(), np.radians(config.start)
         guess = guessed_camera(config, R_world_base) if found is None else found[0].T_base_camera
-        _go_to_start(arm, planner, guess, np.radians(config.start))
-        guess = _detected_guess(arm, setup, listener, planner, guess, np.radians(config.start), rng)
+        _go_to_start(arm, planner, guess, start)
+        guess = _detected_guess(arm, setup, listener, planner, guess, start, rng)
         print("The camera sees the marker board. Choosing the views ...")
         here = arm.joints()
         legs = planner.tour(planner.choose(planner.candidates(guess, rng), guess), here, guess)
@@ -172,22 +162,25 @@ def _views_by_arm(
                 f"The arm can reach only {len(legs)} views, but {setup.limits.min_views} are needed: check guess, "
                 "distance and min_height in calibration_views.yaml."
             )
-        _confirm(options, f"Move to {len(legs)} views, about {_duration(legs, here, options.velocity):.0f} s?")
-        views = _tour(arm, legs, setup, capture)
+        stops = [here, *chain(*legs)]
+        turned = np.abs(np.diff(stops, axis=0)).max(axis=1).sum()
+        seconds = turned / (options.velocity * FULL_SPEED_RAD_S) + len(legs) * (SETTLE_S + 1.5)
+        _confirm(options, f"Move to {len(legs)} views, about {seconds:.0f} s?")
+        views: list[CalibrationView] = []
+        for i, leg in enumerate(legs, start=1):
+            for q in leg:
+                arm.move_to(q)
+            time.sleep(SETTLE_S)
+            detections, how = capture.capture()
+            try:
+                views.append(view_from(detections, arm.flange(), views, setup.limits))
+                distance = np.linalg.norm(views[-1].T_camera_board[:3, 3])
+                print(f"View {i} of {len(legs)}: marker board at {distance:.2f} m, {len(detections)} images, {how}.")
+            except ValueError as error:
+                print(f"View {i} of {len(legs)} is not used: {error}.")
         for q in planner.path_back(here, legs, guess):
             arm.move_to(q)
         return views
-    finally:
-        _close(arm)
-
-
-def _address(options: argparse.Namespace, setup: CalibrationSetup) -> ArmAddress:
-    return arm_address(setup.store_config, {key: getattr(options, key) for key in ("ip", "port", "robot", "flange")})
-
-
-def _close(arm: PtpArm) -> None:
-    arm.close()
-    print("The connection is closed, and with it the server on the robot; restart it there for the next program.")
 
 
 def _go_to_start(arm: PtpArm, planner: ViewPlanner, guess: np.ndarray, start: np.ndarray) -> None:
@@ -206,15 +199,11 @@ def _go_to_start(arm: PtpArm, planner: ViewPlanner, guess: np.ndarray, start: np
 
 
 def _detected_guess(arm, setup, listener, planner: ViewPlanner, guess, start, rng) -> np.ndarray:
-    """Returns T_base_camera, shape (4, 4), by the board's drawing, from the first pose at which the camera sees it.
-
-    Raises:
-        DeviceError: the camera sees it nowhere.
-    """
-    legs = [TourLeg(ArmView(start, arm.flange()), ())]
-    legs += planner.tour(planner.candidates(guess, rng, centre_only=True)[:FIRST_VIEWS], start, guess)
+    """Returns T_base_camera, shape (4, 4), by the board's drawing, from the first pose at which the camera sees it."""
+    views = planner.candidates(guess, rng, centre_only=True)[:FIRST_VIEWS]
+    legs = [[], *planner.tour(views, start, guess)]
     for leg in legs:
-        for q in leg.path:
+        for q in leg:
             arm.move_to(q)
         time.sleep(SETTLE_S)
         detections = listener.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
@@ -230,34 +219,10 @@ def _detected_guess(arm, setup, listener, planner: ViewPlanner, guess, start, rn
     )
 
 
-def _tour(arm: PtpArm, legs: list[TourLeg], setup: CalibrationSetup, capture: ViewCapture) -> list[CalibrationView]:
-    views: list[CalibrationView] = []
-    for i, leg in enumerate(legs, start=1):
-        for q in leg.path:
-            arm.move_to(q)
-        time.sleep(SETTLE_S)
-        detections, how = capture.capture()
-        try:
-            views.append(view_from(detections, arm.flange(), views, setup.limits))
-            distance = np.linalg.norm(views[-1].T_camera_board[:3, 3])
-            print(f"View {i} of {len(legs)}: marker board at {distance:.2f} m, {len(detections)} images, {how}.")
-        except ValueError as error:
-            print(f"View {i} of {len(legs)} is not used: {error}.")
-    return views
-
-
 def _conclude(
-    options: argparse.Namespace,
-    setup: CalibrationSetup,
-    views: list[CalibrationView],
-    frame: str,
-    comparison: RvizComparison,
+    options: argparse.Namespace, setup: CalibrationSetup, views: list, frame: str, comparison: RvizComparison
 ) -> None:
-    """Solves, reports, shows, asks and stores.
-
-    Raises:
-        CalibrationRefused: the result is not good enough, or the operator declines it.
-    """
+    """Solves, reports, shows, asks and stores; raises CalibrationRefused unless the result is good and confirmed."""
     try:
         verdict = judge(views, setup.board.T_flange_tag, setup.limits)
     except DegenerateViews as error:
@@ -280,7 +245,7 @@ def _conclude(
     _confirm(options, "Keep it?")
     record = by_views(verdict, views, camera_frame=frame, **setup.head)
     print(f"Stored in {setup.store.save(record)}.")
-    with contextlib.suppress(ServiceFailed):
+    with suppress(ServiceFailed):
         print(call("camera_place/reload", Trigger, timeout=RELOAD_S, wait=RELOAD_S).message)
 
 
@@ -300,13 +265,6 @@ def _answer(question: str) -> str | None:
         return None
 
 
-def _duration(legs: list[TourLeg], q: np.ndarray, velocity: float) -> float:
-    """Returns the approximate duration of the tour from the joints q [s]."""
-    stops = [q, *(goal for leg in legs for goal in leg.path)]
-    turned = sum(float(np.max(np.abs(b - a))) for a, b in zip(stops, stops[1:]))
-    return turned / (velocity * np.radians(98.0)) + len(legs) * (SETTLE_S + 1.5)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="calibrate_camera.py",
@@ -314,21 +272,13 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Start roslaunch vision camera_apriltag.launch first. The robot is that of the parameters under kuka/ "
         "on the ROS master; the options override them.",
     )
-    parser.add_argument(
-        "--by-hand",
-        action="store_true",
-        help="you move the arm: with a controller, or with --ip by the smartPad; Enter takes a view",
-    )
-    parser.add_argument(
-        "--again", type=Path, metavar="FILE.yaml", help="compute again from the views in a stored calibration"
-    )
+    by_hand = "you move the arm: with a controller, or with --ip by the smartPad; Enter takes a view"
+    again = "compute again from the views in a stored calibration"
+    speed = "fraction of full joint speed, (0, 0.5] (%(default)s)"
+    parser.add_argument("--by-hand", action="store_true", help=by_hand)
+    parser.add_argument("--again", type=Path, metavar="FILE.yaml", help=again)
     parser.add_argument("--yes", action="store_true", help="do not ask")
-    parser.add_argument(
-        "--velocity",
-        type=real(0.0, 0.5, open_low=True),
-        default=0.15,
-        help="fraction of full joint speed, (0, 0.5] (%(default)s)",
-    )
+    parser.add_argument("--velocity", type=real(0.0, 0.5, open_low=True), default=0.15, help=speed)
     parser.add_argument("--seed", type=int, default=0, help="seed of the choice of the views")
     robot = parser.add_argument_group("robot")
     robot.add_argument("--ip", help="address of the robot's controller")

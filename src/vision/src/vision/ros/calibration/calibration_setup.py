@@ -1,25 +1,96 @@
-"""Parameters that the program calibrate_camera and the node camera_place share."""
+"""What the program calibrate_camera and the node camera_place share: parameters, stored calibrations, and poses in tf.
+
+The calibrations are a folder of dated yaml files, which never change once written.
+"""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import numpy as np
+import rospkg
 import rospy
+import tf2_ros
+import yaml
 
 from apriltag_ros.target import TagTarget
-from common.errors import DeviceError
+from common.config import path, text
+from common.errors import ConfigError, DeviceError
+from common.frames import BASE, CAMERA_LINK, FLANGE_MEASURED
+from common.poses import inverse
+from common.ros.conversions import pose_from_transform, stamped_transform
+from common.ros.files import write_whole
 from common.ros.params import wait_for_config, wait_for_param
 from vision.calibration.acceptance import CalibrationConfig
-from vision.marker_board.board import MarkerBoardConfig
-from vision.ros.calibration.store import CalibrationStore, StoreConfig
-from vision.ros.marker_board.detections import board_target
+from vision.calibration.record import CalibrationRecord, mapping_from_record, record_from_mapping
+from vision.marker_board.board import MarkerBoardConfig, board_target
 
 NAMESPACE = "camera_calibration"
 SERIAL, SERIAL_WAIT_S, POLL_S = "camera/driver/serial", 10.0, 0.1
 """Parameter in which our driver writes the camera's serial number, and how long it may take to open the camera."""
-
 UNKNOWN = "unknown"
+PREFIX = "camera_place_"
+HEADER = "# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w."
+STATIC_WAIT_S = 10.0
+
+
+@dataclass(frozen=True)
+class StoreConfig:
+    """The folder of the calibrations, and the hardware that they belong to."""
+
+    folder: str = path(doc="folder of the calibrations; empty: leap_rig/ in ROS's home, ~/.ros")
+    camera: str = text(doc="serial number of the camera; empty: the one that its driver reads", empty=True)
+    robot: str = text(doc="the arm: LBR7R800 or LBR14R820")
+    flange: str = text(doc="its media flange")
+
+
+class CalibrationStore:
+    """Reads and writes the calibrations of one arm and one camera."""
+
+    def __init__(self, config: StoreConfig) -> None:
+        self._config = config
+        self.folder = Path(config.folder) if config.folder else Path(rospkg.get_ros_home()) / "leap_rig"
+
+    def newest(self) -> tuple[CalibrationRecord, Path] | None:
+        """Returns the newest calibration of this arm and camera and its file, or None; skips and logs damaged files."""
+        for file in sorted(self.folder.glob(f"{PREFIX}*.yaml"), reverse=True):
+            try:
+                record = read(file)
+            except (ConfigError, DeviceError) as error:
+                rospy.logerr("Skipped the calibration %s: %s Delete it, or calibrate again.", file, error)
+                continue
+            if (record.robot, record.camera) == (self._config.robot, self._config.camera):
+                return record, file
+            rospy.loginfo("The calibration %s is for %s and camera %s.", file, record.robot, record.camera)
+        return None
+
+    def save(self, record: CalibrationRecord) -> Path:
+        """Writes a calibration and returns its file; raises DeviceError, and leaves no file behind, if it cannot."""
+        file = self.folder / f"{PREFIX}{record.date.replace(':', '')}.yaml"
+        content = yaml.safe_dump(mapping_from_record(record), sort_keys=False)
+        try:
+            write_whole(
+                file, f"# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w.\n{content}"
+            )
+        except OSError as error:
+            raise DeviceError(
+                f"Cannot write {file}: {error.strerror}. The previous calibration stays valid; free the disk or choose "
+                "another folder."
+            ) from None
+        return file
+
+
+def read(file: Path) -> CalibrationRecord:
+    """Returns the calibration in a file; raises DeviceError if it cannot be read, ConfigError if it is damaged."""
+    try:
+        values = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise DeviceError(f"Cannot read {file}: {error}.") from None
+    except yaml.YAMLError as error:
+        raise ConfigError([f"{file} is not valid yaml: {' '.join(str(error).split())}."]) from None
+    return record_from_mapping(values)
 
 
 @dataclass(frozen=True)
@@ -49,24 +120,45 @@ class CalibrationSetup:
 
 
 def read_setup(detector: str) -> CalibrationSetup:
-    """Returns the setup; waits for its parameters and for those of the node `detector`.
-
-    Raises:
-        ConfigError: with all faults.
-    """
+    """Returns the setup; waits for its parameters and for those of the node `detector`. Raises ConfigError."""
     board = wait_for_config(MarkerBoardConfig, f"{NAMESPACE}/panel")
     limits = wait_for_config(CalibrationConfig, f"{NAMESPACE}/limits")
     store = wait_for_config(StoreConfig, f"{NAMESPACE}/store")
     if not store.camera:
-        store = replace(store, camera=_serial_of_driver() or UNKNOWN)
+        deadline = time.monotonic() + SERIAL_WAIT_S
+        while not rospy.has_param(SERIAL) and time.monotonic() < deadline and not rospy.is_shutdown():
+            time.sleep(POLL_S)
+        store = replace(store, camera=str(rospy.get_param(SERIAL, "")) or UNKNOWN)
         rospy.loginfo("The camera's serial number is %s.", store.camera)
     target = board_target(wait_for_param(detector), detector, board.frame)
     return CalibrationSetup(board, limits, store, CalibrationStore(store), target)
 
 
-def _serial_of_driver() -> str:
-    """Returns the serial number that the driver read from the camera; empty if it does not appear in time."""
-    deadline = time.monotonic() + SERIAL_WAIT_S
-    while not rospy.has_param(SERIAL) and time.monotonic() < deadline and not rospy.is_shutdown():
-        time.sleep(POLL_S)
-    return str(rospy.get_param(SERIAL, ""))
+class TfPoses:
+    """Looks up the poses that determine the camera pose in tf, and reports which one is missing or stale."""
+
+    def __init__(self) -> None:
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer)
+
+    def flange(self, stamp: rospy.Time, timeout: float) -> np.ndarray:
+        """Returns T_base_flange, shape (4, 4) [m], at a time; raises DeviceError if tf lacks it after `timeout` [s]."""
+        return self._lookup(BASE, FLANGE_MEASURED, stamp, timeout, "is the arm's controller running?")
+
+    def camera_link(self, T_base_optical: np.ndarray, optical: str, stamp: rospy.Time):
+        """Returns the tf message of camera_link in the base, from the pose of the optical frame, shape (4, 4) [m];
+        raises DeviceError if the camera's driver does not publish its frames."""
+        hint = "is the camera's driver running?"
+        T_link_optical = self._lookup(CAMERA_LINK, optical, rospy.Time(0), STATIC_WAIT_S, hint)
+        return stamped_transform(T_base_optical @ inverse(T_link_optical), BASE, CAMERA_LINK, stamp)
+
+    def _lookup(self, parent: str, child: str, stamp: rospy.Time, timeout: float, hint: str) -> np.ndarray:
+        try:
+            found = self._buffer.lookup_transform(parent, child, stamp, rospy.Duration(timeout))
+            return pose_from_transform(found.transform)
+        except (tf2_ros.LookupException, tf2_ros.ConnectivityException):
+            raise DeviceError(f"tf has no path from {parent} to {child}: {hint}") from None
+        except tf2_ros.ExtrapolationException:
+            raise DeviceError(f"The frame {child} is stale at the time of the image: {hint}") from None
+        except ValueError as error:
+            raise DeviceError(f"tf has an invalid {child}: {error}") from None

@@ -25,13 +25,12 @@ from common.frames import FLANGE_SEEN
 from common.poses import inverse, read_only
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
-from common.ros.node import run, while_running
+from common.ros.node import while_running
 from common.ros.params import private_config
 from vision.calibration.acceptance import BoardDetection, check_alone, view_from
 from vision.calibration.hand_eye import camera_pose
 from vision.calibration.record import LIVE, STORED, CalibrationRecord, CameraPoseConfig
-from vision.ros.calibration.calibration_setup import CalibrationSetup, read_setup
-from vision.ros.calibration.tf_poses import TfPoses
+from vision.ros.calibration.calibration_setup import CalibrationSetup, TfPoses, read_setup
 from vision.ros.marker_board.detections import BoardListener
 
 FLANGE_WAIT_S = 0.2
@@ -78,11 +77,8 @@ class CameraPoseNode:
         self._timer = rospy.Timer(rospy.Duration(REPEAT_S), self._repeat)
 
     def _load(self) -> None:
-        """Loads the newest stored calibration, unless the mode is live.
-
-        Raises:
-            DeviceError: the mode is stored and there is none, or the camera's frames are unknown.
-        """
+        """Loads the newest stored calibration, unless the mode is live; raises DeviceError if the mode is stored and it
+        is missing, or the camera's frames are unknown."""
         if self._mode == LIVE:
             return
         folder, config = self._setup.store.folder, self._setup.store_config
@@ -131,7 +127,7 @@ class CameraPoseNode:
             self._broadcaster.sendTransform(transform)
             self._last = (time.monotonic(), "")
             with self._lock:
-                self._recent.append(LiveDetection(time.monotonic(), T_base_flange, detection, optical))
+                self._recent.append(LiveDetection(self._last[0], T_base_flange, detection, optical))
 
     def _repeat(self, _) -> None:
         """Repeats the stored pose if there was a live one before: in tf2 a moving frame does not become static."""
@@ -198,12 +194,8 @@ def _summary(record: CalibrationRecord) -> str:
     return f"stored on {record.date}: {record.accuracy}"
 
 
-def _run() -> None:
+def main() -> None:
+    """Runs the node with its private parameters."""
     config = private_config(CameraPoseConfig)
     CameraPoseNode(config.mode, read_setup(config.detector))
     rospy.spin()
-
-
-def main() -> None:
-    """Runs the node until ROS shuts down."""
-    run("camera_place", _run)

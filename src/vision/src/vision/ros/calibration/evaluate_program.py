@@ -20,10 +20,9 @@ from apriltag_ros.settings import detector_settings
 from common.config import parse
 from common.errors import DeviceError, RigError
 from vision.calibration.acceptance import BoardDetection, CalibrationConfig
-from vision.calibration.evaluation import BoardObservation, calibrate
 from vision.marker_board.board import MarkerBoardConfig
 from vision.marker_board.plane_pose import PoseEstimate
-from vision.marker_board.pose_evaluation import PoseTrial, errors_of, markdown, values
+from vision.marker_board.pose_evaluation import BoardObservation, PoseTrial, calibrate, errors_of, markdown, values
 from vision.ros.marker_board.image_folder import TAGS, board_target, read_config, read_images, rendered_images
 from vision.ros.number_arguments import whole
 

@@ -14,8 +14,7 @@ def main() -> None:
     """Runs the node with its private parameters."""
     config = private_config(CameraFramesConfig)
     stamp = rospy.Time.now()
+    transforms = [stamped_transform(T, parent, child, stamp) for parent, child, T in camera_frames(config)]
     broadcaster = tf2_ros.StaticTransformBroadcaster()
-    broadcaster.sendTransform(
-        [stamped_transform(T, parent, child, stamp) for parent, child, T in camera_frames(config)]
-    )
+    broadcaster.sendTransform(transforms)
     rospy.spin()

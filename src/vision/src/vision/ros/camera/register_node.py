@@ -1,14 +1,22 @@
-"""The node register_rgbd: depth in the colour camera's pixels, and a coloured point cloud.
+"""The node register_rgbd: depth in the colour camera's pixels, and a coloured point cloud; and its start program.
 
 It replaces the nodelets of image_proc and depth_image_proc on the same topics: rgb/image_rect_color, and under
 depth_registered: sw_registered/image_rect_raw (16UC1, mm), sw_registered/image_rect (32FC1, m),
 sw_registered/camera_info and points. Without subscribers it computes nothing and does not subscribe to the camera.
+The start program prefers the nodelets. They need their plugin descriptions, which Debian ships in development packages;
+without a description the nodelet manager would only report that the class does not exist.
 """
 
 from __future__ import annotations
 
+import argparse
+import os
+import sys
 import time
+from pathlib import Path
+from xml.etree import ElementTree
 
+import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
@@ -22,6 +30,8 @@ from vision.ros.camera.rgbd_pairs import RgbdPair, RgbdPairs
 
 REGISTERED = "depth_registered/sw_registered"
 LISTENERS_PERIOD_S = 0.2
+NEEDED = dict(image_proc="libimage-proc-dev", depth_image_proc="libdepth-image-proc-dev", nodelet="libnodeletlib-tools")
+"""ROS packages, and the Debian packages that contain them completely; `nodelet` has the manager and no nodelets."""
 
 
 class RegisterNode:
@@ -97,3 +107,37 @@ def _cloud_message(points, header) -> PointCloud2:
 def main() -> None:
     """Runs the node until ROS shuts down."""
     run("register_rgbd", lambda: RegisterNode(private_config(PairsConfig)).run())
+
+
+def start() -> None:
+    """Replaces the process by the chosen program; exits with 1 if that is not installed."""
+    purpose = "Starts the nodelets of depth_image_proc that register depth to colour, or our own node."
+    parser = argparse.ArgumentParser(prog="register_rgbd_start.py", description=purpose)
+    text = "true: the nodelets; false: our own node; auto: the nodelets where they are installed (%(default)s)"
+    parser.add_argument("--nodelets", choices=("auto", "true", "false"), default="auto", help=text)
+    wanted = parser.parse_args(rospy.myargv()[1:]).nodelets
+    missing = [] if wanted == "false" else missing_packages(rospkg.RosPack())
+    if wanted == "true" and missing:
+        needed = f"The nodelets need {', '.join(missing)}"
+        sys.exit(f"register_rgbd: {needed}: install the packages, or use our own node with nodelets:=false.")
+    if wanted == "false" or missing:
+        main()
+    else:
+        os.environ["ROS_NAMESPACE"] = "/"
+        os.execvp("roslaunch", ["roslaunch", "vision", "register_nodelets.launch"])
+
+
+def missing_packages(packages: rospkg.RosPack) -> list[str]:
+    """Returns the Debian packages that the nodelets lack; `packages` are those that ROS finds."""
+
+    def complete(package: str) -> bool:
+        """Returns whether a package is installed with the descriptions of its nodelets."""
+        try:
+            folder = Path(packages.get_path(package))
+            exports = ElementTree.parse(folder / "package.xml").findall("export/nodelet")
+        except (rospkg.ResourceNotFound, OSError, ElementTree.ParseError):
+            return False
+        described = [Path(export.get("plugin", "").replace("${prefix}", str(folder))) for export in exports]
+        return package == "nodelet" or (bool(described) and all(file.is_file() for file in described))
+
+    return [debian for package, debian in NEEDED.items() if not complete(package)]

@@ -61,13 +61,9 @@ class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
 class RgbdPairs:
     """Subscribes to rgb/image_raw and depth/image_raw, and to their camera_info.
 
-    Args:
-        on_pair: callback for each pair; if it raises ValueError, the pair is dropped and the reason logged.
-        slop: maximum time between the images of a pair [s].
-
-    Attributes:
-        pairs: number of processed pairs.
-        waits_for: what is missing for a pair, as a noun; empty while pairs arrive.
+    `on_pair` gets each pair whose images are at most `slop` [s] apart; if it raises ValueError, the pair is dropped and
+    the reason logged. `pairs` counts them; `waits_for` says what is missing, as a noun, and is empty while pairs
+    arrive.
     """
 
     def __init__(self, on_pair: Callable[[RgbdPair], None], slop: float) -> None:

@@ -30,15 +30,8 @@ RETRY_PERIOD_S = 2.0
 
 
 class XtionNode:
-    """Publishes the camera's images; reopens the camera when it was lost.
-
-    Args:
-        rgb, depth: intrinsics of the two cameras.
-        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
-
-    Raises:
-        DeviceError: the library is missing.
-    """
+    """Publishes the images of a camera with these intrinsics and T_rgb_depth, shape (4, 4) [m]; reopens it when it was
+    lost. Raises DeviceError if the library is missing."""
 
     def __init__(self, config: XtionConfig, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
         self._config = config
@@ -50,11 +43,7 @@ class XtionNode:
         self._images = self._losses = 0
 
     def run(self) -> None:
-        """Publishes until ROS shuts down.
-
-        Raises:
-            DeviceError: there is no camera at the start.
-        """
+        """Publishes until ROS shuts down; raises DeviceError if there is no camera at the start."""
         try:
             self._connect()
             Diagnostics("camera", self._diagnose)

@@ -1,50 +1,44 @@
-"""Receives the detections of the marker board from the detector node."""
+"""Receives the detections of the marker board from the detector node, and refines those of a view in their images."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
+import cv2
 import numpy as np
 import rospy
+from sensor_msgs.msg import CameraInfo, Image
 
 from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
-from apriltag_ros.settings import TAG_KEYS, targets
+from apriltag_ros.photometric import PhotometricRefiner
+from apriltag_ros.settings import DEFAULT_FAMILY
 from apriltag_ros.target import TagTarget
-from common.errors import ConfigError
+from common.errors import ConfigError, DeviceError
 from common.poses import pose
 from common.ros.conversions import array
+from common.ros.images import camera_model_from_info, colour_from_image
 from common.rotations import rotation_from_quaternion
-from vision.calibration.acceptance import BoardDetection
+from vision.calibration.acceptance import BoardDetection, refined
+from vision.ros.calibration.calibration_setup import CalibrationSetup
+from vision.ros.camera.rgbd_pairs import BUFFER_BYTES
 
 POLL_S = 0.05
-
-
-def board_target(detector: Mapping, name: str, frame: str) -> TagTarget:
-    """Returns the tag or bundle `frame` in the parameters of the detector; `name` is theirs.
-
-    Raises:
-        ConfigError: the detector has no such target.
-    """
-    found = targets({key: detector.get(key) for key in TAG_KEYS})
-    for target in found:
-        if target.name == frame:
-            return target
-    names = ", ".join(target.name for target in found)
-    raise ConfigError([f"{name} detects {names}, but not the marker board {frame}: use its tags.yaml and panel.yaml."])
+IMAGES = "camera/rgb/image_raw"
+CAMERA_INFO = "camera/rgb/camera_info"
+INFO_WAIT_S = 10.0
+VIEW_TIMEOUT_S = 6.0
+LATE_S = 1.0
+"""Maximum delay of an image behind its detection."""
+BY_CORNERS = "by the corners"
 
 
 class BoardListener:
-    """Subscribes to the detector.
+    """Subscribes to the detector of the marker board `target`.
 
-    Args:
-        target: the marker board.
-        on_detection: callback with stamp, optical frame and detection for every image that shows the marker board.
-
-    Attributes:
-        frame: optical frame of the camera; empty before the first detection.
-        alive: whether the detector has published.
+    `on_detection` gets stamp, optical frame and detection for every image that shows the board. `frame` is the optical
+    frame, empty before the first detection; `alive` is whether the detector has published.
     """
 
     def __init__(
@@ -88,6 +82,73 @@ class BoardListener:
                     self._detections.append((message.header.stamp, detection))
             if self._on_detection is not None:
                 self._on_detection(message.header.stamp, message.header.frame_id, detection)
+
+
+class ViewCapture:
+    """Collects the detections of a view by the corners, and refines them; `camera` is the model of the raw images.
+
+    `detector` is the name of the detector node. Raises ConfigError if the pattern of a tag is unknown, and DeviceError
+    if the camera publishes no camera_info.
+    """
+
+    def __init__(self, setup: CalibrationSetup, listener: BoardListener, detector: str) -> None:
+        try:
+            self.camera = camera_model_from_info(rospy.wait_for_message(CAMERA_INFO, CameraInfo, INFO_WAIT_S))
+        except rospy.ROSException:
+            raise DeviceError(f"Nothing arrives on {rospy.resolve_name(CAMERA_INFO)}: is the camera running?") from None
+        except ValueError as error:
+            raise DeviceError(f"The camera's camera_info cannot be used: {error}. Calibrate the camera.") from None
+        self._listener, self._count = listener, setup.limits.pictures
+        self._lock = threading.Lock()
+        self._images: dict[int, np.ndarray] = {}
+        self._refiner = None
+        if setup.limits.photometric:
+            family = rospy.get_param(f"{detector}/tag_family", DEFAULT_FAMILY)
+            try:
+                self._refiner = PhotometricRefiner(family, setup.target)
+            except ValueError as error:
+                raise ConfigError([f"Cannot refine the marker board's pose: {error}."]) from None
+
+    def capture(self) -> tuple[list[BoardDetection], str]:
+        """Returns the detections from now on, fewer than a view needs after VIEW_TIMEOUT_S, and how they were made."""
+        if self._refiner is None:
+            return [detection for _, detection in self._listener.collect(self._count, VIEW_TIMEOUT_S)], BY_CORNERS
+        with self._lock:
+            self._images.clear()
+        subscriber = rospy.Subscriber(IMAGES, Image, self._on_image, queue_size=self._count, buff_size=BUFFER_BYTES)
+        try:
+            self._wait_for(lambda: self._images)
+            stamped = self._listener.collect(self._count, VIEW_TIMEOUT_S)
+            self._wait_for(lambda: all(stamp.to_nsec() in self._images for stamp, _ in stamped))
+        finally:
+            subscriber.unregister()
+        with self._lock:
+            pairs = [(detection, self._images.get(stamp.to_nsec())) for stamp, detection in stamped]
+        if any(image is None for _, image in pairs):
+            reason = f"{BY_CORNERS}: their images did not arrive on {rospy.resolve_name(IMAGES)}"
+            return [detection for detection, _ in pairs], reason
+        try:
+            detections, reason = refined(pairs, self.camera, self._refiner)
+        except ValueError as error:
+            detections, reason = [detection for detection, _ in pairs], str(error)
+        return detections, f"{BY_CORNERS}: {reason}" if reason else "refined"
+
+    def _wait_for(self, condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + LATE_S
+        while time.monotonic() < deadline:
+            with self._lock:
+                if condition():
+                    return
+            time.sleep(POLL_S)
+
+    def _on_image(self, message: Image) -> None:
+        try:
+            grey = cv2.cvtColor(np.ascontiguousarray(colour_from_image(message)), cv2.COLOR_RGB2GRAY)
+        except ValueError as error:
+            rospy.logwarn_throttle(10.0, f"Dropped an image: {error}.")
+            return
+        with self._lock:
+            self._images[message.header.stamp.to_nsec()] = grey
 
 
 def _detection(message: AprilTagDetection) -> BoardDetection:

@@ -12,34 +12,36 @@ import sys
 from pathlib import Path
 
 import cv2
+import matplotlib
 import numpy as np
 
 from apriltag_ros.settings import detector_settings
 from common.config import parse
 from common.errors import RigError
 from common.poses import read_only
+from vision.marker_board import pose_evaluation as tables
 from vision.marker_board.plane_fit import PlanePoseConfig
-from vision.marker_board.pose_evaluation import CSV_HEAD, METHODS, PoseTrial, csv, markdown, trial, values
-from vision.marker_board.rgbd_detector import RgbdDetector
-from vision.ros.marker_board.figures import draw
-from vision.ros.marker_board.image_folder import (
-    TAGS,
-    BoardImageSet,
-    board_target,
-    read_config,
-    read_images,
-    rendered_images,
-)
+from vision.marker_board.plane_pose import RgbdDetector
+from vision.marker_board.pose_evaluation import METHODS, PoseTrial, cells, trial, values
+from vision.ros.marker_board import image_folder
+from vision.ros.marker_board.image_folder import BoardImageSet, read_config
 from vision.ros.number_arguments import real, whole
 
 NAME = "evaluate_tag_pose"
+COLOURS = {"colour": "tab:red", "plane": "tab:blue", "fused": "tab:green"}
+QUANTITIES = {
+    "position": "centre [mm]",
+    "rotation": "rotation [deg]",
+    "reach": f"{tables.REACH_M:g} m away [mm]",
+}
+OFFSET = {"colour": -0.03, "plane": 0.0, "fused": 0.03}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Evaluates; returns the exit code."""
     parser = argparse.ArgumentParser(prog=NAME, description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("tag_pose"), help="folder for tables and plots")
-    parser.add_argument("--panel", choices=TAGS, default="bundle", help="the marker board in the images")
+    parser.add_argument("--panel", choices=image_folder.TAGS, default="bundle", help="the marker board in the images")
     parser.add_argument("--pictures", type=Path, help="folder with images; omitted: the simulation renders them")
     parser.add_argument("--units", type=whole(1, 100), default=5, help="number of sensors, each with its own errors")
     parser.add_argument("--seed", type=int, default=0, help="seed of poses, sensors and noise")
@@ -52,7 +54,9 @@ def main(arguments: list[str] | None = None) -> int:
         if options.pictures is not None:
             _evaluate(options, options.pictures)
         else:
-            with rendered_images(options.panel, "--units", str(options.units), "--seed", str(options.seed)) as folder:
+            with image_folder.rendered_images(
+                options.panel, "--units", str(options.units), "--seed", str(options.seed)
+            ) as folder:
                 _evaluate(options, folder)
     except (RigError, OSError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
@@ -61,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _evaluate(options: argparse.Namespace, folder: Path) -> None:
-    images = read_images(folder)
+    images = image_folder.read_images(folder)
     config = parse(PlanePoseConfig, read_config("plane_pose.yaml"), prefix="plane_pose/")
     focal, bias = options.focal_error, options.depth_bias
     informed = dataclasses.replace(config, focal_sd=abs(focal))
@@ -72,12 +76,15 @@ def _evaluate(options: argparse.Namespace, folder: Path) -> None:
         f"depth {1e3 * bias:+.0f} mm": (config, 0.0, bias),
     }
     results = {name: _trials(images, options.panel, *variant) for name, variant in variants.items()}
-    tables = [line for name, trials in results.items() for line in (f"## {name}", "", *markdown(trials), "")]
+    tables = [line for name, trials in results.items() for line in (f"## {name}", "", *tables.markdown(trials), "")]
     head = [f"# Pose of the marker board ({options.panel}) against the truth: median / 95 %", ""]
-    lines = [CSV_HEAD, *(line for name, trials in results.items() for line in csv(name, trials))]
+    lines = [
+        tables.CSV_HEAD,
+        *(line for name, trials in results.items() for line in tables.csv(name, trials)),
+    ]
     (options.output / "tag_pose.md").write_text("\n".join([*head, *tables]), encoding="utf-8")
     (options.output / "tag_pose.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    draw(results, options.output)
+    _draw(results, options.output)
     for name, trials in results.items():
         for method in METHODS:
             parts = [np.median(values(trials, method, q)) for q in ("position", "rotation", "reach")]
@@ -97,10 +104,46 @@ def _trials(
     K = images.rgb.K.copy()
     K[[0, 1], [0, 1]] *= 1.0 + focal_error
     rgb = dataclasses.replace(images.rgb, K=read_only(K))
-    detector = RgbdDetector(settings, board_target(board), images.plate, config)
+    detector = RgbdDetector(settings, image_folder.board_target(board), images.plate, config)
     trials = []
     for moment, pair in enumerate(images.pairs()):  # a second apart: no orientation is known from the image before
         depth = pair.depth + np.float32(depth_bias)
         found = detector.detect(pair.grey, rgb, depth, images.depth, images.T_rgb_depth, float(moment))
         trials.append(trial(pair.distance, pair.tilt, pair.T_rgb_board, None if found is None else found.depth))
     return trials
+
+
+def _draw(results: dict[str, list[PoseTrial]], folder: Path) -> None:
+    """Writes tag_pose_<n>.png for each variant: rows are quantities, columns tilts; median and 5 to 95 % range."""
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    for number, (name, trials) in enumerate(results.items(), start=1):
+        tilts = sorted({tilt for _, tilt in cells(trials)})
+        distances = sorted({distance for distance, _ in cells(trials)})
+        figure, axes = pyplot.subplots(
+            len(QUANTITIES), len(tilts), figsize=(2.6 * len(tilts) + 1.0, 7.0), sharex=True, sharey="row", squeeze=False
+        )
+        for column, tilt in enumerate(tilts):
+            for row, (quantity, label) in enumerate(QUANTITIES.items()):
+                axis = axes[row, column]
+                for method in METHODS:
+                    found = [values(trials, method, quantity, d, tilt) for d in distances]
+                    bands = [(d, np.percentile(f, [5, 50, 95])) for d, f in zip(distances, found) if f.size]
+                    if not bands:
+                        continue
+                    x = np.array([d for d, _ in bands]) + OFFSET[method]
+                    low, middle, high = np.array([p for _, p in bands]).T
+                    error = (middle - low, high - middle)
+                    axis.errorbar(x, middle, error, fmt="o-", color=COLOURS[method], label=method, ms=3, capsize=2)
+                axis.set_yscale("log")
+                axis.grid(True, which="both", alpha=0.25)
+                if column == 0:
+                    axis.set_ylabel(label)
+            axes[0, column].set_title(f"tilt {tilt:g} deg")
+            axes[-1, column].set_xlabel("distance [m]")
+        axes[0, -1].legend(fontsize=8)
+        figure.suptitle(f"Error of the marker board pose, {name}")
+        figure.tight_layout()
+        figure.savefig(folder / f"tag_pose_{number}.png", dpi=90)
+        pyplot.close(figure)

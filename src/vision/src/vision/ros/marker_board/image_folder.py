@@ -46,36 +46,24 @@ class BoardImageSet:
     folder: Path
     entries: list[dict]  # the description of each pair
     plate: float  # edge of the marker board [m]
-    rgb: CameraModel  # the cameras
-    depth: CameraModel  # the cameras
+    rgb: CameraModel
+    depth: CameraModel
     T_rgb_depth: np.ndarray  # pose of the depth camera in the colour camera, shape (4, 4) [m]
 
     def pairs(self) -> Iterator[BoardImagePair]:
-        """Reads one pair after the other.
-
-        Raises:
-            DeviceError: a file is missing, or is not an image.
-        """
+        """Reads one pair after the other; raises DeviceError if a file is missing, or is not an image."""
         for entry in self.entries:
             grey = cv2.imread(str(self.folder / entry["colour"]), cv2.IMREAD_GRAYSCALE)
             depth = cv2.imread(str(self.folder / entry["depth"]), cv2.IMREAD_UNCHANGED)
             if grey is None or depth is None or depth.dtype != np.uint16:
-                raise DeviceError(
-                    f"{entry['colour']} and {entry['depth']} in {self.folder} are not a colour and a depth image: "
-                    "render the folder again."
-                )
-            T = check_pose(entry["T_rgb_panel"])
-            yield BoardImagePair(
-                grey, metres_from_millimetres(depth), float(entry["distance"]), float(entry["tilt"]), T
-            )
+                names = f"{entry['colour']} and {entry['depth']} in {self.folder}"
+                raise DeviceError(f"{names} are not a colour and a depth image: render the folder again.")
+            distance, tilt, T = float(entry["distance"]), float(entry["tilt"]), check_pose(entry["T_rgb_panel"])
+            yield BoardImagePair(grey, metres_from_millimetres(depth), distance, tilt, T)
 
 
 def read_images(folder: Path) -> BoardImageSet:
-    """Returns the content of a folder.
-
-    Raises:
-        DeviceError: its index is missing or incomplete.
-    """
+    """Returns the content of a folder; raises DeviceError if its index is missing or incomplete."""
     try:
         index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
         return BoardImageSet(
@@ -94,14 +82,8 @@ def read_images(folder: Path) -> BoardImageSet:
 
 
 def render_images(folder: Path, board: str, *options: str) -> None:
-    """Lets the simulation fill a folder with images of a board, bundle or single.
-
-    Args:
-        options: further options of panel_pictures.py.
-
-    Raises:
-        DeviceError: the simulation failed.
-    """
+    """Lets the simulation fill a folder with images of a board, bundle or single, with further options of
+    panel_pictures.py; raises DeviceError if it fails."""
     command = ["rosrun", "rig_simulation", "panel_pictures.py", str(folder), "--panel", board]
     command += ["--rgb", str(config_file("xtion_rgb.yaml")), "--depth", str(config_file("xtion_depth.yaml")), *options]
     try:

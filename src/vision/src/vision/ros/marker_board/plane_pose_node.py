@@ -22,15 +22,13 @@ from apriltag_ros.settings import detector_settings
 from common.errors import ConfigError
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
-from common.ros.node import run
 from common.ros.params import private_config, private_values
 from common.rotations import rotation_angle
 from vision.camera.registration import PairsConfig
-from vision.marker_board.board import MarkerBoardConfig
+from vision.marker_board.board import MarkerBoardConfig, board_target
 from vision.marker_board.plane_fit import PlanePoseConfig
-from vision.marker_board.rgbd_detector import RgbdDetection, RgbdDetector
+from vision.marker_board.plane_pose import RgbdDetection, RgbdDetector
 from vision.ros.camera.rgbd_pairs import RgbdPair, RgbdPairs
-from vision.ros.marker_board.detections import board_target
 
 METHODS = ("plane", "fused")
 SECTIONS = ("detector", "panel", "plane_pose")
@@ -38,13 +36,8 @@ THROTTLE_S = 5.0
 
 
 class PlanePoseNode:
-    """Publishes the marker board's poses for every pair of images.
-
-    Args:
-        frame: frame of the marker board in tf.
-        publish_tf: whether to publish the poses in tf.
-        slop: maximum time between the images of a pair [s].
-    """
+    """Publishes the poses of the marker board with the tf frame `frame` for every pair of images at most `slop` [s]
+    apart."""
 
     def __init__(self, detector: RgbdDetector, frame: str, publish_tf: bool, slop: float) -> None:
         self._detector, self._frame, self._publish_tf = detector, frame, publish_tf
@@ -62,9 +55,8 @@ class PlanePoseNode:
 
     def _on_pair(self, pair: RgbdPair) -> None:
         grey = cv2.cvtColor(np.ascontiguousarray(pair.colour), cv2.COLOR_RGB2GRAY)
-        found = self._detector.detect(
-            grey, pair.rgb, pair.depth, pair.depth_camera, pair.T_rgb_depth, pair.header.stamp.to_sec()
-        )
+        stamp = pair.header.stamp.to_sec()
+        found = self._detector.detect(grey, pair.rgb, pair.depth, pair.depth_camera, pair.T_rgb_depth, stamp)
         for name, publisher in self._publishers.items():
             detections = _detections(found, name)
             publisher.publish(detection_array(detections, pair.header))
@@ -111,7 +103,8 @@ def _detections(found: RgbdDetection | None, name: str) -> tuple[TargetDetection
     return (replace(found.colour, pose=pose),)
 
 
-def _run() -> None:
+def main() -> None:
+    """Runs the node with its private parameters."""
     cv2.setNumThreads(1)
     config = private_config(PairsConfig, others=SECTIONS)
     board = private_config(MarkerBoardConfig, "panel")
@@ -126,8 +119,3 @@ def _run() -> None:
         raise ConfigError([f"{str(error)[0].upper()}{str(error)[1:]}."]) from None
     PlanePoseNode(detector, board.frame, settings.publish_tf, config.slop)
     rospy.spin()
-
-
-def main() -> None:
-    """Runs the node until ROS shuts down."""
-    run("plane_pose", _run)

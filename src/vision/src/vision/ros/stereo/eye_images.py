@@ -16,8 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
 from vision.ros.camera.rgbd_pairs import BUFFER_BYTES
-from vision.stereo.config import StereoViewConfig
-from vision.stereo.view import EyeImages, ImageAge, StereoView, age_text
+from vision.stereo.view import EyeImages, ImageAge, StereoView, StereoViewConfig, age_text
 
 THROTTLE_S = 10.0
 

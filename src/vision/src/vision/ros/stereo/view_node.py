@@ -20,10 +20,10 @@ from sensor_msgs.msg import Image
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import image_message
-from common.ros.node import run, while_running
+from common.ros.node import while_running
 from common.ros.params import private_config
 from vision.ros.stereo.eye_images import StereoImageSource
-from vision.stereo.config import StereoViewConfig, WindowConfig
+from vision.stereo.view import StereoViewConfig, WindowConfig
 
 REFRESH_S = 0.2
 """Period at which an old image is drawn again with its new age."""
@@ -35,11 +35,8 @@ TITLE = "Leap Rig: headset"
 
 
 def find_screen(application: QApplication, output: str):
-    """Returns the screen of the output, or the Rift's if `output` is empty; None if there is no Rift.
-
-    Raises:
-        DeviceError: no screen has that name.
-    """
+    """Returns the screen of the output, or the Rift's, or None, if `output` is empty; raises DeviceError for an unknown
+    one."""
     screens = application.screens()
     if output:
         for screen in screens:
@@ -115,7 +112,8 @@ class StereoScreen(QWidget):
         self.resize(960, 540)
 
 
-def _run() -> None:
+def main() -> None:
+    """Runs the node with its private parameters."""
     output = private_config(WindowConfig, others=("view",)).output
     config = private_config(StereoViewConfig, "view")
     if not any(name in os.environ for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")):
@@ -153,8 +151,3 @@ def _draw(images: StereoImageSource, window: StereoScreen, stop: threading.Event
         if publisher.get_num_connections():
             with while_running():
                 publisher.publish(image_message(image, "rgb8", FRAME, shown.stamp))
-
-
-def main() -> None:
-    """Runs the node until its window is closed or ROS shuts down."""
-    run("stereo_view", _run)

@@ -25,10 +25,9 @@ from websockets.sync.server import ServerConnection, serve
 
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
-from common.ros.node import run
 from common.ros.params import private_config
 from vision.ros.stereo.eye_images import ShownView, StereoImageSource
-from vision.stereo.config import StereoViewConfig, WebConfig
+from vision.stereo.view import StereoViewConfig, WebConfig
 
 REFRESH_S = 0.2
 SILENCE_S = 0.5
@@ -50,11 +49,8 @@ class StereoFrame:
 
 
 class StereoWeb:
-    """A server in threads of its own; `address` is that of the page.
-
-    Raises:
-        DeviceError: the page, the certificate or the port is not available.
-    """
+    """A server in threads of its own; `address` is that of the page. Raises DeviceError if the page, the certificate or
+    the port is not available."""
 
     def __init__(self, config: WebConfig) -> None:
         self._frame: StereoFrame | None = None
@@ -154,7 +150,8 @@ class StereoWeb:
             return self._number, self._frame
 
 
-def _run() -> None:
+def main() -> None:
+    """Runs the node with its private parameters."""
     config = private_config(StereoViewConfig, "view")
     web = StereoWeb(private_config(WebConfig, "web"))
     rospy.loginfo("The view is at %s", web.address)
@@ -174,8 +171,3 @@ def _frame(shown: ShownView, quality: int) -> StereoFrame:
     image = np.hstack((shown.eyes.left, shown.eyes.right))
     _, jpeg = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     return StereoFrame(jpeg.tobytes(), shown.view.tangents, shown.eyes.deep)
-
-
-def main() -> None:
-    """Runs the node until ROS shuts down."""
-    run("stereo_web", _run)
