@@ -11,10 +11,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from common.rotations import rotation_angle
-from leap_rig.object_track import ObjectTrack
 
 STAGES = ("leap_motion", "leap_kuka", "kuka_control", "leap_hand")
 """Stages between a received frame and the wires of arm and hand, by the names of their nodes."""
+OFF_TABLE_M = 0.01
+"""An object whose lowest point is higher than this has left the table."""
+ON_TABLE_M = 0.003
+FELL_M = -0.02
+"""Lower than the table's top: it fell beside it."""
+UPRIGHT_RAD = float(np.radians(10.0))
 
 
 @dataclass
@@ -39,6 +44,40 @@ class TrackingErrors:
         self.angle.append(rotation_angle(T_base_target[:3, :3].T @ T_base_tool[:3, :3]))
 
 
+@dataclass
+class ObjectTrack:
+    """One object during a run; times in seconds, lengths in metres, angles in radians."""
+
+    lifted: float | None = None  # time at which it first left the table
+    highest: float = 0.0  # greatest height of its lowest point above the table
+    put_down: float | None = None  # time at which the hand released it on the table after the lift
+    moved: float = 0.0  # horizontal distance from its first position
+    tilt: float = 0.0  # angle between its vertical axis now and at first
+    fell: bool = False  # whether it fell off the table
+    _first: np.ndarray | None = None
+
+    @property
+    def picked_and_placed(self) -> bool:
+        """Whether it left the table and stands on it again, upright."""
+        return self.lifted is not None and self.put_down is not None and self.tilt < UPRIGHT_RAD and not self.fell
+
+    def observe(self, T_world_object: np.ndarray, clearance: float, on_table: bool, held: bool, now: float) -> None:
+        """Adds a pose, shape (4, 4), with the height of the lowest point above the table [m], and whether table and
+        robot touch the object."""
+        if self._first is None:
+            self._first = T_world_object
+        self.highest = max(self.highest, clearance)
+        self.fell |= clearance < FELL_M
+        self.moved = float(np.linalg.norm((T_world_object - self._first)[:2, 3]))
+        up, up_first = T_world_object[:3, 2], self._first[:3, 2]
+        self.tilt = float(np.arccos(np.clip(up @ up_first, -1.0, 1.0)))
+        if clearance > OFF_TABLE_M:
+            self.lifted = now if self.lifted is None else self.lifted
+            self.put_down = None
+        elif self.lifted is not None and self.put_down is None and on_table and not held and clearance < ON_TABLE_M:
+            self.put_down = now
+
+
 class Recorder:
     """The record of one run, which begins with `start`."""
 
@@ -50,8 +89,7 @@ class Recorder:
         self.commanded = TrackingErrors()
         self.tool_path = 0.0
         self.largest_tcp_speed: float | None = None
-        self.hand_low: np.ndarray | None = None
-        self.hand_high: np.ndarray | None = None
+        self._hand_range: tuple[np.ndarray, np.ndarray] | None = None
         self.received: dict[float, float] = {}
         self.stage_times: dict[str, dict[float, float]] = {stage: {} for stage in STAGES}
         self.counters: dict[str, dict[str, str]] = {}
@@ -131,11 +169,16 @@ class Recorder:
         self, name: str, T_world_object: np.ndarray, clearance: float, touches: Iterable[str], now: float
     ) -> None:
         """Adds pose, clearance above the table [m] and contacts of an object of the simulated world."""
-        touched = set(touches)
-        held = any(body.startswith(("reflex/", "kuka/")) for body in touched)
-        self.objects.setdefault(name, ObjectTrack()).observe(T_world_object, clearance, "table" in touched, held, now)
+        bodies = set(touches)
+        held = any(body.startswith(("reflex/", "kuka/")) for body in bodies)
+        self.objects.setdefault(name, ObjectTrack()).observe(T_world_object, clearance, "table" in bodies, held, now)
 
     def hand(self, angles: np.ndarray) -> None:
         """Adds the four motor angles of the hand, shape (4,) [rad]."""
-        self.hand_low = angles if self.hand_low is None else np.minimum(self.hand_low, angles)
-        self.hand_high = angles if self.hand_high is None else np.maximum(self.hand_high, angles)
+        low, high = self._hand_range or (angles, angles)
+        self._hand_range = np.minimum(low, angles), np.maximum(high, angles)
+
+    @property
+    def hand_travel(self) -> list[float]:
+        """The range of each of these angles [rad]; empty if the hand reported none."""
+        return [] if self._hand_range is None else np.round(np.subtract(*self._hand_range[::-1]), 3).tolist()

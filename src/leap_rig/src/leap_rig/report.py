@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from leap_rig.object_track import ObjectTrack
-from leap_rig.recorder import Recorder, TrackingErrors
+from leap_rig.recorder import ObjectTrack, Recorder, TrackingErrors
 
 ARM_FOLLOWED_M = 0.005
 """Least path of the tool while a hand steers it."""
@@ -19,8 +18,6 @@ SLOW_WORLD = 0.95
 """Below this fraction of the requested speed of the world, the machine is too slow."""
 LEAST_LIFT_MM = {"pick_cup": 195.0}
 """The scenario lifts an object by 20 cm; the simulated operator tolerates an error of 4 mm."""
-
-
 COUNTERS = {
     "servo_goals_sent": ("kuka_control", "goals_sent"),
     "pickups": ("kuka_control", "pickups"),
@@ -37,33 +34,40 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
     """Returns the summary of a run until `now` [s] as a mapping that JSON can hold. `faults` lists why the run failed,
     with a clause for each node that died; `warnings`, with the remarks, do not make it fail."""
     began = recorder.started if recorder.started is not None else now
+    # The seconds of the simulated world in a second of the run; None without a world.
+    world, wall = (recorder.count("simulated_world", name) for name in ("world_s", "wall_s"))
+    factor = round(world / wall, 3) if world is not None and wall else None
+    counts = {name: recorder.count(*counter) for name, counter in COUNTERS.items()}
+
+    def since(time: float | None) -> float | None:
+        return None if time is None else round(time - began, 2)
+
     summary = {
-        "duration_s": round(now - began, 2),
+        "duration_s": since(now),
         "frames_received": recorder.frames,
         "streams": [
-            {
-                "started_s": round(stream.started - began, 2),
-                "stopped_s": None if stream.stopped is None else round(stream.stopped - began, 2),
-                "reason": stream.reason,
-            }
-            for stream in recorder.streams
+            {"started_s": since(s.started), "stopped_s": since(s.stopped), "reason": s.reason} for s in recorder.streams
         ],
-        **{name: _whole(recorder.count(*counter)) for name, counter in COUNTERS.items()},
+        **{name: None if count is None else round(count) for name, count in counts.items()},
         "largest_tcp_speed_mm_s": recorder.largest_tcp_speed and round(1e3 * recorder.largest_tcp_speed, 1),
         "tool_path_m": round(recorder.tool_path, 3),
         "tracking_error": {"desired": _errors(recorder.desired), "commanded": _errors(recorder.commanded)},
-        "hand_travel_rad": []
-        if recorder.hand_low is None
-        else np.round(recorder.hand_high - recorder.hand_low, 3).tolist(),
+        "hand_travel_rad": recorder.hand_travel,
         "delay_ms": _delays(recorder.received, recorder.stage_times),
-        "objects": {name: _object(track, began) for name, track in recorder.objects.items()},
+        "objects": {name: _object(track, since) for name, track in recorder.objects.items()},
         "scenario": recorder.scenario and {key: recorder.scenario[key] for key in ("scenario", "step", "failure")},
         "grasps": [_grasp(values) for values in recorder.grasps.values()],
-        "real_time_factor": _real_time_factor(recorder),
+        "real_time_factor": factor,
         "nodes_died": list(deaths),
     }
     summary["faults"] = _faults(summary)
-    summary["warnings"] = [*remarks, *_slow_world(recorder, summary["real_time_factor"])]
+    summary["warnings"] = list(remarks)
+    wanted = float(recorder.counters.get("simulated_world", {}).get("speed") or "nan")
+    if factor is not None and factor < SLOW_WORLD * wanted:
+        summary["warnings"].append(
+            f"The machine is too slow for the simulated world: {factor:.2f} s of it passed in a second instead of "
+            f"{wanted:g}; arm and objects moved in slow motion, and delays and tracking errors are the machine's."
+        )
     return summary
 
 
@@ -79,7 +83,12 @@ def _faults(summary: dict) -> list[str]:
         why = scenario["failure"] or f"it ended at step {scenario['step']!r}"
         faults.append(f"The scenario {scenario['scenario']} was not finished: {why}.")
     elif scenario is not None:
-        faults += _lift_faults(scenario["scenario"], summary["objects"])
+        lifts = [seen["lifted_mm"] for seen in summary["objects"].values() if seen["picked_and_placed"]]
+        name, least = scenario["scenario"], LEAST_LIFT_MM.get(scenario["scenario"], 0.0)
+        if not lifts:
+            faults.append(f"The scenario {name} picked up and put down nothing.")
+        elif max(lifts) < least:
+            faults.append(f"The scenario {name} lifted by only {max(lifts):.0f} mm instead of {least:.0f} mm.")
     for grasp in summary["grasps"]:
         seen = summary["objects"].get(grasp["object"])
         if grasp["held"] and not (seen and seen["picked_and_placed"]):
@@ -87,16 +96,6 @@ def _faults(summary: dict) -> list[str]:
     if not summary["hand_commands"] or max(summary["hand_travel_rad"], default=0.0) < HAND_MOVED_RAD:
         faults.append("The robot hand never moved.")
     return faults
-
-
-def _lift_faults(scenario: str, objects: dict[str, dict]) -> list[str]:
-    lifts = [seen["lifted_mm"] for seen in objects.values() if seen["picked_and_placed"]]
-    least = LEAST_LIFT_MM.get(scenario, 0.0)
-    if not lifts:
-        return [f"The scenario {scenario} picked up and put down nothing."]
-    if max(lifts) < least:
-        return [f"The scenario {scenario} lifted by only {max(lifts):.0f} mm instead of {least:.0f} mm."]
-    return []
 
 
 def _grasp(values: dict[str, str]) -> dict:
@@ -134,10 +133,7 @@ def _grasp_lines(grasp: dict) -> list[str]:
     return lines
 
 
-def _object(track: ObjectTrack, began: float) -> dict:
-    def since(time: float | None) -> float | None:
-        return None if time is None else round(time - began, 2)
-
+def _object(track: ObjectTrack, since: Callable[[float | None], float | None]) -> dict:
     return {
         "picked_and_placed": track.picked_and_placed,
         "left_the_table_s": since(track.lifted),
@@ -161,26 +157,6 @@ def _object_line(name: str, seen: dict) -> str:
         f"{lifted}, put down at {seen['put_down_s']:.1f} s, {seen['moved_mm']:.0f} mm from where it stood, "
         f"tilted by {seen['tilt_deg']:.0f} deg"
     )
-
-
-def _whole(count: float | None) -> int | None:
-    return None if count is None else round(count)
-
-
-def _real_time_factor(recorder: Recorder) -> float | None:
-    """Returns the seconds of the simulated world in a second of the run, or None without a world."""
-    world, wall = (recorder.count("simulated_world", name) for name in ("world_s", "wall_s"))
-    return round(world / wall, 3) if world is not None and wall else None
-
-
-def _slow_world(recorder: Recorder, factor: float | None) -> list[str]:
-    wanted = float(recorder.counters.get("simulated_world", {}).get("speed") or "nan")
-    if factor is None or not factor < SLOW_WORLD * wanted:
-        return []
-    return [
-        f"The machine is too slow for the simulated world: {factor:.2f} s of it passed in a second instead of "
-        f"{wanted:g}; arm and objects moved in slow motion, and delays and tracking errors are the machine's."
-    ]
 
 
 def _errors(errors: TrackingErrors) -> dict:

@@ -26,8 +26,7 @@ from common.ros.service_calls import ServiceFailed, call
 from kuka_msgs.srv import exitApp
 from leap_rig.recorder import Recorder
 from leap_rig.report import as_text, summarise
-from leap_rig.ros.listener import RigListener
-from leap_rig.ros.live_status import CLEAR_LINE, COMPLAINT, LiveStatus
+from leap_rig.ros.listener import CLEAR_LINE, COMPLAINT, LiveStatus, RigListener
 
 CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
 READY_TIMEOUT_S = 90.0
@@ -45,9 +44,8 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--recording", type=Path, metavar="FILE", help="play this recording of Leap frames")
     parser.add_argument("--offset", type=float, nargs=3, metavar=("X", "Y", "Z"), help="shift the recording, mm")
     parser.add_argument("--record", type=Path, metavar="FILE", help="film the simulated world: .mp4, or .png")
-    parser.add_argument(
-        "--scenario", metavar="NAME", help=f"what the simulated operator does: {' or '.join(SCENARIOS)}"
-    )
+    scenarios = f"what the simulated operator does: {' or '.join(SCENARIOS)}"
+    parser.add_argument("--scenario", metavar="NAME", help=scenarios)
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the summary there as JSON")
     parser.add_argument("launch", nargs="*", metavar="NAME:=VALUE", help="arguments of demo.launch")
     arguments = parser.parse_args(argv)
@@ -60,12 +58,12 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
             parser.error(f"{file} cannot be written: the folder {file.resolve().parent} does not exist")
     if arguments.duration is not None and not 0.0 < arguments.duration < 1e6:
         parser.error(f"the duration {arguments.duration} must be a positive number of seconds")
-    for item in arguments.launch:
-        if ":=" not in item:
-            parser.error(f"{item!r} is not of the form name:=value")
+    for item in (item for item in arguments.launch if ":=" not in item):
+        parser.error(f"{item!r} is not of the form name:=value")
     if "sim:=false" in [item.lower() for item in arguments.launch]:
         parser.error("the demo is the simulated rig; the real one is started by `roslaunch leap_rig demo sim:=false`")
-    given = _given(arguments)
+    # A later argument wins, as in roslaunch.
+    given = dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False))
     scenario, scene = given.get("scenario"), Path(given.get(SCENE, ""))
     if scenario and scenario not in SCENARIOS:
         parser.error(f"there is no scenario {scenario!r}; known are {' and '.join(SCENARIOS)}")
@@ -76,13 +74,8 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     return arguments
 
 
-def _given(arguments: argparse.Namespace) -> dict[str, str]:
-    """Returns the launch arguments as a mapping; a later one wins, as in roslaunch."""
-    return dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False))
-
-
 def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
-    """Returns the arguments of demo.launch."""
+    """Returns the arguments of demo.launch; a scene's file has its absolute path, as nodes run in another folder."""
     launch = [f"rviz:={str(screen).lower()}", f"gui:={str(screen).lower()}"]
     if arguments.recording is not None:
         launch.append(f"recording:={arguments.recording.resolve()}")
@@ -92,13 +85,10 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
         launch.append(f"record:={arguments.record.resolve()}")
     if arguments.scenario is not None:
         launch.append(f"scenario:={arguments.scenario}")
-    return launch + [_with_absolute_path(item) for item in arguments.launch]
-
-
-def _with_absolute_path(item: str) -> str:
-    """Returns a launch argument, with the absolute path of a scene's file, as nodes run in another folder."""
-    name, _, value = item.partition(":=")
-    return f"{name}:={Path(value).resolve()}" if name == SCENE and value.endswith(YAML) else item
+    for item in arguments.launch:
+        name, _, value = item.partition(":=")
+        launch.append(f"{SCENE}:={Path(value).resolve()}" if name == SCENE and value.endswith(YAML) else item)
+    return launch
 
 
 class Deaths(ProcessListener):
@@ -210,17 +200,10 @@ def run(arguments: argparse.Namespace) -> int:
     deaths = Deaths()
     os.environ["ROSCONSOLE_FORMAT"] = (CLEAR_LINE if sys.stdout.isatty() else "") + COMPLAINT
     uuid = roslaunch.rlutil.get_or_generate_uuid(None, False)
-    parent = roslaunch.parent.ROSLaunchParent(
-        uuid,
-        [(str(launch_file), launch_arguments(arguments, screen))],
-        process_listeners=[deaths],
-        show_summary=False,
-        force_log=True,
-        sigint_timeout=5.0,
-    )
-    interrupts = Interrupts()
-    recorder = Recorder()
-    status = LiveStatus()
+    files = [(str(launch_file), launch_arguments(arguments, screen))]
+    options = {"process_listeners": [deaths], "show_summary": False, "force_log": True, "sigint_timeout": 5.0}
+    parent = roslaunch.parent.ROSLaunchParent(uuid, files, **options)
+    interrupts, recorder, status = Interrupts(), Recorder(), LiveStatus()
     print("Starting the rig. Ctrl-C stops it. ROS tools work in a second terminal after `source devel/setup.bash`.")
     try:
         parent.start(auto_terminate=False)

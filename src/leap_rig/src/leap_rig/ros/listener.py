@@ -1,7 +1,8 @@
-"""Records the rig's topics and tf."""
+"""Records the rig's topics and tf, and shows its state in the terminal while the demo runs."""
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 
@@ -24,6 +25,9 @@ from rig_msgs.msg import ObjectStates
 
 FRESH_S = 0.2
 """An older frame no longer steers the arm."""
+CLEAR_LINE = "\r\033[K"
+COMPLAINT = "[${severity}] ${node}: ${message}"
+"""ROSCONSOLE_FORMAT of the nodes."""
 
 
 class RigListener:
@@ -87,8 +91,7 @@ class RigListener:
         if self._T_flange_tool is None:
             kuka = rospy.get_param("kuka")
             self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
-        T_base_flange = pose_from_message(message.pose)
-        T_base_tool = T_base_flange @ self._T_flange_tool
+        T_base_tool = pose_from_message(message.pose) @ self._T_flange_tool
         following = self.mode == "servo" and self.recorder.streaming
         targets = [self._fresh(frame) if following else None for frame in (TOOL_DESIRED, TOOL_COMMANDED)]
         self.recorder.tool(T_base_tool, *targets)
@@ -99,10 +102,50 @@ class RigListener:
             message = self._buffer.lookup_transform(BASE, frame, rospy.Time(0))
         except tf2_ros.TransformException:
             return None
-        if (rospy.Time.now() - message.header.stamp).to_sec() > FRESH_S:
-            return None
-        return pose_from_transform(message.transform)
+        fresh = (rospy.Time.now() - message.header.stamp).to_sec() <= FRESH_S
+        return pose_from_transform(message.transform) if fresh else None
 
 
 def _values(status: DiagnosticStatus) -> dict[str, str]:
     return {v.key: v.value for v in status.values}
+
+
+class LiveStatus:
+    """One live line on a terminal, a line every five seconds elsewhere; nodes print their own warnings as COMPLAINT."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stdout.isatty()
+        self._period = 0.5 if self._terminal else 5.0
+        self._next = 0.0
+        self._frames = 0
+        self._time = time.monotonic()
+
+    def update(self, listener: RigListener, phase: str) -> None:
+        """Prints the state, at most once a period."""
+        now = time.monotonic()
+        recorder = listener.recorder
+        if now < self._next:
+            return
+        self._next = now + self._period
+        rate = max(recorder.frames - self._frames, 0) / max(now - self._time, 1e-3)
+        self._frames, self._time = recorder.frames, now
+        speed = recorder.counters.get("simulation", {}).get("tcp_speed")
+        hand = "steers" if recorder.streaming else "waits"
+        text = f"{phase:>8} | arm {listener.mode or '-':<9} | hand {hand:<6} | {rate:4.0f} frames/s"
+        if speed is not None:
+            text += f" | TCP {1e3 * float(speed):4.0f} mm/s"
+        if recorder.scenario is not None:
+            text += f" | {recorder.scenario['step']}"
+        self._print(text + ("" if self._terminal else "\n"))
+
+    def say(self, sentence: str) -> None:
+        """Prints a sentence on a line of its own."""
+        self._print(sentence + "\n")
+
+    def finish(self) -> None:
+        """Ends the live line."""
+        if self._terminal:
+            print()
+
+    def _print(self, text: str) -> None:
+        print(f"{CLEAR_LINE}{text}" if self._terminal else text, end="", flush=True)

@@ -76,13 +76,13 @@ def _evaluate(options: argparse.Namespace, folder: Path) -> None:
         f"depth {1e3 * bias:+.0f} mm": (config, 0.0, bias),
     }
     results = {name: _trials(images, options.panel, *variant) for name, variant in variants.items()}
-    tables = [line for name, trials in results.items() for line in (f"## {name}", "", *tables.markdown(trials), "")]
+    sections = [line for name, trials in results.items() for line in (f"## {name}", "", *tables.markdown(trials), "")]
     head = [f"# Pose of the marker board ({options.panel}) against the truth: median / 95 %", ""]
     lines = [
         tables.CSV_HEAD,
         *(line for name, trials in results.items() for line in tables.csv(name, trials)),
     ]
-    (options.output / "tag_pose.md").write_text("\n".join([*head, *tables]), encoding="utf-8")
+    (options.output / "tag_pose.md").write_text("\n".join([*head, *sections]), encoding="utf-8")
     (options.output / "tag_pose.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     _draw(results, options.output)
     for name, trials in results.items():
