@@ -11,7 +11,7 @@ from depth_scene import RGB, board_pose
 from tag_renderer import render
 
 from apriltag_ros.photometric import PhotometricRefiner
-from apriltag_ros.target import TagTarget, TargetTag
+from apriltag_ros.settings import TagTarget, TargetTag
 from common.poses import pose
 from vision.calibration.acceptance import BoardDetection, refined
 from vision.marker_board.pose_evaluation import BoardObservation, calibrate

@@ -1,7 +1,5 @@
-"""Records a run of the rig from plain values; times in seconds, lengths in metres, angles in radians.
-
-`report.py` summarises the record.
-"""
+"""Records a run of the rig from plain values; times in seconds, lengths in metres, angles in radians. `report.py`
+summarises the record."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def camera():
 @pytest.fixture(scope="session")
 def bundle():
     """The marker board with five tags."""
-    from apriltag_ros.target import TagTarget, TargetTag
+    from apriltag_ros.settings import TagTarget, TargetTag
 
     return TagTarget("panel", tuple(TargetTag(i, size, pose(p=(x, y, 0.0))) for i, size, x, y in BUNDLE))
 
@@ -42,6 +42,6 @@ def bundle():
 @pytest.fixture(scope="session")
 def single():
     """The middle tag of the marker board alone."""
-    from apriltag_ros.target import TagTarget, TargetTag
+    from apriltag_ros.settings import TagTarget, TargetTag
 
     return TagTarget("tag", (TargetTag(*BUNDLE[0][:2]),))

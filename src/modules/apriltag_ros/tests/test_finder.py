@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from tag_renderer import CODES, cells, render
 
-from apriltag_ros.finder import TagFinder
-from apriltag_ros.settings import FAMILIES, detector_settings
-from apriltag_ros.target import CORNERS
+from apriltag_ros.detector import TagFinder
+from apriltag_ros.settings import CORNERS, FAMILIES, detector_settings
 from common.camera_model import pinhole
 from common.poses import pose
 from common.rotations import rotation_about

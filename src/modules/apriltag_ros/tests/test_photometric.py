@@ -11,10 +11,9 @@ from test_tag_pose import error, view
 
 from apriltag_ros.detector import TagDetector
 from apriltag_ros.photometric import PhotometricRefiner
-from apriltag_ros.settings import detector_settings
+from apriltag_ros.settings import TagTarget, TargetTag, detector_settings
 from apriltag_ros.tag_pose import corner_jacobian
 from apriltag_ros.tag_rendering import TagView, black_cells
-from apriltag_ros.target import TagTarget, TargetTag
 from common import tag36h11
 from common.poses import pose
 

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from tag_renderer import render
 
 from apriltag_ros.detector import MEMORY_S, TagDetector
-from apriltag_ros.settings import detector_settings
+from apriltag_ros.settings import TagTarget, TargetTag, detector_settings
 from apriltag_ros.tag_pose import CORNER_SIGMA_PX, HINT, REPROJECTION, corner_jacobian, covariance, tag_pose
-from apriltag_ros.target import TagTarget, TargetTag
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle
 

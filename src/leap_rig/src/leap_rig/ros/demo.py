@@ -1,7 +1,5 @@
-"""`make demo`: starts the rig, shows its state, stops it in order, and prints a report.
-
-The exit code is 0 if the arm followed, the hand moved and no node died; 1 if not; 2 if the rig did not start.
-"""
+"""`make demo`: starts the rig, shows its state, stops it in order, and prints a report. The exit code is 0 if the arm
+followed, the hand moved and no node died; 1 if not; 2 if the rig did not start."""
 
 from __future__ import annotations
 
@@ -160,12 +158,10 @@ def end_in_order(deaths: Deaths) -> None:
 
 
 class Interrupts:
-    """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt, but not while nodes start or stop.
-
-    Without this, roslaunch would stop the nodes and swallow the interrupt, and the demo would continue without a rig.
-    In the background, where a shell ignores SIGINT, Python would raise nothing. An interrupt between the start of a
-    process and roslaunch's record of it would leave the process behind, so interrupts wait until `heed` is called.
-    """
+    """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt, but not while nodes start or stop. Without
+    this, roslaunch would stop the nodes and swallow the interrupt, and the demo would continue without a rig. In the
+    background, where a shell ignores SIGINT, Python would raise nothing. An interrupt between the start of a process
+    and roslaunch's record of it would leave the process behind, so interrupts wait until `heed` is called."""
 
     def __init__(self) -> None:
         self._came, self._waits = False, True

@@ -1,10 +1,8 @@
-"""Refines the pose of a target with all grey values of its tags, starting from the pose by the corners.
-
-The tags are rendered as the camera would see them. Gauss-Newton steps with damping change pose and blur until the sum
-of squared differences to the image is smallest; brightness and contrast are fitted for each tag. Where a second pose
-explains nearly the same corners, the search also starts from it, and the result with the smaller residual wins.
-
-The raw image is used and the lens distortion is part of the rendering: rectification would blur the image again.
+"""Refines the pose of a target with all grey values of its tags, starting from the pose by the corners. The tags are
+rendered as the camera would see them. Gauss-Newton steps with damping change pose and blur until the sum of squared
+differences to the image is smallest; brightness and contrast are fitted for each tag. Where a second pose explains
+nearly the same corners, the search also starts from it, and the result with the smaller residual wins. The raw image is
+used and the lens distortion is part of the rendering: rectification would blur the image again.
 """
 
 from __future__ import annotations
@@ -14,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from apriltag_ros.settings import TagTarget
 from apriltag_ros.tag_pose import corner_jacobian, covariance, tag_pose
 from apriltag_ros.tag_rendering import BLURS_PX, TagPattern, TagView, black_cells
-from apriltag_ros.target import TagTarget
 from common.camera_model import CameraModel
 from common.poses import pose, read_only
 
@@ -58,11 +56,9 @@ class PhotometricRefiner:
         self._points = target.corners
 
     def refine(self, grey: np.ndarray, camera: CameraModel, T_start: np.ndarray) -> PoseRefinement:
-        """Returns the pose whose rendering matches the raw grey image, shape (height, width), uint8, best.
-
-        T_start is the pose by the corners, shape (4, 4) [m], and the camera has its distortion. Raises ValueError if
-        the image does not have the camera's size, or is not grey.
-        """
+        """Returns the pose whose rendering matches the raw grey image, shape (height, width), uint8, best. T_start is
+        the pose by the corners, shape (4, 4) [m], and the camera has its distortion. Raises ValueError if the image
+        does not have the camera's size, or is not grey."""
         if grey.shape != (camera.height, camera.width) or grey.dtype != np.uint8:
             raise ValueError(
                 f"the image has shape {grey.shape} and type {grey.dtype}, but the camera's grey image is "

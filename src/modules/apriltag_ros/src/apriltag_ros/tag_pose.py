@@ -1,9 +1,8 @@
-"""Estimates the pose of a flat target from its corners in one image.
-
-The camera's distortion is removed from the corners first. Two poses, tilted to opposite sides of the line of sight,
-explain most perspective images of a plane (Schweighofer and Pinz 2006; Collins and Bartoli 2014, whose closed form IPPE
-returns both). Each is refined to the smallest sum of squared reprojection errors (Levenberg-Marquardt). If these errors
-differ clearly, the smaller one decides; otherwise a known orientation does, from an earlier or from a depth image.
+"""Estimates the pose of a flat target from its corners in one image. The camera's distortion is removed from the
+corners first. Two poses, tilted to opposite sides of the line of sight, explain most perspective images of a plane
+(Schweighofer and Pinz 2006; Collins and Bartoli 2014, whose closed form IPPE returns both). Each is refined to the
+smallest sum of squared reprojection errors (Levenberg-Marquardt). If these errors differ clearly, the smaller one
+decides; otherwise a known orientation does, from an earlier or from a depth image.
 """
 
 from __future__ import annotations
@@ -21,19 +20,15 @@ from common.rotations import rotation_angle
 
 CORNER_SIGMA_PX = 0.2
 """Standard deviation of a corner that the covariance assumes; rendered images have 0.05 to 0.2, mostly bias."""
-
 CLEAR_RATIO = 2.0
 """A ratio of the two reprojection errors above this counts as unambiguous."""
-
 MAX_LOG_ODDS = 500.0
 """Above this the exponential overflows, and the pose is certain anyway."""
-
 PLANE_TOLERANCE_M = 1e-6
 NO_DISTORTION = np.zeros(5)
 CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-12)
 SAME_RAD = np.radians(0.5)
 """Poses that differ by less are the same solution."""
-
 REPROJECTION, HINT = "reprojection", "hint"
 
 
@@ -57,12 +52,9 @@ class TagPose:
 
 def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: np.ndarray | None = None) -> TagPose:
     """Returns the pose of the target with at least four corners `points`, shape (n, 3) [m], at `pixels`, shape (n, 2)
-    [px].
-
-    The hint is a known rotation from the camera to the target, shape (3, 3), from an earlier or a depth image; it
+    [px]. The hint is a known rotation from the camera to the target, shape (3, 3), from an earlier or a depth image; it
     decides between two poses that explain the image about equally well. Raises ValueError if there are fewer than four
-    corners, or no pose has them all in front of the camera.
-    """
+    corners, or no pose has them all in front of the camera."""
     points, pixels = np.asarray(points, dtype=float), np.asarray(pixels, dtype=float)
     if len(points) < 4:
         raise ValueError(f"a pose needs at least four corners, not {len(points)}")
@@ -96,10 +88,8 @@ def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: 
 
 
 def _ambiguity(T: np.ndarray, rms: float, other: np.ndarray, other_rms: float, corners: int) -> np.ndarray:
-    """Returns the covariance that the possible truth of the `other` pose adds to that of T, shape (6, 6).
-
-    Its probability follows from both reprojection errors [px], even where a hint decided.
-    """
+    """Returns the covariance that the possible truth of the `other` pose adds to that of T, shape (6, 6). Its
+    probability follows from both reprojection errors [px], even where a hint decided."""
     gap = 0.5 * corners * (other_rms**2 - rms**2) / CORNER_SIGMA_PX**2
     change = np.concatenate((other[:3, 3] - T[:3, 3], pin.log3(other[:3, :3] @ T[:3, :3].T)))
     return np.outer(change, change) / (1.0 + np.exp(np.clip(gap, -MAX_LOG_ODDS, MAX_LOG_ODDS)))
@@ -114,10 +104,8 @@ def covariance(T: np.ndarray, points: np.ndarray, K: np.ndarray, sigma: float = 
 
 def corner_jacobian(T: np.ndarray, points: np.ndarray, K: np.ndarray) -> np.ndarray:
     """Returns the derivative of the undistorted pixels of `points` by the pose T of the target, shape (n, 2, 6).
-
     Columns: translation along the camera's x, y, z [px/m], then small rotations about axes through the target's origin
-    parallel to them [px/rad].
-    """
+    parallel to them [px/rad]."""
     turned = points @ T[:3, :3].T
     x, y, z = (turned + T[:3, 3]).T
     J_pixel = np.zeros((len(points), 2, 3))

@@ -1,9 +1,6 @@
-"""Renders tags as the camera would see them, for comparison with its image.
-
-A pixel is the mean of samples, each a ray through the lens to the plane of the tag; the result is blurred in the image
-plane. The derivatives by the pose follow from the gradient of the rendered image: a change of the pose moves each point
-of the tag in the image.
-"""
+"""Renders tags as the camera would see them, for comparison with its image. A pixel is the mean of samples, each a ray
+through the lens to the plane of the tag; the result is blurred in the image plane. The derivatives by the pose follow
+from the gradient of the rendered image: a change of the pose moves each point of the tag in the image."""
 
 from __future__ import annotations
 
@@ -15,9 +12,8 @@ import apriltag
 import cv2
 import numpy as np
 
-from apriltag_ros.settings import FAMILIES
+from apriltag_ros.settings import FAMILIES, TargetTag
 from apriltag_ros.tag_pose import corner_jacobian
-from apriltag_ros.target import TargetTag
 from common.camera_model import CameraModel
 
 RING = 0.5

@@ -1,8 +1,6 @@
-"""Which views a calibration uses, and whether its result is accepted.
-
-A view is the mean pose of the marker board over several images while arm and camera stand still. Its covariance is that
-of one image, because most of a corner's error is the same in every image, plus that of the arm.
-"""
+"""Which views a calibration uses, and whether its result is accepted. A view is the mean pose of the marker board over
+several images while arm and camera stand still. Its covariance is that of one image, because most of a corner's error
+is the same in every image, plus that of the arm."""
 
 from __future__ import annotations
 
@@ -124,25 +122,18 @@ def view_from(
         earlier: views that are already used.
     """
     if len(detections) < config.pictures:
-        raise ViewRejected(
-            "detections",
-            f"the camera detected the marker board in {len(detections)} images, but a view needs {config.pictures}",
-        )
+        found = f"the camera detected the marker board in {len(detections)} images"
+        raise ViewRejected("detections", f"{found}, but a view needs {config.pictures}")
     for view in earlier:
         shift, turn = _distance(view.T_base_flange, T_base_flange)
         if shift < config.new_mm and turn < config.new_deg:
-            raise ViewRejected(
-                "repeated",
-                f"the flange is only {shift:.1f} mm and {turn:.1f} deg from an earlier view: tilt it another way",
-            )
+            near = f"the flange is only {shift:.1f} mm and {turn:.1f} deg from an earlier view"
+            raise ViewRejected("repeated", f"{near}: tilt it another way")
     T = mean_pose([detection.T_camera_board for detection in detections])
     spread = np.max([_distance(T, detection.T_camera_board) for detection in detections], axis=0)
     if spread[0] > config.still_mm or spread[1] > config.still_deg:
-        raise ViewRejected(
-            "moved",
-            f"the marker board moved: the detections are up to {spread[0]:.1f} mm and {spread[1]:.1f} deg from their "
-            "mean; stop the arm and take the view again",
-        )
+        off = f"the detections are up to {spread[0]:.1f} mm and {spread[1]:.1f} deg from their mean"
+        raise ViewRejected("moved", f"the marker board moved: {off}; stop the arm and take the view again")
     covariance = np.mean([detection.covariance for detection in detections], axis=0)
     arm = np.repeat([1e-3 * config.arm_mm, np.radians(config.arm_deg)], 3)
     return CalibrationView(T_base_flange, T, covariance + np.diag(arm**2))
@@ -156,11 +147,8 @@ def mean_pose(poses: list[np.ndarray]) -> np.ndarray:
 
 
 def judge(views: list[CalibrationView], T_flange_board: np.ndarray, config: CalibrationConfig) -> Verdict:
-    """Returns the calibration from the views and the checks that it fails.
-
-    T_flange_board is the pose of the marker board by its drawing, shape (4, 4) [m]. Raises DegenerateViews if the views
-    do not determine the calibration.
-    """
+    """Returns the calibration from the views and the checks that it fails. T_flange_board is the pose of the marker
+    board by its drawing, shape (4, 4) [m]. Raises DegenerateViews if the views do not determine the calibration."""
     if len(views) < config.min_views:
         raise DegenerateViews(f"{len(views)} views are too few: take at least {config.min_views}")
     result = hand_eye.solve(views)

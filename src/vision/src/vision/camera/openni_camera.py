@@ -1,7 +1,5 @@
-"""Driver of the Xtion Pro Live with OpenNI 2; every missing part is reported in one sentence.
-
-It needs the library libOpenNI2 with its drivers, and the Python package openni, which wraps it.
-"""
+"""Driver of the Xtion Pro Live with OpenNI 2; every missing part is reported in one sentence. It needs the library
+libOpenNI2 with its drivers, and the Python package openni, which wraps it."""
 
 from __future__ import annotations
 
@@ -69,7 +67,12 @@ class OpenniCamera:
         try:
             self._start("rgb", openni.SENSOR_COLOR, openni.PIXEL_FORMAT_RGB888)
             self._start("depth", openni.SENSOR_DEPTH, openni.PIXEL_FORMAT_DEPTH_1_MM)
-            self._register()
+            wanted, mode = self._config.depth_registration, openni.IMAGE_REGISTRATION_DEPTH_TO_COLOR
+            supported = self._device.is_image_registration_mode_supported(mode)
+            if wanted and not supported:
+                raise DeviceError("The camera cannot register depth to colour itself; set depth_registration to false.")
+            if supported:
+                self._device.set_image_registration_mode(mode if wanted else openni.IMAGE_REGISTRATION_OFF)
         except DeviceError:
             self.disconnect()
             raise
@@ -80,8 +83,7 @@ class OpenniCamera:
         """Returns the serial number of the open device; empty if it reports none."""
         number = self._openni.c_api.ONI_DEVICE_PROPERTY_SERIAL_NUMBER
         with contextlib.suppress(Exception):
-            raw = self._device.get_property(number, SerialNumber)
-            return raw.value.decode("ascii").strip()
+            return self._device.get_property(number, SerialNumber).value.decode("ascii").strip()
         return ""
 
     def read(self, timeout: float) -> OpenniFrame | None:
@@ -129,18 +131,8 @@ class OpenniCamera:
             stream.start()
         except Exception as error:
             what = f"{size[0]} x {size[1]} at {rate} Hz"
-            raise DeviceError(
-                f"The camera gives no {name} images of {what}: {_reason(error)}. Change rate or size."
-            ) from None
-
-    def _register(self) -> None:
-        openni, wanted = self._openni, self._config.depth_registration
-        mode = openni.IMAGE_REGISTRATION_DEPTH_TO_COLOR
-        supported = self._device.is_image_registration_mode_supported(mode)
-        if wanted and not supported:
-            raise DeviceError("The camera cannot register depth to colour itself; set depth_registration to false.")
-        if supported:
-            self._device.set_image_registration_mode(mode if wanted else openni.IMAGE_REGISTRATION_OFF)
+            fault = f"The camera gives no {name} images of {what}: {_reason(error)}. Change rate or size."
+            raise DeviceError(fault) from None
 
 
 def _library() -> ModuleType:
@@ -151,8 +143,8 @@ def _library() -> ModuleType:
     try:
         openni2.initialize(list(FOLDERS))
     except Exception:
-        folders = ", ".join(FOLDERS)
-        raise DeviceError(f"There is no libOpenNI2.so in {folders}; install the package libopenni2-dev.") from None
+        fault = f"There is no libOpenNI2.so in {', '.join(FOLDERS)}; install the package libopenni2-dev."
+        raise DeviceError(fault) from None
     atexit.unregister(openni2.unload)  # crashes with some drivers, and the process exits anyway
     return openni2
 

@@ -1,8 +1,6 @@
-"""Registers depth to the pixels of the rectified colour camera, rectifies colour, and makes a coloured point cloud.
-
-A depth pixel becomes a point, and the point a pixel of the rectified colour camera; where several coincide, the nearest
-wins. Everything that depends on the cameras alone is computed once.
-"""
+"""Registers depth to the pixels of the rectified colour camera, rectifies colour, and makes a coloured point cloud. A
+depth pixel becomes a point, and the point a pixel of the rectified colour camera; where several coincide, the nearest
+wins. Everything that depends on the cameras alone is computed once."""
 
 from __future__ import annotations
 
@@ -27,11 +25,8 @@ class PairsConfig:
 
 class Registration:
     """Registers the images of a colour camera with a depth camera at T_rgb_depth, shape (4, 4) [m]; both images are
-    raw.
-
-    All results belong to `camera`, the rectified colour camera. Raises ValueError if a distortion cannot be inverted,
-    and, as do its methods, for an image without its camera's size.
-    """
+    raw. All results belong to `camera`, the rectified colour camera. Raises ValueError if a distortion cannot be
+    inverted, and, as do its methods, for an image without its camera's size."""
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
         self.camera = rgb.rectified()

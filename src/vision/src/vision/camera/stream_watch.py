@@ -1,7 +1,5 @@
-"""Monitors a stream of images: new ones have to arrive, often enough, and with new content.
-
-Times are passed in as seconds of a monotonic clock. Stamps and image digests are only compared with the previous ones.
-"""
+"""Monitors a stream of images: new ones have to arrive, often enough, and with new content. Times are passed in as
+seconds of a monotonic clock. Stamps and image digests are only compared with the previous ones."""
 
 from __future__ import annotations
 
@@ -83,30 +81,23 @@ class StreamWatch:
 
     def health(self, now: float) -> StreamHealth:
         """Returns the state at the time `now` [s]."""
-        limit, name = self._config.silence, self._name
+        limit, name = self._config.silence, f"The {self._name}"
         if self._last is None or self._new_stamp is None:
-            return StreamHealth("waiting", f"The {name} has sent nothing yet: is its driver running?")
-        if now - self._last > limit:
-            return StreamHealth(
-                "vanished", f"The {name} vanished: nothing for {now - self._last:.1f} s. Check its cable and driver."
-            )
-        if now - self._new_stamp > limit:
-            return StreamHealth(
-                "frozen", f"The {name} is frozen: the same stamp for {now - self._new_stamp:.1f} s. Restart its driver."
-            )
+            return StreamHealth("waiting", f"{name} has sent nothing yet: is its driver running?")
+        silent, old = now - self._last, now - self._new_stamp
+        if silent > limit:
+            return StreamHealth("vanished", f"{name} vanished: nothing for {silent:.1f} s. Check its cable and driver.")
+        if old > limit:
+            return StreamHealth("frozen", f"{name} is frozen: the same stamp for {old:.1f} s. Restart its driver.")
         if now - self._garbled <= limit:
-            return StreamHealth("garbled", f"The {name} sends garbled images: {self._garbage}.")
+            return StreamHealth("garbled", f"{name} sends garbled images: {self._garbage}.")
         if self._filled < self._config.min_depth:
-            return StreamHealth(
-                "empty",
-                f"The {name} measures nothing: {100.0 * self._filled:.0f} % of the pixels are valid. Clear its view.",
-            )
-        if self._new_digest is not None and now - self._new_digest > limit:
-            return StreamHealth(
-                "frozen",
-                f"The {name} is frozen: the same image for {now - self._new_digest:.1f} s. Restart its driver.",
-            )
+            valid = f"{100.0 * self._filled:.0f} % of the pixels are valid"
+            return StreamHealth("empty", f"{name} measures nothing: {valid}. Clear its view.")
+        same = 0.0 if self._new_digest is None else now - self._new_digest
+        if same > limit:
+            return StreamHealth("frozen", f"{name} is frozen: the same image for {same:.1f} s. Restart its driver.")
         rate = self.rate(now)
         if 0.0 < rate < self._config.min_rate:
-            return StreamHealth("slow", f"The {name} is slow: {rate:.1f} images per second. Use another USB port.")
-        return StreamHealth("alive", f"The {name} sends images.")
+            return StreamHealth("slow", f"{name} is slow: {rate:.1f} images per second. Use another USB port.")
+        return StreamHealth("alive", f"{name} sends images.")

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from apriltag_ros.settings import TAG_KEYS, targets
-from apriltag_ros.target import TagTarget
+from apriltag_ros.settings import TAG_KEYS, TagTarget, targets
 from common.config import number, text, vector
 from common.errors import ConfigError
 from common.poses import inverse, pose

@@ -1,9 +1,8 @@
-"""The plane of the marker board in a raw depth image.
-
-A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X; it equals n / D with the unit normal n and the
-distance D. Along a pixel's ray (x, y, 1) the inverse depth is 1/z = a . ray, which is linear in a. The noise of a
-structured-light sensor and the smooth errors of a unit are nearly constant in inverse depth, so the plane is fitted
-there. The registered image is not used, because it has holes and repeated pixels.
+"""The plane of the marker board in a raw depth image. A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its
+points X; it equals n / D with the unit normal n and the distance D. Along a pixel's ray (x, y, 1) the inverse depth is
+1/z = a . ray, which is linear in a. The noise of a structured-light sensor and the smooth errors of a unit are nearly
+constant in inverse depth, so the plane is fitted there. The registered image is not used, because it has holes and
+repeated pixels.
 """
 
 from __future__ import annotations
@@ -103,12 +102,10 @@ def fit_board(
 
 def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, float]:
     """Returns the plane through most pixels, shape (3,) [1/m], the weights of the pixels, shape (n,), and the standard
-    deviation of the inliers' errors [1/m].
-
-    The pixels have `rays`, shape (n, 3), and inverse depths w, shape (n,) [1/m], with the maximum standard deviation
-    `noise` [1/m]. The start is the best of many planes through three pixels (MSAC: RANSAC with errors that are clipped
-    at the gate), followed by iteratively reweighted least squares. The triples are the same in every call.
-    """
+    deviation of the inliers' errors [1/m]. The pixels have `rays`, shape (n, 3), and inverse depths w, shape (n,)
+    [1/m], with the maximum standard deviation `noise` [1/m]. The start is the best of many planes through three pixels
+    (MSAC: RANSAC with errors that are clipped at the gate), followed by iteratively reweighted least squares. The
+    triples are the same in every call."""
     triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
     corners = rays[triples]
     sound = np.abs(np.linalg.det(corners)) > 1e-12
@@ -125,11 +122,9 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
 
 
 def unit_covariance(a: np.ndarray, middle: np.ndarray, config: PlanePoseConfig) -> np.ndarray:
-    """Returns the covariance of the plane a from the errors of the sensor unit, shape (3, 3) [1/m^2].
-
-    A wrong scale stretches a; over the marker board, whose middle is at the ray `middle` (x, y, 1), the smooth error of
-    inverse depth is an offset and two slopes.
-    """
+    """Returns the covariance of the plane a from the errors of the sensor unit, shape (3, 3) [1/m^2]. A wrong scale
+    stretches a; over the marker board, whose middle is at the ray `middle` (x, y, 1), the smooth error of inverse depth
+    is an offset and two slopes."""
     J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-middle[0], -middle[1], 1.0]])
     smooth = np.diag(np.square([config.warp_slope_sd, config.warp_slope_sd, config.warp_sd]))
     return config.scale_sd**2 * np.outer(a, a) + J @ smooth @ J.T

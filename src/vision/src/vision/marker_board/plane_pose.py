@@ -1,9 +1,8 @@
-"""The pose of the marker board from its tag corners and its plane in the depth image.
-
-Three poses are estimated. Colour-only: least squares over the corners (`apriltag_ros.tag_pose`); inaccurate in range,
-and in tilt where the board faces the camera. Plane: the corners' rays end on the plane, so tilt and range come from
-depth. Fused: the least squares over corners and plane, each weighted by its covariance. A weighted mean of the first
-two would count the corners twice; the least squares count each measurement once.
+"""The pose of the marker board from its tag corners and its plane in the depth image. Three poses are estimated.
+Colour-only: least squares over the corners (`apriltag_ros.tag_pose`); inaccurate in range, and in tilt where the board
+faces the camera. Plane: the corners' rays end on the plane, so tilt and range come from depth. Fused: the least squares
+over corners and plane, each weighted by its covariance. A weighted mean of the first two would count the corners twice;
+the least squares count each measurement once.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from apriltag_ros.detector import TagDetector, TargetDetection
-from apriltag_ros.settings import DetectorSettings
+from apriltag_ros.settings import DetectorSettings, TagTarget
 from apriltag_ros.tag_pose import corner_jacobian
-from apriltag_ros.target import TagTarget
 from common.camera_model import CameraModel
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about, unit
@@ -59,10 +57,8 @@ class RgbdDetection:
 
 
 class RgbdDetector:
-    """Detects one flat marker board on a square plate with the edge `plate` [m] round the origin of its tags.
-
-    Raises ValueError if the tags do not lie in the plane of the plate.
-    """
+    """Detects one flat marker board on a square plate with the edge `plate` [m] round the origin of its tags. Raises
+    ValueError if the tags do not lie in the plane of the plate."""
 
     def __init__(self, settings: DetectorSettings, target: TagTarget, plate: float, config: PlanePoseConfig) -> None:
         if np.any(np.abs(target.corners[:, 2]) > 1e-6):

@@ -1,8 +1,6 @@
-"""Errors of marker board poses against the truth, by distance and tilt, as tables; and of whole calibrations.
-
-Three errors are reported: of the board's centre, of its orientation, and of a point REACH_M away from it, as of an
-object that is grasped there (root mean square over all directions).
-"""
+"""Errors of marker board poses against the truth, by distance and tilt, as tables; and of whole calibrations. Three
+errors are reported: of the board's centre, of its orientation, and of a point REACH_M away from it, as of an object
+that is grasped there (root mean square over all directions)."""
 
 from __future__ import annotations
 
@@ -75,9 +73,8 @@ def markdown(trials: list[PoseTrial], methods: tuple[str, ...] = METHODS) -> lis
         for method in methods:
             for quantity, digits in (("position", 1), ("rotation", 2), ("reach", 1)):
                 found = values(trials, method, quantity, distance, tilt)
-                texts.append(
-                    f"{np.median(found):.{digits}f} / {np.percentile(found, 95):.{digits}f}" if found.size else "-"
-                )
+                middle, high = np.percentile(found, (50, 95)) if found.size else (np.nan, np.nan)
+                texts.append(f"{middle:.{digits}f} / {high:.{digits}f}" if found.size else "-")
         lines.append("| " + " | ".join(texts) + " |")
     return lines
 
@@ -135,11 +132,9 @@ def calibrate(
     arm: tuple[float, float],
     rng: np.random.Generator,
 ) -> CalibrationAccuracy:
-    """Returns the errors of the calibration from observations, each of them a view of one image.
-
-    T_flange_board has the shape (4, 4) [m]; `arm` are the standard deviations of the arm's errors along and about each
-    axis [m, rad], and `rng` is their source.
-    """
+    """Returns the errors of the calibration from observations, each of them a view of one image. T_flange_board has the
+    shape (4, 4) [m]; `arm` are the standard deviations of the arm's errors along and about each axis [m, rad], and
+    `rng` is their source."""
     views: list[CalibrationView] = []
     for observation in observations:
         T_base_flange = T_BASE_CAMERA @ observation.T_truth @ inverse(T_flange_board)

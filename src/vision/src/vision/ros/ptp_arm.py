@@ -41,9 +41,7 @@ class ArmAddress:
 
 def arm_address(store: StoreConfig, options: Namespace) -> ArmAddress:
     """Returns the robot of the parameters under kuka/, else that of the store; options that are not None override it.
-
-    Raises ConfigError with all faults.
-    """
+    Raises ConfigError with all faults."""
     values = {"robot": store.robot, "flange": store.flange, "port": DEFAULT_PORT, **rospy.get_param("kuka", {})}
     values.update({key: value for key, value in vars(options).items() if value is not None})
     names = [field.name for field in fields(ArmAddress)]
@@ -59,10 +57,8 @@ def arm_address(store: StoreConfig, options: Namespace) -> ArmAddress:
 
 class PtpArm:
     """Moves the arm with a fraction of full joint speed, (0, 1]; publishes joints and flange, as its controllers do.
-
     Every call raises DeviceError if the robot does not answer or refuses; so does the constructor, also if a controller
-    node has the robot.
-    """
+    node has the robot."""
 
     def __init__(self, address: ArmAddress, model: ArmModel, velocity: float) -> None:
         master = rospy.get_master()

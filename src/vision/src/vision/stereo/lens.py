@@ -1,9 +1,8 @@
-"""Corrects the lens distortion of the Rift DK2 by maps that are computed once.
-
-A display pixel (u, v), counted from the upper left corner of its half with pixel centres at +0.5, appears in the
-direction (x s, y s, 1) with x = (u - cx) pitch / SCALE, y likewise, and s a polynomial in r2 = x^2 + y^2; red is bent
-less and blue more than green. Directions are those of an optical frame: x right, y down, z forward. The polynomial is a
-fit (error 0.003) to the spline of the Oculus SDK 0.5; the colour factors hold for 12 mm between lens and eye.
+"""Corrects the lens distortion of the Rift DK2 by maps that are computed once. A display pixel (u, v), counted from the
+upper left corner of its half with pixel centres at +0.5, appears in the direction (x s, y s, 1) with x = (u - cx) pitch
+/ SCALE, y likewise, and s a polynomial in r2 = x^2 + y^2; red is bent less and blue more than green. Directions are
+those of an optical frame: x right, y down, z forward. The polynomial is a fit (error 0.003) to the spline of the Oculus
+SDK 0.5; the colour factors hold for 12 mm between lens and eye.
 """
 
 from __future__ import annotations

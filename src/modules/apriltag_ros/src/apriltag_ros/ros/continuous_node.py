@@ -12,8 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Empty, EmptyResponse
 
-from apriltag_ros.detector import DetectionResult, TagDetector
-from apriltag_ros.finder import draw_tags
+from apriltag_ros.detector import DetectionResult, TagDetector, draw_tags
 from apriltag_ros.msg import AprilTagDetectionArray
 from apriltag_ros.ros.messages import detection_array, read_parameters
 from common.errors import ConfigError

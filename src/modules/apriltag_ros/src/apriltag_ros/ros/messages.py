@@ -7,8 +7,7 @@ from geometry_msgs.msg import Point, Pose, PoseWithCovarianceStamped, Quaternion
 
 from apriltag_ros.detector import TargetDetection
 from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
-from apriltag_ros.settings import TAG_KEYS, DetectorSettings, detector_settings, targets
-from apriltag_ros.target import TagTarget
+from apriltag_ros.settings import TAG_KEYS, DetectorSettings, TagTarget, detector_settings, targets
 from common.ros.params import private_values
 from common.rotations import quaternion_from_rotation
 

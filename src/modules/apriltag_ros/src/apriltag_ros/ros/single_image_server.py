@@ -6,8 +6,7 @@ import cv2
 import rospy
 from std_msgs.msg import Header
 
-from apriltag_ros.detector import TagDetector
-from apriltag_ros.finder import draw_tags
+from apriltag_ros.detector import TagDetector, draw_tags
 from apriltag_ros.ros.messages import detection_array, read_parameters
 from apriltag_ros.srv import AnalyzeSingleImage, AnalyzeSingleImageResponse
 from common.ros.images import camera_model_from_info

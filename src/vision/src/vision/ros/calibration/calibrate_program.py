@@ -1,7 +1,5 @@
 """The program calibrate_camera: the arm shows the marker board to the camera from many sides to find the camera pose.
-
-It asks before the arm moves and before a result is kept. The detector and the node camera_place run beside it.
-"""
+It asks before the arm moves and before a result is kept. The detector and the node camera_place run beside it."""
 
 from __future__ import annotations
 
@@ -78,13 +76,10 @@ def _run(options: argparse.Namespace) -> None:
     if options.again:
         record = read(options.again)
         present = {key: value for key, value in setup.head.items() if key != "date"}
-        others = [
-            f"{k} {getattr(record, k)}, not {value}" for k, value in present.items() if getattr(record, k) != value
-        ]
+        pairs = ((key, getattr(record, key), value) for key, value in present.items())
+        others = "; ".join(f"{key} {stored}, not {value}" for key, stored, value in pairs if stored != value)
         if others:
-            raise DeviceError(
-                f"The file belongs to another rig: {'; '.join(others)}. Start camera_apriltag.launch for that rig."
-            )
+            raise DeviceError(f"The file belongs to another rig: {others}. Start camera_apriltag.launch for that rig.")
         views, frame = list(record.views), record.camera_frame
     else:
         take = _views_by_hand if options.by_hand else _views_by_arm

@@ -1,7 +1,5 @@
 """What the program calibrate_camera and the node camera_place share: parameters, stored calibrations, and poses in tf.
-
-The calibrations are a folder of dated yaml files, which never change once written.
-"""
+The calibrations are a folder of dated yaml files, which never change once written."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ import rospy
 import tf2_ros
 import yaml
 
-from apriltag_ros.target import TagTarget
+from apriltag_ros.settings import TagTarget
 from common.config import path, text
 from common.errors import ConfigError, DeviceError
 from common.frames import BASE, CAMERA_LINK, FLANGE_MEASURED
@@ -32,7 +30,7 @@ SERIAL, SERIAL_WAIT_S, POLL_S = "camera/driver/serial", 10.0, 0.1
 """Parameter in which our driver writes the camera's serial number, and how long it may take to open the camera."""
 UNKNOWN = "unknown"
 PREFIX = "camera_place_"
-HEADER = "# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w."
+HEADER = "# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w.\n"
 STATIC_WAIT_S = 10.0
 
 
@@ -71,14 +69,10 @@ class CalibrationStore:
         file = self.folder / f"{PREFIX}{record.date.replace(':', '')}.yaml"
         content = yaml.safe_dump(mapping_from_record(record), sort_keys=False)
         try:
-            write_whole(
-                file, f"# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w.\n{content}"
-            )
+            write_whole(file, HEADER + content)
         except OSError as error:
-            raise DeviceError(
-                f"Cannot write {file}: {error.strerror}. The previous calibration stays valid; free the disk or choose "
-                "another folder."
-            ) from None
+            cure = "The previous calibration stays valid; free the disk or choose another folder."
+            raise DeviceError(f"Cannot write {file}: {error.strerror}. {cure}") from None
         return file
 
 

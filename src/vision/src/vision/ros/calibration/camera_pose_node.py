@@ -1,8 +1,7 @@
-"""The node camera_place: publishes the camera pose in kuka/base_frame, from the stored calibration or live.
-
-Live, every image that shows the marker board gives a pose: base to flange as measured by the arm, flange to board by
-its drawing, and the board as detected by the camera. Stored, the pose is that of the newest calibration and needs no
-board. Mode auto is stored if there is a calibration, and live otherwise.
+"""The node camera_place: publishes the camera pose in kuka/base_frame, from the stored calibration or live. Live, every
+image that shows the marker board gives a pose: base to flange as measured by the arm, flange to board by its drawing,
+and the board as detected by the camera. Stored, the pose is that of the newest calibration and needs no board. Mode
+auto is stored if there is a calibration, and live otherwise.
 """
 
 from __future__ import annotations
@@ -142,9 +141,8 @@ class CameraPoseNode:
         """Stores the mean of the newest detections, if arm and camera stood still."""
         with self._lock:
             if self._record is not None:
-                return TriggerResponse(
-                    False, "Nothing was stored: the camera pose is a stored one already; restart with mode:=live."
-                )
+                why = "the camera pose is a stored one already; restart with mode:=live."
+                return TriggerResponse(False, f"Nothing was stored: {why}")
             now = time.monotonic()
             try:
                 file = self._setup.store.save(self._live_record([e for e in self._recent if now - e.time < RECENT_S]))

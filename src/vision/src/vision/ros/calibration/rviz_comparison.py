@@ -22,10 +22,8 @@ VIEWER_WAIT_S, POLL_S = 1.0, 0.05
 
 
 class RvizComparison:
-    """Publishes the frames camera_calibration/old and camera_calibration/new, and a view pyramid for each.
-
-    Create it at the start of the program: RViz needs a moment to subscribe, and the program may exit after `show`.
-    """
+    """Publishes the frames camera_calibration/old and camera_calibration/new, and a view pyramid for each. Create it at
+    the start of the program: RViz needs a moment to subscribe, and the program may exit after `show`."""
 
     def __init__(self) -> None:
         self._static = tf2_ros.StaticTransformBroadcaster()
@@ -38,9 +36,8 @@ class RvizComparison:
             time.sleep(POLL_S)
         poses = {"new": new} if old is None else {"old": old, "new": new}
         now = rospy.Time.now()
-        self._static.sendTransform(
-            [stamped_transform(T, BASE, f"camera_calibration/{name}", now) for name, T in poses.items()]
-        )
+        frames = [stamped_transform(T, BASE, f"camera_calibration/{name}", now) for name, T in poses.items()]
+        self._static.sendTransform(frames)
         self._markers.publish(MarkerArray([_marker(i, name, now) for i, name in enumerate(poses)]))
 
 

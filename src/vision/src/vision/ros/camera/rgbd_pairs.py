@@ -58,13 +58,26 @@ class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
         super().add(msg, my_queue, my_queue_index)
 
 
-class RgbdPairs:
-    """Subscribes to rgb/image_raw and depth/image_raw, and to their camera_info.
+class OnDemand:
+    """Called with whether images are wanted, subscribes or unsubscribes: a camera need not send what nobody wants."""
 
-    `on_pair` gets each pair whose images are at most `slop` [s] apart; if it raises ValueError, the pair is dropped and
-    the reason logged. `pairs` counts them; `waits_for` says what is missing, as a noun, and is empty while pairs
-    arrive.
-    """
+    def __init__(self, subscribe: Callable[[], list]) -> None:
+        self._subscribe = subscribe
+        self.subscribers: list = []
+
+    def __call__(self, wanted: bool) -> None:
+        if wanted and not self.subscribers:
+            self.subscribers = self._subscribe()
+        elif not wanted:
+            for subscriber in self.subscribers:
+                subscriber.unregister()
+            self.subscribers = []
+
+
+class RgbdPairs:
+    """Subscribes to rgb/image_raw and depth/image_raw, and to their camera_info. `on_pair` gets each pair whose images
+    are at most `slop` [s] apart; if it raises ValueError, the pair is dropped and the reason logged. `pairs` counts
+    them; `waits_for` says what is missing, as a noun, and is empty while pairs arrive."""
 
     def __init__(self, on_pair: Callable[[RgbdPair], None], slop: float) -> None:
         self._on_pair, self._slop = on_pair, slop
@@ -72,25 +85,17 @@ class RgbdPairs:
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer)
         self._lock = threading.Lock()
-        self._subscribers: list[message_filters.Subscriber] = []
+        self.subscribe = OnDemand(self._subscribed)
         self.pairs = 0
         self.waits_for = "images"
         for name in ("rgb", "depth"):
             rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._on_info, callback_args=name, queue_size=1)
 
-    def subscribe(self, wanted: bool) -> None:
-        """Subscribes to the images, or unsubscribes: a camera need not send images that nobody wants."""
-        if wanted and not self._subscribers:
-            self._subscribers = [
-                message_filters.Subscriber(f"{name}/image_raw", Image, queue_size=1, buff_size=BUFFER_BYTES)
-                for name in ("rgb", "depth")
-            ]
-            pairs = _Synchronizer(self._subscribers, QUEUE, self._slop)
-            pairs.registerCallback(self._on_images)
-        elif not wanted and self._subscribers:
-            for subscriber in self._subscribers:
-                subscriber.unregister()
-            self._subscribers = []
+    def _subscribed(self) -> list[message_filters.Subscriber]:
+        topics = [f"{name}/image_raw" for name in ("rgb", "depth")]
+        images = [message_filters.Subscriber(t, Image, queue_size=1, buff_size=BUFFER_BYTES) for t in topics]
+        _Synchronizer(images, QUEUE, self._slop).registerCallback(self._on_images)
+        return images
 
     def _on_info(self, message: CameraInfo, name: str) -> None:
         self._infos[name] = message

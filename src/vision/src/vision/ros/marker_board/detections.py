@@ -13,8 +13,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
 from apriltag_ros.photometric import PhotometricRefiner
-from apriltag_ros.settings import DEFAULT_FAMILY
-from apriltag_ros.target import TagTarget
+from apriltag_ros.settings import DEFAULT_FAMILY, TagTarget
 from common.errors import ConfigError, DeviceError
 from common.poses import pose
 from common.ros.conversions import array
@@ -35,11 +34,9 @@ BY_CORNERS = "by the corners"
 
 
 class BoardListener:
-    """Subscribes to the detector of the marker board `target`.
-
-    `on_detection` gets stamp, optical frame and detection for every image that shows the board. `frame` is the optical
-    frame, empty before the first detection; `alive` is whether the detector has published.
-    """
+    """Subscribes to the detector of the marker board `target`. `on_detection` gets stamp, optical frame and detection
+    for every image that shows the board. `frame` is the optical frame, empty before the first detection; `alive` is
+    whether the detector has published."""
 
     def __init__(
         self, target: TagTarget, on_detection: Callable[[rospy.Time, str, BoardDetection], None] | None = None
@@ -86,10 +83,8 @@ class BoardListener:
 
 class ViewCapture:
     """Collects the detections of a view by the corners, and refines them; `camera` is the model of the raw images.
-
     `detector` is the name of the detector node. Raises ConfigError if the pattern of a tag is unknown, and DeviceError
-    if the camera publishes no camera_info.
-    """
+    if the camera publishes no camera_info."""
 
     def __init__(self, setup: CalibrationSetup, listener: BoardListener, detector: str) -> None:
         try:

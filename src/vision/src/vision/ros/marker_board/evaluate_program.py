@@ -29,11 +29,7 @@ from vision.ros.number_arguments import real, whole
 
 NAME = "evaluate_tag_pose"
 COLOURS = {"colour": "tab:red", "plane": "tab:blue", "fused": "tab:green"}
-QUANTITIES = {
-    "position": "centre [mm]",
-    "rotation": "rotation [deg]",
-    "reach": f"{tables.REACH_M:g} m away [mm]",
-}
+QUANTITIES = {"position": "centre [mm]", "rotation": "rotation [deg]", "reach": f"{tables.REACH_M:g} m away [mm]"}
 OFFSET = {"colour": -0.03, "plane": 0.0, "fused": 0.03}
 
 
@@ -54,9 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
         if options.pictures is not None:
             _evaluate(options, options.pictures)
         else:
-            with image_folder.rendered_images(
-                options.panel, "--units", str(options.units), "--seed", str(options.seed)
-            ) as folder:
+            more = ("--units", str(options.units), "--seed", str(options.seed))
+            with image_folder.rendered_images(options.panel, *more) as folder:
                 _evaluate(options, folder)
     except (RigError, OSError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
@@ -78,10 +73,7 @@ def _evaluate(options: argparse.Namespace, folder: Path) -> None:
     results = {name: _trials(images, options.panel, *variant) for name, variant in variants.items()}
     sections = [line for name, trials in results.items() for line in (f"## {name}", "", *tables.markdown(trials), "")]
     head = [f"# Pose of the marker board ({options.panel}) against the truth: median / 95 %", ""]
-    lines = [
-        tables.CSV_HEAD,
-        *(line for name, trials in results.items() for line in tables.csv(name, trials)),
-    ]
+    lines = [tables.CSV_HEAD, *(line for name, trials in results.items() for line in tables.csv(name, trials))]
     (options.output / "tag_pose.md").write_text("\n".join([*head, *sections]), encoding="utf-8")
     (options.output / "tag_pose.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     _draw(results, options.output)
@@ -89,10 +81,8 @@ def _evaluate(options: argparse.Namespace, folder: Path) -> None:
         for method in METHODS:
             parts = [np.median(values(trials, method, q)) for q in ("position", "rotation", "reach")]
             found = values(trials, method, "position").size
-            print(
-                f"{name}, {method}: {parts[0]:.1f} mm, {parts[1]:.2f} deg, {parts[2]:.1f} mm half a metre away, in "
-                f"{found} of {len(trials)} images"
-            )
+            errors = f"{parts[0]:.1f} mm, {parts[1]:.2f} deg, {parts[2]:.1f} mm half a metre away"
+            print(f"{name}, {method}: {errors}, in {found} of {len(trials)} images")
     print(f"{NAME}: tables and plots are in {options.output}")
 
 

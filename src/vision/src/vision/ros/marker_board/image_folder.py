@@ -15,8 +15,7 @@ import numpy as np
 import rospkg
 import yaml
 
-from apriltag_ros.settings import TAG_KEYS, targets
-from apriltag_ros.target import TagTarget
+from apriltag_ros.settings import TAG_KEYS, TagTarget, targets
 from common.camera_model import CameraModel, from_calibration
 from common.errors import DeviceError
 from common.poses import check_pose

@@ -1,7 +1,5 @@
-"""Makes the eye images from the newest camera images: images that arrive while one is drawn are skipped.
-
-Topics: rgb/image_raw, rgb/camera_info, and depth/image_raw in the colour camera's pixels.
-"""
+"""Makes the eye images from the newest camera images: images that arrive while one is drawn are skipped. Topics:
+rgb/image_raw, rgb/camera_info, and depth/image_raw in the colour camera's pixels."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
-from vision.ros.camera.rgbd_pairs import BUFFER_BYTES
+from vision.ros.camera.rgbd_pairs import BUFFER_BYTES, OnDemand
 from vision.stereo.view import EyeImages, ImageAge, StereoView, StereoViewConfig, age_text
 
 THROTTLE_S = 10.0
@@ -44,31 +42,20 @@ class StereoImageSource:
         self._view: StereoView | None = None
         self._made_for: tuple | None = None
         self._last: ShownView | None = None
-        self._subscribers: list[rospy.Subscriber] = []
+        self.subscribe = OnDemand(self._subscribed)
         self._milliseconds = self._delay = 0.0
         self._drawn = 0
         rospy.Subscriber("rgb/camera_info", CameraInfo, self._on_info, queue_size=1)
 
-    def subscribe(self, wanted: bool) -> None:
-        """Subscribes to the images, or unsubscribes: a camera need not send images that nobody wants."""
-        if wanted and not self._subscribers:
-            topics = {"rgb/image_raw": self._on_colour}
-            if self._config.depth:
-                topics["depth/image_raw"] = self._on_depth
-            self._subscribers = [
-                rospy.Subscriber(name, Image, callback, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True)
-                for name, callback in topics.items()
-            ]
-        elif not wanted and self._subscribers:
-            for subscriber in self._subscribers:
-                subscriber.unregister()
-            self._subscribers = []
+    def _subscribed(self) -> list[rospy.Subscriber]:
+        options = {"queue_size": 1, "buff_size": BUFFER_BYTES, "tcp_nodelay": True}
+        topics = [("rgb/image_raw", self._on_colour), ("depth/image_raw", self._on_depth)]
+        used = topics if self._config.depth else topics[:1]
+        return [rospy.Subscriber(name, Image, callback, **options) for name, callback in used]
 
     def wait(self, timeout: float) -> ShownView | None:
         """Returns the view of the next image, or of the last one, marked if it is old, if none arrives in time [s].
-
-        None: no image arrived yet.
-        """
+        None: no image arrived yet."""
         with self._arrival:
             self._arrival.wait_for(lambda: self._colour is not None and self._info is not None, timeout)
             colour, depth, info = self._colour, self._depth, self._info
@@ -91,7 +78,7 @@ class StereoImageSource:
         """Returns level, sentence and values for common.ros.diagnostics."""
         values = {"drawn": self._drawn, "milliseconds": f"{self._milliseconds:.1f}", "delay": f"{self._delay:.3f}"}
         last = self._last
-        if not self._subscribers:
+        if not self.subscribe.subscribers:
             return DiagnosticStatus.OK, "Nobody is watching.", values
         if last is None:
             missing = "camera_info" if self._info is None else "image_raw"

@@ -1,9 +1,8 @@
-"""The node stereo_web: serves the headset view as a page for headsets and phones, with its images on the same port.
-
-The page requests an image by a message on a WebSocket at /pictures, and the next one once it has shown it, so that no
-image waits in a queue. Each answer is one text message, {"picture": true, "tangents": [left, right, up, down],
-"deep": ...}, and then the JPEG with both eyes side by side; or {"picture": false} if no new image arrived for a while.
-The node subscribes to the camera only while a page is open.
+"""The node stereo_web: serves the headset view as a page for headsets and phones, with its images on the same port. The
+page requests an image by a message on a WebSocket at /pictures, and the next one once it has shown it, so that no image
+waits in a queue. Each answer is one text message, {"picture": true, "tangents": [left, right, up, down], "deep": ...},
+and then the JPEG with both eyes side by side; or {"picture": false} if no new image arrived for a while. The node
+subscribes to the camera only while a page is open.
 """
 
 from __future__ import annotations
