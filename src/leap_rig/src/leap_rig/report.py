@@ -194,8 +194,7 @@ def _percentiles(seconds: list[float]) -> dict:
 
 def as_text(summary: dict) -> str:
     """Returns the summary as one screen of text."""
-    lines = [f"Leap Rig: {summary['duration_s']:.1f} s", ""]
-    lines.append(f"  frames received        {summary['frames_received']}")
+    lines = [f"Leap Rig: {summary['duration_s']:.1f} s", "", f"  frames received        {summary['frames_received']}"]
     lines.append(f"  streams                {len(summary['streams'])}")
     for stream in summary["streams"][-6:]:
         stopped = "end" if stream["stopped_s"] is None else f"{stream['stopped_s']:.1f} s"
@@ -220,7 +219,7 @@ def as_text(summary: dict) -> str:
         lines += ["", "  objects", *(_object_line(name, seen) for name, seen in summary["objects"].items())]
     lines += ["", "  tool tracking error       rms mm   max mm  rms deg  max deg  samples"]
     for name, e in summary["tracking_error"].items():
-        numbers = " ".join(f"{_cell(e[k])}" for k in ("rms_mm", "max_mm", "rms_deg", "max_deg"))
+        numbers = " ".join(_cell(e[k]) for k in ("rms_mm", "max_mm", "rms_deg", "max_deg"))
         lines.append(f"    to the {name:<15}  {numbers} {e['samples']:8d}")
     lines += ["", "  delay [ms]                                    p50      p95      p99  samples"]
     for name, d in summary["delay_ms"].items():

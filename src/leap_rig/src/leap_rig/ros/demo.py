@@ -129,19 +129,6 @@ def refuse_second_rig() -> None:
         raise RigError(f"A rig already runs on {os.environ['ROS_MASTER_URI']}. Stop it first: Ctrl-C in its terminal.")
 
 
-def wait_until_ready(listener: RigListener, deaths: Deaths, show: LiveStatus) -> bool:
-    """Waits until the arm is at home; returns False if a node died. Raises RigError after READY_TIMEOUT_S."""
-    deadline = time.monotonic() + READY_TIMEOUT_S
-    while listener.mode not in AT_HOME_OR_LATER:
-        if deaths.sentences:
-            return False
-        if time.monotonic() > deadline:
-            raise RigError(f"The arm did not reach its home position within {READY_TIMEOUT_S:.0f} s.")
-        show.update(listener, "starting")
-        time.sleep(0.1)
-    return True
-
-
 def end_in_order(deaths: Deaths) -> None:
     """Sends the arm to its zero position and waits for the controller to end."""
     deaths.expected.add(CONTROLLER)
@@ -230,10 +217,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, duration: float | None) -> str:
-    """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt"."""
+    """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". Raises
+    RigError if the arm is not at home after READY_TIMEOUT_S."""
     try:
-        if not wait_until_ready(listener, deaths, status):
-            return "death"
+        deadline = time.monotonic() + READY_TIMEOUT_S
+        while listener.mode not in AT_HOME_OR_LATER:
+            if deaths.sentences:
+                return "death"
+            if time.monotonic() > deadline:
+                raise RigError(f"The arm did not reach its home position within {READY_TIMEOUT_S:.0f} s.")
+            status.update(listener, "starting")
+            time.sleep(0.1)
         begin = time.monotonic()
         listener.recorder.start(begin)
         while not deaths.sentences:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import threading
 import time
 import zlib
-from collections.abc import Callable
 
 import numpy as np
 import rospy
@@ -86,47 +85,32 @@ class WatchedStream:
                 self._watch.add_content(digest, time.monotonic(), filled)
 
 
-class CameraWatchdog:
-    """Watches both cameras."""
-
-    def __init__(self, config: WatchConfig) -> None:
-        self._streams = {name: WatchedStream(name, config) for name in STREAMS}
-        self._diagnostics = Diagnostics("camera_watchdog", self._diagnose)
-
-    def run(self) -> None:
-        """Watches until ROS shuts down."""
-        next_count = 0.0
-        while not rospy.is_shutdown():
-            if time.monotonic() >= next_count:
-                next_count = time.monotonic() + LISTENERS_PERIOD_S
-                subscribed = _topics_of_other_subscribers()
-                for stream in self._streams.values():
-                    stream.subscribe(subscribed(stream.topic))
-            if any([stream.report() for stream in self._streams.values()]):
-                self._diagnostics.publish()
-            time.sleep(POLL_S)
-
-    def _diagnose(self) -> tuple[int, str, dict[str, object]]:
-        level, sentences, values = DiagnosticStatus.OK, [], {}
-        for name, stream in self._streams.items():
-            health, rate = stream.health()
-            values[name], values[f"{name}_rate"] = health.state, f"{rate:.1f}"
-            values[f"{name}_garbled"] = stream.garbled
-            sentences.append(health.sentence)
-            level = max(level, LEVELS.get(health.state, DiagnosticStatus.ERROR))
-        return level, " ".join(sentences), values
-
-
-def _topics_of_other_subscribers() -> Callable[[str], bool]:
-    """Returns a function that says whether another node subscribes to a topic; none does if the master is gone."""
-    try:
-        _, subscribers, _ = rospy.get_master().getSystemState()[2]
-    except OSError:
-        subscribers = []
-    names = {topic: set(nodes) - {rospy.get_name()} for topic, nodes in subscribers}
-    return lambda topic: bool(names.get(topic))
-
-
 def main() -> None:
-    """Runs the node with its private parameters."""
-    CameraWatchdog(private_config(WatchConfig)).run()
+    """Watches both cameras until ROS shuts down."""
+    config = private_config(WatchConfig)
+    streams = {name: WatchedStream(name, config) for name in STREAMS}
+    diagnostics = Diagnostics("camera_watchdog", lambda: _diagnosis(streams))
+    next_count = 0.0
+    while not rospy.is_shutdown():
+        if time.monotonic() >= next_count:
+            next_count = time.monotonic() + LISTENERS_PERIOD_S
+            try:
+                _, subscribers, _ = rospy.get_master().getSystemState()[2]
+            except OSError:  # the master is gone
+                subscribers = []
+            wanted = {topic for topic, nodes in subscribers if set(nodes) - {rospy.get_name()}}
+            for stream in streams.values():
+                stream.subscribe(stream.topic in wanted)
+        if any([stream.report() for stream in streams.values()]):
+            diagnostics.publish()
+        time.sleep(POLL_S)
+
+
+def _diagnosis(streams: dict[str, WatchedStream]) -> tuple[int, str, dict[str, object]]:
+    level, sentences, values = DiagnosticStatus.OK, [], {}
+    for name, stream in streams.items():
+        health, rate = stream.health()
+        values.update({name: health.state, f"{name}_rate": f"{rate:.1f}", f"{name}_garbled": stream.garbled})
+        sentences.append(health.sentence)
+        level = max(level, LEVELS.get(health.state, DiagnosticStatus.ERROR))
+    return level, " ".join(sentences), values

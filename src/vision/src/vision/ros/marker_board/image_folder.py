@@ -65,19 +65,12 @@ def read_images(folder: Path) -> BoardImageSet:
     """Returns the content of a folder; raises DeviceError if its index is missing or incomplete."""
     try:
         index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-        return BoardImageSet(
-            folder,
-            list(index["pictures"]),
-            float(max(index["panel"]["size"])),
-            from_calibration(index["rgb"]),
-            from_calibration(index["depth"]),
-            check_pose(index["T_rgb_depth"]),
-        )
+        entries, plate = list(index["pictures"]), float(max(index["panel"]["size"]))
+        rgb, depth = from_calibration(index["rgb"]), from_calibration(index["depth"])
+        return BoardImageSet(folder, entries, plate, rgb, depth, check_pose(index["T_rgb_depth"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DeviceError(
-            f"{folder / INDEX} does not describe images: {type(error).__name__}: {error}. Fill the folder with rosrun "
-            "rig_simulation panel_pictures.py."
-        ) from None
+        fault = f"{folder / INDEX} does not describe images: {type(error).__name__}: {error}."
+        raise DeviceError(f"{fault} Fill the folder with rosrun rig_simulation panel_pictures.py.") from None
 
 
 def render_images(folder: Path, board: str, *options: str) -> None:

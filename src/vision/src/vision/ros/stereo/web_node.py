@@ -64,20 +64,11 @@ class StereoWeb:
             if config.certificate:
                 tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
                 tls.load_cert_chain(config.certificate, config.key)
-            self._server = serve(
-                self._converse,
-                config.host,
-                config.port,
-                process_request=self._answer,
-                ssl=tls,
-                compression=None,
-                close_timeout=CLOSE_S,
-            )
+            options = {"process_request": self._answer, "ssl": tls, "compression": None, "close_timeout": CLOSE_S}
+            self._server = serve(self._converse, config.host, config.port, **options)
         except (OSError, OverflowError) as error:
-            raise DeviceError(
-                f"Cannot serve the page on {config.host}:{config.port}: {error}. Check page and certificate, or choose "
-                "another port."
-            ) from error
+            fault = f"Cannot serve the page on {config.host}:{config.port}: {error}."
+            raise DeviceError(f"{fault} Check page and certificate, or choose another port.") from error
         port = self._server.socket.getsockname()[1]
         self._scheme = "https" if tls else "http"
         self.address = f"{self._scheme}://{config.host}:{port}/"
