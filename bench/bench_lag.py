@@ -6,9 +6,8 @@ import numpy as np
 
 from bench.measure import Row, row
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
-from rig_simulation.devices.sunrise.description import read_urdf
-from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.servo import CYCLE_S
+from rig_simulation.devices.sunrise.robot import CYCLE_S, Robot
+from rig_simulation.files import read_urdf
 
 SPEEDS = (0.02, 0.1, 0.5)
 CYCLES_PER_GOAL = 4

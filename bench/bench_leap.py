@@ -22,9 +22,8 @@ from leap_motion.codec import read_message
 from leap_motion.msg import Human
 from leap_motion.ros.human import human_from_frame
 from leap_motion.ros.tracking import frame_from_human
-from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import ScriptedOperator
+from rig_simulation.operator.sources import Playback, ScriptedOperator
 
 RECORDINGS = ("rollAndPitchWithEntry", "grab", "three-claps")
 CLOCK_S = 1.7e9

@@ -12,9 +12,8 @@ from bench.simulated import CYCLES_PER_GOAL, SimulatedRig
 from common.poses import pose
 from kuka_control.loop.servo_law import LtsGoals
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
-from rig_simulation.devices.sunrise.description import read_urdf
-from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.servo import CYCLE_S
+from rig_simulation.devices.sunrise.robot import CYCLE_S, Robot
+from rig_simulation.files import read_urdf
 
 RAMPS_RAD_S = (0.02, 0.1, 0.5)
 RADIUS_M = 0.06

@@ -22,9 +22,8 @@ from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
 from rig_simulation.devices.sunrise.arm import ArmSettings
 from rig_simulation.devices.sunrise.arm import SimulatedArm as Joints
-from rig_simulation.devices.sunrise.description import read_urdf
-from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.servo import CYCLE_S
+from rig_simulation.devices.sunrise.robot import CYCLE_S, Robot
+from rig_simulation.files import read_urdf
 
 CLOCK_S = 1.7e9
 CYCLES_PER_GOAL = 4

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from common.frames import FLANGE
-from rig_simulation.devices.sunrise.description import read_urdf
+from rig_simulation.files import read_urdf
 
 ARM = [f"kuka/joint_{k}" for k in range(1, 8)]
 ITERATIONS = 200

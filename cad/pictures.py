@@ -114,7 +114,7 @@ def _arm_and_hand() -> tuple[ET.Element, ET.Element]:
 
 
 def _add_tags(root: ET.Element, face: ET.Element, tags) -> None:
-    from rig_simulation.world.tags import tag_mesh
+    from rig_simulation.world.scene import tag_mesh
 
     for tag in tags:
         vertices, triangles = tag_mesh(tag["id"], tag["size"])

@@ -82,8 +82,8 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "vision/config/xtion.yaml": (Part("vision.camera.openni_camera:XtionConfig"),),
     "rig_simulation/config/camera.yaml": (
         Part("rig_simulation.node_parameters:CameraConfig"),
-        Part("rig_simulation.devices.camera.config:ColourConfig", ("colour",)),
-        Part("rig_simulation.devices.camera.config:DepthConfig", ("depth",)),
+        Part("rig_simulation.node_parameters:ColourConfig", ("colour",)),
+        Part("rig_simulation.node_parameters:DepthConfig", ("depth",)),
     ),
     "rig_simulation/config/scenes/objects.yaml": (
         Part(f"{SCENE}:Table", ("table",)),

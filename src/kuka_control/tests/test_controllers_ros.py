@@ -764,7 +764,7 @@ def frame(name, tf2_ros, wait_until, pose_from_transform):
 
 def gravity_on_the_floor(q):
     """Returns the joint torques that hold an arm on the floor, shape (7,) [Nm]."""
-    from rig_simulation.devices.sunrise.description import read_urdf
     from rig_simulation.devices.sunrise.robot import Robot
+    from rig_simulation.files import read_urdf
 
     return Robot(read_urdf("LBR7R800", "MF_elektrisch")).torques(q, np.zeros(7), np.zeros(7))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from kuka_control.loop.ptp_supervision import PtpSupervision
 from kuka_control.loop.tracking import TrackingMonitor
-from rig_simulation.devices.sunrise.profiles import JointMove
+from rig_simulation.devices.sunrise.paths import JointMove
 
 DT = 0.004
 

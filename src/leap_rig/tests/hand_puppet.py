@@ -17,10 +17,10 @@ import numpy as np
 
 from rig_simulation.control_port import ControlClient, ControlPort
 from rig_simulation.devices.leap import wire
-from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.devices.leap.sensing import ReportedHand
 from rig_simulation.devices.leap.server import LeapService
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
+from rig_simulation.operator.sources import Playback
 
 HOST = "127.0.0.1"
 

@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.rig]
 
 def optical_frame_in_the_world():
     """T_base_camera of the scene `empty`, shape (4, 4)."""
-    from rig_simulation.world.files import read_scene
+    from rig_simulation.files import read_scene
     from rig_simulation.world.model import RGB_IN_LINK, camera_link_pose
     from rig_simulation.world.scene import scene_from
     from vision.camera.frames import R_CAMERA_OPTICAL

@@ -14,7 +14,7 @@ CONFIG = Path(__file__).parents[1] / "config"
 
 @pytest.mark.parametrize(("board", "tags"), [("bundle", "tags.yaml"), ("single", "tags_single.yaml")])
 def test_the_simulated_board_has_the_same_tags(board, tags):
-    from rig_simulation.world.files import read_board
+    from rig_simulation.files import read_board
 
     (target,) = targets(yaml.safe_load((CONFIG / tags).read_text()))
     simulated = {tag["id"]: (tag["size"], *tag["position"]) for tag in read_board(board)["tags"]}
@@ -26,7 +26,7 @@ def test_the_simulated_board_has_the_same_tags(board, tags):
 def test_the_simulated_board_sits_where_the_drawing_says(simulated, file):
     from common.config import parse
     from common.poses import pose
-    from rig_simulation.world.files import read_board
+    from rig_simulation.files import read_board
     from rig_simulation.world.model import R_FLANGE_BOARD
     from vision.marker_board.board import MarkerBoardConfig
 

@@ -1,4 +1,4 @@
-"""Laws of the solids and of their surfaces, and of rigid bodies."""
+"""Laws of solids, surfaces and rigid bodies; published mass properties are used exactly where they can be true."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_description.rigid_body import Body, box, cylinder, fault, joined, turned
+from rig_description.arms import ARMS, link_body, published, tube
+from rig_description.rigid_body import Body, box, cylinder, joined, turned
 from rig_description.solids import blend, block, common_part, cut, drum, rod, surface
 
 points = st.lists(st.floats(-60, 60), min_size=3, max_size=3).map(np.array)
@@ -17,6 +18,24 @@ BALL = rod((0, 0, 0), (0, 0, 1e-6), 20.0, 20.0)
 def volume(mesh) -> float:
     a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
     return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
+
+
+def fault(body: Body) -> str | None:
+    """Returns why no mass distribution can have these numbers, or None.
+
+    The principal moments of a real body are positive and none exceeds the sum of the others. Equality belongs to a
+    body without thickness and is refused too.
+    """
+    if not (np.isfinite(body.mass) and body.mass > 0.0):
+        return f"the mass {body.mass} kg is not positive"
+    if np.abs(body.inertia - body.inertia.T).max() > 1e-12:
+        return "the inertia is not symmetric"
+    least, middle, greatest = np.linalg.eigvalsh(body.inertia)
+    if least <= 0.0:
+        return f"the least principal moment {least:.3g} kg m^2 is not positive"
+    if least + middle <= greatest * (1.0 + 1e-9):
+        return f"the principal moments {least:.4g}, {middle:.4g}, {greatest:.4g} kg m^2 break the triangle inequality"
+    return None
 
 
 def test_surface_of_a_ball():
@@ -89,3 +108,28 @@ def test_turned_body_lies_along_the_turned_axis():
 )
 def test_impossible_bodies_are_named(mass, moments, what):
     assert what in fault(Body(mass, np.zeros(3), np.diag(np.array(moments, dtype=float))))
+
+
+def lies_in(point, radius, bottom, top) -> bool:
+    axis = top - bottom
+    along = (point - bottom) @ axis / (axis @ axis)
+    return 0.0 < along < 1.0 and np.linalg.norm(point - bottom - along * axis) < radius
+
+
+@pytest.mark.parametrize("robot", ARMS)
+@pytest.mark.parametrize("link", range(1, 8))
+def test_published_numbers_are_replaced_where_they_cannot_be_true(robot, link):
+    arm = ARMS[robot]
+    numbers = published(arm, link)
+    usable = fault(numbers) is None and lies_in(numbers.com, *tube(arm, link))
+    assert usable == (link not in arm.unusable)
+    assert fault(link_body(arm, link)) is None
+    if usable:
+        assert link_body(arm, link).mass == numbers.mass
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_base_takes_the_rest_of_the_weight(robot):
+    arm = ARMS[robot]
+    assert link_body(arm, 0).mass > 4.0
+    assert sum(link_body(arm, link).mass for link in range(8)) == pytest.approx(arm.mass)

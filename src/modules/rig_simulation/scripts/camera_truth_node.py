@@ -2,6 +2,6 @@
 """Node that publishes where the camera of the simulated world truly is."""
 
 from common.ros.node import run
-from rig_simulation.ros.camera_truth import NAME, main
+from rig_simulation.ros.monitors import camera_truth
 
-run(NAME, main)
+run("camera_truth", camera_truth)

@@ -2,6 +2,6 @@
 """Node that switches the faults of the simulated devices."""
 
 from common.ros.node import run
-from rig_simulation.ros.fault_service import NAME, main
+from rig_simulation.ros.monitors import fault_service
 
-run(NAME, main)
+run("simulation_faults", fault_service)

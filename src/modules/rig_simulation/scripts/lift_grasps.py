@@ -3,7 +3,7 @@
 
 import sys
 
-from rig_simulation.world.lifting_program import main
+from rig_simulation.world.lifting import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -2,6 +2,6 @@
 """Node that shows on topics what the simulated arm really does, and holds the key "run" as a service."""
 
 from common.ros.node import run
-from rig_simulation.ros.monitor import main
+from rig_simulation.ros.monitors import arm_monitor
 
-run("rig_monitor", main)
+run("rig_monitor", arm_monitor)

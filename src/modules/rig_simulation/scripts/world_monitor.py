@@ -2,6 +2,6 @@
 """Node that publishes the objects of the simulated world and offers resets."""
 
 from common.ros.node import run
-from rig_simulation.ros.world_monitor import NAME, main
+from rig_simulation.ros.monitors import world_monitor
 
-run(NAME, main)
+run("world_monitor", world_monitor)

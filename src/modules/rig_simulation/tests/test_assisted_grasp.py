@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.rotations import rotation_about
-from rig_simulation.operator.alignment import heading, turn_to, wrapped
 from rig_simulation.operator.assisted_grasp import (
     CANCEL,
     EXECUTE,
@@ -24,6 +23,7 @@ from rig_simulation.operator.assisted_grasp import (
     OperatorHabits,
     ProposedGrasp,
 )
+from rig_simulation.operator.pick_and_place import heading, turn_to, wrapped
 from rig_simulation.world.scene import Cuboid, Cylinder
 
 LOOK = {"position": np.zeros(2), "yaw": 0.0, "mass": 0.1, "friction": 0.7, "colour": np.ones(3)}

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from common.camera_model import pinhole
 from common.config import parse
 from common.errors import ConfigError
-from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
-from rig_simulation.devices.camera.depth_sensor import SHADOW_TOLERANCE_PX, DepthSensor, axial_sigma, hidden
-from rig_simulation.devices.camera.lens import CameraLens
+from rig_simulation.devices.camera.sensors import SHADOW_TOLERANCE_PX, CameraLens, DepthSensor, axial_sigma, hidden
+from rig_simulation.node_parameters import ColourConfig, DepthConfig
 
 F, BASELINE = 570.0, 0.075
 WIDTH, HEIGHT = 320, 240

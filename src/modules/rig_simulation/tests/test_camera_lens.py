@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.camera_model import CameraModel, pinhole
-from rig_simulation.devices.camera.lens import CameraLens
+from rig_simulation.devices.camera.sensors import CameraLens
 
 K = np.array([[150.0, 0.0, 82.0], [0.0, 148.0, 57.5], [0.0, 0.0, 1.0]])
 BARREL = np.array([0.08, -0.12, 0.002, 0.003, 0.0])

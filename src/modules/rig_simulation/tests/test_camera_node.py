@@ -1,5 +1,6 @@
 """The camera's node before a small world: topics, load, loss and return of the world, faults, bad parameters."""
 
+import dataclasses
 import time
 from pathlib import Path
 
@@ -31,7 +32,7 @@ class SmallWorld:
     """The control port of a world in which nothing moves by itself."""
 
     def __init__(self, scene: str = "cup") -> None:
-        from rig_simulation.world.files import read_scene
+        from rig_simulation.files import read_scene
         from rig_simulation.world.model import WorldDescription
         from rig_simulation.world.physics import World
 
@@ -42,7 +43,7 @@ class SmallWorld:
         return ControlPort({"scene": self._scene, "snapshot": self._snapshot}, port=port)
 
     def _scene(self) -> dict:
-        return {"loads": self.world.loads, **self.world.description.as_fields()}
+        return {"loads": self.world.loads, **dataclasses.asdict(self.world.description)}
 
     def _snapshot(self) -> dict:
         self.snapshots += 1
@@ -66,7 +67,7 @@ def small_world():
 @pytest.fixture
 def world(small_world):
     """The world of all tests of this module, in its first scene."""
-    from rig_simulation.world.files import read_scene
+    from rig_simulation.files import read_scene
 
     if small_world.world.loads > 1:
         small_world.world.set_scene(read_scene("cup"))
@@ -159,7 +160,7 @@ def test_it_waits_for_the_world_and_goes_on_when_it_comes_back(world, start, ros
 def test_a_change_of_scene_is_seen(world, start, ros, wait_until):
     from sensor_msgs.msg import Image
 
-    from rig_simulation.world.files import read_scene
+    from rig_simulation.files import read_scene
 
     images = ros.record("camera/rgb/image_raw", Image)
     with world.open() as port:

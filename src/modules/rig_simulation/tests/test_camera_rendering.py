@@ -11,11 +11,9 @@ import yaml
 from common.camera_model import CameraModel, pinhole
 from common.config import parse
 from common.errors import DeviceError
-from rig_simulation.devices.camera.colour_sensor import ColourSensor
-from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
-from rig_simulation.devices.camera.lens import CameraLens
-from rig_simulation.devices.camera.rendering import Renderer
-from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
+from rig_simulation.devices.camera.rgbd_camera import Renderer, RgbdCamera
+from rig_simulation.devices.camera.sensors import CameraLens, ColourSensor
+from rig_simulation.node_parameters import ColourConfig, DepthConfig
 
 WIDTH, HEIGHT = 320, 240
 K = [[272.9, 0.0, 163.1], [0.0, 273.6, 124.5], [0.0, 0.0, 1.0]]

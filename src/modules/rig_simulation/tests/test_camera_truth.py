@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from rig_simulation.control_port import ControlPort
-from rig_simulation.world.files import read_scene
+from rig_simulation.files import read_scene
 from rig_simulation.world.model import camera_link_pose
 from rig_simulation.world.scene import scene_from
 

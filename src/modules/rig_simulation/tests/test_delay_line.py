@@ -7,7 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_simulation.faults.delay_line import DelayLine
+from rig_simulation.faults.injection import DelayLine
 
 
 def test_messages_come_when_they_are_due():

@@ -10,8 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig_simulation.faults.arm import ARM_FAULTS
+from rig_simulation.faults.camera import CAMERA_FAULTS
+from rig_simulation.faults.hand import HAND_FAULTS
 from rig_simulation.faults.injection import Fault, Faults, FaultValue, add_option, fraction_of, switch_all
-from rig_simulation.faults.table import FAULTS, table
+from rig_simulation.faults.leap import LEAP_FAULTS
 
 HANDBOOK = Path(__file__).parents[4] / "docs" / "faults.md"
 
@@ -160,6 +163,21 @@ def test_the_command_line_refuses_nonsense(capsys, text, sentence):
     with pytest.raises(SystemExit):
         parse("--fault", text)
     assert sentence in capsys.readouterr().err
+
+
+FAULTS = {"arm": ARM_FAULTS, "leap": LEAP_FAULTS, "hand": HAND_FAULTS, "camera": CAMERA_FAULTS}
+"""The faults by device, as the service simulation/fault names them."""
+
+
+def table():
+    """The faults as the handbook shows them."""
+    rows = ["| device | fault | what happens | value (default; range) |", "| --- | --- | --- | --- |"]
+    for device, faults in FAULTS.items():
+        for fault in faults:
+            v = fault.value
+            value = f"{v.doc} ({v.default:g}; {v.low:g} to {v.high:g})" if v else ""
+            rows.append(f"| {device} | `{fault.name}` | {fault.doc} | {value} |")
+    return "\n".join(rows) + "\n"
 
 
 @pytest.mark.parametrize("device", FAULTS)

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from rig_simulation.devices.reflex.hand import SimulatedHand
-from rig_simulation.devices.reflex.link import HandLink
-from rig_simulation.devices.reflex.program import main, run
+from rig_simulation.devices.reflex.program import HandLink, main, run
 from rig_simulation.devices.reflex.wire import GROUP, IDLE, POSITION, STATE_BYTES
 from rig_simulation.faults.hand import EFFECTS, HAND_FAULTS, HandWire
 from rig_simulation.faults.injection import Faults

@@ -17,12 +17,11 @@ from websockets.sync.client import connect
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.devices.leap.server import LeapService
 from rig_simulation.faults.injection import Faults
 from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import ScriptedOperator
+from rig_simulation.operator.sources import Playback, ScriptedOperator
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "leapd.py"
 SOON_S = 10.0

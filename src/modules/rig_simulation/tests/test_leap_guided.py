@@ -16,10 +16,9 @@ from websockets.sync.client import connect
 from common.errors import DeviceError
 from leap_motion.codec import read_message
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.operator.guided import FARTHEST_M, GuidedOperator, HandTarget
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import PERIOD_S, ScriptedOperator
+from rig_simulation.operator.sources import PERIOD_S, Playback, ScriptedOperator
 
 SCRIPT = Path(__file__).parent.parent / "scripts" / "leapd.py"
 CENTRE = np.array([0.0, 0.35, 0.0])

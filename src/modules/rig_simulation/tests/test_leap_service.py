@@ -15,11 +15,10 @@ from websockets.sync.client import connect
 from common.errors import DeviceError
 from leap_motion.client import LeapClient, LeapLink
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.devices.leap.program import main, parse
 from rig_simulation.devices.leap.server import LeapService
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import ScriptedOperator
+from rig_simulation.operator.sources import Playback, ScriptedOperator
 
 SCRIPT = Path(__file__).parent.parent / "scripts" / "leapd.py"
 POLICIES = ('{"background":true}', '{"focused":true}')

@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose
 
 from leap_motion.codec import read_message
 from rig_simulation.devices.leap import wire
-from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import PERIOD_S, Recording, RecordingError, ScriptedOperator
+from rig_simulation.operator.sources import PERIOD_S, Playback, Recording, RecordingError, ScriptedOperator
 
 RECORDINGS = ("rollAndPitchWithEntry", "grab", "HandSplay-110fps", "confidence-74fps", "three-claps")
 SHORT = Script(figure="line", laps=1, speed=600.0, away=0.5)

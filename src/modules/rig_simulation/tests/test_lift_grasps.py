@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from common.poses import pose
 from common.rotations import rotation_about
-from rig_simulation.world.lifting import GROUND_M, P_HAND_GRIP, TIPS_M, hand_pose, lift
-from rig_simulation.world.lifting_program import main
+from rig_simulation.world.lifting import GROUND_M, P_HAND_GRIP, TIPS_M, hand_pose, lift, main
 
 SCENE = """<mujoco><compiler angle="radian"/><option timestep="0.004" integrator="implicitfast" cone="elliptic"/>
 <default><geom condim="6" friction="0.5 0.005 0.002" solref="0.006 1"/></default>

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from common.camera_model import from_calibration
 from common.errors import DeviceError
 from rig_simulation.devices.camera.board_images import INDEX, BoardScene, main, random_pose
-from rig_simulation.devices.camera.lens import CameraLens
-from rig_simulation.devices.camera.rendering import Renderer
-from rig_simulation.world.files import read_board
+from rig_simulation.devices.camera.rgbd_camera import Renderer
+from rig_simulation.devices.camera.sensors import CameraLens
+from rig_simulation.files import read_board
 
 CALIBRATIONS = Path(__file__).parents[3] / "vision" / "config"
 CAMERAS = ["--rgb", str(CALIBRATIONS / "xtion_rgb.yaml"), "--depth", str(CALIBRATIONS / "xtion_depth.yaml")]

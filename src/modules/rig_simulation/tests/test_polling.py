@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("rospy")
 from common.errors import DeviceError
-from rig_simulation.ros import polling
-from rig_simulation.ros.polling import RETRY_PERIOD_S, START_S, poll
+from rig_simulation.ros import monitors
+from rig_simulation.ros.monitors import RETRY_PERIOD_S, START_S, poll
 
 PERIOD_S = 0.25
 
@@ -34,10 +34,10 @@ def rig(monkeypatch):
 
     rig = Rig()
     rig.asked, rig.warned = [], []
-    monkeypatch.setattr(polling.time, "monotonic", lambda: rig.now)
-    monkeypatch.setattr(polling.time, "sleep", rig.sleep)
-    monkeypatch.setattr(polling.rospy, "is_shutdown", lambda: rig.now - 100.0 > rig.end)
-    monkeypatch.setattr(polling.rospy, "logwarn_throttle", lambda _, text, error: rig.warned.append(text % error))
+    monkeypatch.setattr(monitors.time, "monotonic", lambda: rig.now)
+    monkeypatch.setattr(monitors.time, "sleep", rig.sleep)
+    monkeypatch.setattr(monitors.rospy, "is_shutdown", lambda: rig.now - 100.0 > rig.end)
+    monkeypatch.setattr(monitors.rospy, "logwarn_throttle", lambda _, text, error: rig.warned.append(text % error))
     return rig
 
 

@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose
 
 from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
-from rig_simulation.devices.sunrise.description import read_urdf
-from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.servo import Drives
+from rig_simulation.devices.sunrise.robot import Drives, Robot
+from rig_simulation.files import read_urdf
 
 ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
 HOME_LINE = "jp_-0.78540_0.52360_0.00000_-1.39626_0.00000_1.22173_0.00000_"

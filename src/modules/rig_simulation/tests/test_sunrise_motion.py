@@ -11,11 +11,9 @@ from numpy.testing import assert_allclose
 from common.poses import pose
 from common.rotations import rotation_from_zyx, zyx_from_rotation
 from rig_simulation.devices.sunrise.arm import FULL_SPEED_TIME_S, MOTION_FRACTION
-from rig_simulation.devices.sunrise.description import read_urdf
-from rig_simulation.devices.sunrise.paths import Circle, Line, Unreachable, plan
-from rig_simulation.devices.sunrise.profiles import JointMove, SmoothStep
-from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.servo import Drives, lts_law, plain_law
+from rig_simulation.devices.sunrise.paths import Circle, JointMove, Line, SmoothStep, Unreachable, plan
+from rig_simulation.devices.sunrise.robot import Drives, Robot, lts_law, plain_law
+from rig_simulation.files import read_urdf
 
 ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
 FULL_ACCELERATION = ROBOT.max_speed / FULL_SPEED_TIME_S

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from common.rotations import rotation_about, rotation_from_zyx, zyx_from_rotation
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
-from rig_simulation.devices.sunrise.description import read_urdf
 from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.files import read_urdf
 
 URDF = read_urdf("LBR7R800", "MF_elektrisch")
 FLOOR = Robot(URDF)

@@ -18,10 +18,10 @@ import pytest
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
-from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.devices.sunrise.java_text import MAX_LINE_BYTES, JavaLineSplitter
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
+from rig_simulation.files import FLANGES, ROBOTS, read_urdf
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "sunrise_controller.py"
 ROBOT_URDF = read_urdf("LBR7R800", "MF_elektrisch")

@@ -21,12 +21,20 @@ from hypothesis import strategies as st
 from common.errors import DeviceError
 from common.poses import inverse
 from rig_simulation.control_port import ControlClient
+from rig_simulation.files import read_scene
 from rig_simulation.recording import record
+from rig_simulation.recording.display import (
+    LONGEST_M,
+    METRES_PER_NEWTON,
+    Arrow,
+    add_arrows,
+    arrows,
+    base_pose,
+    beyond,
+    pair_forces,
+    shapes,
+)
 from rig_simulation.recording.films import ContactSheet, FilmError, Mp4, film_for, with_lines
-from rig_simulation.recording.following import add_arrows
-from rig_simulation.recording.forces import LONGEST_M, METRES_PER_NEWTON, Arrow, arrows, pair_forces
-from rig_simulation.recording.shapes import base_pose, beyond, shapes
-from rig_simulation.world.files import read_scene
 from rig_simulation.world.model import WorldDescription, build_model
 
 TABLE = read_scene("objects")["table"]
@@ -288,7 +296,7 @@ def test_the_film_continues_after_a_world_that_hangs(world_port):
 
 
 def test_a_world_that_hangs_for_too_long_ends_the_film_with_a_sentence(monkeypatch):
-    monkeypatch.setattr(record, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(record.display, "PATIENCE_S", 0.1)
 
     class View:
         time = 12.34
@@ -311,7 +319,7 @@ def test_the_recorder_ends_when_it_is_interrupted(processes, world_port, tmp_pat
 
 
 def test_without_a_world_the_recorder_names_it(tmp_path, free_port, monkeypatch, capsys):
-    monkeypatch.setattr(record, "stop_when_interrupted", threading.Event)
+    monkeypatch.setattr(record.display, "stop_when_interrupted", threading.Event)
     monkeypatch.setattr(record.os, "nice", lambda _: None)
     port = str(free_port())
     assert record.main([str(tmp_path / "a.mp4"), "--port", port, "--wait=0.1"]) == 1

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from rig_simulation.control_port import ControlClient
-from rig_simulation.recording.following import OF_OTHERS
+from rig_simulation.recording.display import OF_OTHERS
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 LONG_S = 60.0

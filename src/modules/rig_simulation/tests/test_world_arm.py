@@ -7,13 +7,11 @@ import pytest
 from common.rotations import rotation_from_zyx
 from rig_simulation.devices.reflex.wire import POSITION, ModeCommand, TargetCommand
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
-from rig_simulation.devices.sunrise.description import read_urdf
-from rig_simulation.devices.sunrise.profiles import JointMove
+from rig_simulation.devices.sunrise.paths import JointMove
 from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.world.arm import ArmJoints
-from rig_simulation.world.files import read_scene
-from rig_simulation.world.hand import HandPart
+from rig_simulation.files import read_scene, read_urdf
 from rig_simulation.world.model import WorldDescription
+from rig_simulation.world.parts import ArmJoints, HandPart
 from rig_simulation.world.physics import World
 
 DT = 1e-3
@@ -118,7 +116,7 @@ def test_resting_on_the_table_does_not_stop_the_arm_and_pressing_does():
     rig.move_tool((0.0, 0.0, -0.5), 0.02, until=lambda: rig.arm.tool_force[2] < -5.0)
     rig.wait(0.5)
     assert rig.arm.safety_stop is None
-    touching = {name for contact in rig.world.contacts() for name in contact.bodies}
+    touching = {name for contact in rig.world.contacts() for name in contact["bodies"]}
     assert "table" in touching
     rig.move_tool((0.0, 0.0, -0.05), 0.02, until=lambda: rig.arm.safety_stop)
     rig.run(lambda: rig.arm.resting)
@@ -197,7 +195,7 @@ def test_a_blow_at_full_speed_neither_breaks_the_physics_nor_goes_through_the_ta
     rig.move_tool((0.0, 0.0, -0.6), 0.7, until=lambda: rig.arm.safety_stop)
     rig.run(lambda: rig.arm.resting)
     rig.wait(1.0)
-    assert all(contact.depth < 0.005 for contact in rig.world.contacts())
+    assert all(contact["depth"] < 0.005 for contact in rig.world.contacts())
     assert rig.world.data.body("reflex/distal_1").xpos[2] > 0.04
     strongest = rig.world.model.jnt_actfrcrange[:7, 1]
     assert np.all(np.abs(rig.arm.external_torques) <= strongest + 1e-6)

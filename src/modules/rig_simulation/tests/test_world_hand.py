@@ -12,15 +12,13 @@ from common.frames import BASE
 from common.poses import pose
 from leap_hand.force_limit import FingerFeedback, ForceLimit
 from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
-from rig_simulation.devices.reflex.servo import OVERLOAD_BIT
+from rig_simulation.devices.reflex.mechanics import OVERLOAD_BIT
 from rig_simulation.devices.reflex.wire import POSITION, ModeCommand, TargetCommand
-from rig_simulation.devices.sunrise.description import read_urdf
-from rig_simulation.world.hand import COUNTS_PER_N, PhysicalMechanics
+from rig_simulation.files import read_urdf
 from rig_simulation.world.hand_model import FLEXURE_RATIO, prepare_hand
-from rig_simulation.world.mjcf import numbers, quaternion
-from rig_simulation.world.objects import add_object
-from rig_simulation.world.robot import add_robot
-from rig_simulation.world.scene import Ball, Bottle, Cuboid, Cup, Cylinder
+from rig_simulation.world.mjcf import add_robot, numbers, quaternion
+from rig_simulation.world.parts import COUNTS_PER_N, PhysicalMechanics
+from rig_simulation.world.scene import Ball, Bottle, Cuboid, Cup, Cylinder, add_object
 
 TIMESTEP_S = 0.001
 CLOSING = np.array([1, -1, 1, -1])
@@ -75,7 +73,7 @@ class Bench:
         ET.SubElement(root, "compiler", angle="radian", autolimits="true")
         ET.SubElement(root, "option", timestep=str(TIMESTEP_S), integrator="implicitfast")
         world = ET.SubElement(root, "worldbody")
-        add_robot(root, world, hand_alone(), R, None)
+        add_robot(root, world, hand_alone(), R, visuals=False)
         connector = next(body for body in root.iter("body") if body.get("name") == "reflex/base_link")
         connector.attrib.update(pos="0 0 0", quat="1 0 0 0")
         prepare_hand(root)

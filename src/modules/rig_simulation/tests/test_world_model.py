@@ -9,12 +9,10 @@ from hypothesis import strategies as st
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 from common.tag36h11 import CODES, black_cells
-from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
 from rig_simulation.devices.sunrise.robot import JOINTS, Robot
-from rig_simulation.world.files import read_board, read_scene
+from rig_simulation.files import FLANGES, ROBOTS, read_board, read_scene, read_urdf
 from rig_simulation.world.model import R_FLANGE_BOARD, WorldDescription, build_model, camera_link_pose
-from rig_simulation.world.scene import scene_from
-from rig_simulation.world.tags import tag_mesh
+from rig_simulation.world.scene import scene_from, tag_mesh
 
 joints = st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7).map(np.array)
 MOUNTINGS = [(0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (10.0, 90.0, -30.0)]

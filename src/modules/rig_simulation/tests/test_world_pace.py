@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_simulation.world.pace import WINDOW_S, Pace
+from rig_simulation.world.clock import WINDOW_S, Pace
 
 
 def test_before_two_moments_nothing_is_known():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from common.errors import ConfigError, DeviceError
-from rig_simulation.world.files import read_scene
+from rig_simulation.files import read_scene
 from rig_simulation.world.model import WorldDescription
 from rig_simulation.world.physics import Part, World
 from rig_simulation.world.scene import scene_from
@@ -170,9 +170,9 @@ def test_contacts_bear_the_weight():
     run(world, 1.0)
     for name, shape in scene_from(read_scene("objects")).objects.items():
         up = sum(
-            c.force * c.normal[2] * (1.0 if c.bodies[1] == f"object/{name}" else -1.0)
+            c["force"] * c["normal"][2] * (1.0 if c["bodies"][1] == f"object/{name}" else -1.0)
             for c in world.contacts()
-            if f"object/{name}" in c.bodies
+            if f"object/{name}" in c["bodies"]
         )
         assert up == pytest.approx(9.81 * shape.mass, rel=0.02)
 

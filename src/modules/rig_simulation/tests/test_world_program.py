@@ -12,7 +12,7 @@ import pytest
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
-from rig_simulation.world.files import read_scene
+from rig_simulation.files import read_scene
 from rig_simulation.world.program import main
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "world.py"

@@ -1,5 +1,6 @@
 """Scenes and panels of the simulated world: what their yaml says, and what a faulty one is told."""
 
+import dataclasses
 import json
 
 import mujoco
@@ -8,7 +9,7 @@ import pytest
 import yaml
 
 from common.errors import ConfigError
-from rig_simulation.world.files import SOURCE_TREE, read_board, read_scene
+from rig_simulation.files import SOURCE_TREE, read_board, read_scene
 from rig_simulation.world.model import WorldDescription, build_model, mjcf
 from rig_simulation.world.scene import KINDS, board_from, scene_from
 
@@ -111,8 +112,8 @@ def test_a_scene_can_be_a_file_of_ones_own(tmp_path):
 
 
 def test_another_process_builds_the_very_same_model_from_what_the_control_port_tells():
-    told = json.loads(json.dumps(description(panel="single").as_fields()))
-    assert mjcf(WorldDescription.from_fields(told)) == mjcf(description(panel="single"))
+    fields = json.loads(json.dumps(dataclasses.asdict(description(panel="single"))))
+    assert mjcf(WorldDescription(**fields)) == mjcf(description(panel="single"))
 
 
 def test_what_is_only_seen_changes_neither_joints_nor_bodies():

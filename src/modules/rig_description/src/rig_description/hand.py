@@ -7,6 +7,9 @@ the finger's links is modelled as one joint at the place where the straight fing
 Sources: frames and dimensions from the vendor's visual model; mass about 0.9 kg as measured, split over the parts, and
 the ranges of preshape and flexure (two joints of pi/6, each) from simulators of the hand's users. Speed and torque are
 those of the servo behind each tendon.
+
+The printed ring of the marker board (cad/marker_connector) goes between flange and connector; while it is on, the hand
+stands farther from the flange by its length.
 """
 
 from __future__ import annotations
@@ -20,31 +23,25 @@ from rig_description.rigid_body import Body, box, cylinder, joined
 
 CONNECTOR_LENGTH = 0.026
 """From the media flange's face to the hand's mounting face."""
-
 CONNECTOR_YAW = np.pi
 """The hand is turned by half a turn about the flange's axis: in the calculated home position the tool's x axis points
 back to the base, and so the two fingers point away from it, like those of the operator behind the Leap."""
-
 CONNECTOR_RADIUS = 0.043
 """Outer radius of the printed connectors (cad/dimensions.py)."""
-
 CONNECTOR_FACES = np.array([0.0, 0.0, -CONNECTOR_LENGTH]), np.zeros(3)
 """Centres of the connector's faces in the hand's frame."""
-
-TENDON_SPEED = 3.5
-TENDON_TORQUE = 2.5
-PRESHAPE_MAX = 1.75
-PROXIMAL_MAX = pi
-DISTAL_MAX = pi / 3
+TENDON_SPEED, TENDON_TORQUE = 3.5, 2.5
+PRESHAPE_MAX, PROXIMAL_MAX, DISTAL_MAX = 1.75, pi, pi / 3
 
 
 @dataclass(frozen=True)
 class HandJoint:
     """One joint of the hand."""
 
-    name: str  # without the prefix `reflex/`
-    parent: str  # without the prefix `reflex/`
-    child: str  # without the prefix `reflex/`
+    # Without the prefix `reflex/`
+    name: str
+    parent: str
+    child: str
     xyz: tuple[float, float, float]  # origin in the parent [m], shape (3,)
     yaw: float  # turn of the child about the parent's z [rad]
     axis: tuple[int, int, int]  # shape (3,)
@@ -64,10 +61,7 @@ JOINTS = (
     HandJoint("distal_joint_2", "proximal_2", "distal_2", (0.066, 0, 0.004), 0.0, RIGHT, (0.0, DISTAL_MAX)),
     HandJoint("distal_joint_3", "proximal_3", "distal_3", (0.066, 0, 0.004), 0.0, RIGHT, (0.0, DISTAL_MAX)),
 )
-
 LINKS = ("base_link", *(joint.child for joint in JOINTS))
-
-
 EXTENT = {
     "base_link": ((-0.055, -0.053, 0.0), (0.083, 0.053, 0.090)),
     "swivel": ((-0.018, -0.018, 0.0), (0.021, 0.018, 0.0296)),
@@ -75,7 +69,6 @@ EXTENT = {
     "distal": ((0.0, -0.008, -0.008), (0.048, 0.008, 0.010)),
 }
 """Opposite corners of the box around each part, in its frame, by the link's name without its number."""
-
 _MASSES = {"base_link": 0.63, "swivel": 0.02, "proximal": 0.04, "distal": 0.05}
 _CONNECTOR_MASS = 0.18
 
@@ -88,6 +81,22 @@ def part(link: str) -> str:
 def body(link: str) -> Body:
     """Returns the mass properties of a link in its frame; the base carries the connector."""
     solid = box(_MASSES[part(link)], *EXTENT[part(link)])
-    if link != "base_link":
-        return solid
-    return joined([solid, cylinder(_CONNECTOR_MASS, CONNECTOR_RADIUS, *CONNECTOR_FACES)])
+    connector = cylinder(_CONNECTOR_MASS, CONNECTOR_RADIUS, *CONNECTOR_FACES)
+    return joined([solid, connector]) if link == "base_link" else solid
+
+
+RING_LENGTH = 0.010
+RING_FACES = np.zeros(3), np.array([0.0, 0.0, RING_LENGTH])
+"""Centres of the faces of the round part."""
+RING_PAD_FACE = 0.061
+RING_PAD = (-0.058, 0.053, 0.0), (0.058, RING_PAD_FACE, 0.060)
+RING_ARM = (-0.035, 0.025, 0.0), (0.035, 0.053, RING_LENGTH)
+"""Opposite corners of the pad, and of what holds it."""
+_RING_MASSES = 0.065, 0.075, 0.010
+"""Of ring, pad and arm [kg]: 118 cm^3 of PETG, as if solid."""
+
+
+def ring_body() -> Body:
+    """Returns its mass properties in the flange's frame."""
+    ring, pad, arm = _RING_MASSES
+    return joined([cylinder(ring, CONNECTOR_RADIUS, *RING_FACES), box(pad, *RING_PAD), box(arm, *RING_ARM)])

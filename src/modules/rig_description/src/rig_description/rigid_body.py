@@ -1,4 +1,4 @@
-"""Mass, centre of mass, inertia of rigid bodies: uniform solids, changes of frame, sums, and whether they can exist."""
+"""Mass, centre of mass, inertia of rigid bodies: uniform solids, changes of frame and sums."""
 
 from __future__ import annotations
 
@@ -48,21 +48,3 @@ def joined(bodies: list[Body]) -> Body:
         d = body.com - com
         inertia += body.inertia + body.mass * (d @ d * np.eye(3) - np.outer(d, d))
     return Body(mass, com, inertia)
-
-
-def fault(body: Body) -> str | None:
-    """Returns why no mass distribution can have these numbers, or None.
-
-    The principal moments of a real body are positive and none exceeds the sum of the others. Equality belongs to a
-    body without thickness and is refused too.
-    """
-    if not (np.isfinite(body.mass) and body.mass > 0.0):
-        return f"the mass {body.mass} kg is not positive"
-    if np.abs(body.inertia - body.inertia.T).max() > 1e-12:
-        return "the inertia is not symmetric"
-    least, middle, greatest = np.linalg.eigvalsh(body.inertia)
-    if least <= 0.0:
-        return f"the least principal moment {least:.3g} kg m^2 is not positive"
-    if least + middle <= greatest * (1.0 + 1e-9):
-        return f"the principal moments {least:.4g}, {middle:.4g}, {greatest:.4g} kg m^2 break the triangle inequality"
-    return None

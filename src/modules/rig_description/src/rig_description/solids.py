@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 Solid = Callable[[np.ndarray], np.ndarray]
-
-SMOOTHING_ROUNDS = 4
-PROJECTION_ROUNDS = 4
+SMOOTHING_ROUNDS = PROJECTION_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -102,8 +100,7 @@ def blend(width: float, *solids: Solid) -> Solid:
 
 def common_part(width: float, *solids: Solid) -> Solid:
     """The intersection; outer corners are rounded over about `width`."""
-    union = blend(width, *(_inverted(solid) for solid in solids))
-    return _inverted(union)
+    return _inverted(blend(width, *(_inverted(solid) for solid in solids)))
 
 
 def cut(width: float, solid: Solid, *tools: Solid) -> Solid:
@@ -123,13 +120,9 @@ def _inverted(solid: Solid) -> Solid:
 
 
 def surface(solid: Solid, low: ArrayLike, high: ArrayLike, cell: float) -> Mesh:
-    """Returns the surface of a solid that lies strictly inside the box from low to high [mm].
+    """Returns the surface of a solid that lies strictly inside the box from low to high [mm], else raises ValueError.
 
-    Args:
-        cell: edge of the grid's cubes [mm], about the edge of the triangles.
-
-    Raises:
-        ValueError: the solid touches the border of the box, or is not in it.
+    `cell`: edge of the grid's cubes [mm], about the edge of the triangles.
     """
     low, high = np.array(low, dtype=float), np.array(high, dtype=float)
     shape = np.ceil((high - low) / cell).astype(int) + 1
@@ -145,9 +138,8 @@ def surface(solid: Solid, low: ArrayLike, high: ArrayLike, cell: float) -> Mesh:
     quads = _quads(inside, number)
     for _ in range(SMOOTHING_ROUNDS):
         vertices = _drawn_onto(solid, _spread(vertices, quads), cell)
-    shorter = _length(vertices[quads[:, 0]] - vertices[quads[:, 2]]) <= _length(
-        vertices[quads[:, 1]] - vertices[quads[:, 3]]
-    )
+    corners = vertices[quads]
+    shorter = _length(corners[:, 0] - corners[:, 2]) <= _length(corners[:, 1] - corners[:, 3])
     first = np.where(shorter[:, None], quads[:, [0, 1, 2]], quads[:, [0, 1, 3]])
     second = np.where(shorter[:, None], quads[:, [0, 2, 3]], quads[:, [1, 2, 3]])
     return Mesh(vertices, _gradient(solid, vertices), np.concatenate([first, second]))
@@ -186,10 +178,9 @@ def _quads(inside: np.ndarray, number: np.ndarray) -> np.ndarray:
         index = np.argwhere(crossed)
         b, c = (axis + 1) % 3, (axis + 2) % 3
         ring = []
-        for back_b, back_c in ((1, 1), (0, 1), (0, 0), (1, 0)):
+        for back in ((1, 1), (0, 1), (0, 0), (1, 0)):
             cell = index.copy()
-            cell[:, b] -= back_b
-            cell[:, c] -= back_c
+            cell[:, [b, c]] -= back
             ring.append(number[tuple(cell.T)])
         quad = np.stack(ring, axis=1)
         leaves = inside[start][crossed]

@@ -11,21 +11,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig_description import arm_shapes, hand, hand_shapes, marker_ring
-from rig_description.appearance import COLOUR_NAMES, GREY, TABLE, Disc
-from rig_description.arm_links import body as link_body
-from rig_description.arm_links import origin_in_parent, tube, upright
-from rig_description.arms import (
-    ALPHA_DEG,
-    ARMS,
-    MEDIA_FLANGE_DENSITY,
-    MEDIA_FLANGE_RADIUS,
-    MEDIA_FLANGES,
-    RANGE_DEG,
-    WRIST_TO_FLANGE,
-    ArmDescription,
-)
+from rig_description import arms, hand
 from rig_description.rigid_body import Body, cylinder
+from rig_description.shapes import COLOURS, LOOK, Disc, arm_trim, hand_trim, media_flange
 
 TABLE_HALF = 0.45
 TABLE_THICKNESS = 0.04
@@ -44,59 +32,56 @@ def file_name(robot: str, flange: str, ring: bool = False) -> str:
 
 
 def urdf(robot: str, flange: str, ring: bool = False) -> str:
-    """Returns the URDF.
+    """Returns the URDF of an arm and a media flange, names as in the parameters kuka/robot and kuka/flange.
 
-    Args:
-        robot, flange: names as in the parameters kuka/robot and kuka/flange.
-        ring: the ring of the marker board is clamped between flange and connector.
-
-    Raises:
-        KeyError: no such arm or media flange.
+    `ring`: the ring of the marker board is clamped between flange and connector. Raises KeyError for unknown names.
     """
-    arm, height = ARMS[robot], MEDIA_FLANGES[flange]
+    arm, height = arms.ARMS[robot], arms.MEDIA_FLANGES[flange]
     root = ET.Element("robot", name=f"{robot}_{flange}")
     table = ET.SubElement(root, "link", name="kuka/base_frame")
-    _shown(table, _box((-TABLE_HALF, -TABLE_HALF, -TABLE_THICKNESS), (TABLE_HALF, TABLE_HALF, 0.0)), TABLE)
+    _shown(table, _box((-TABLE_HALF, -TABLE_HALF, -TABLE_THICKNESS), (TABLE_HALF, TABLE_HALF, 0.0)), "table")
     _arm(root, arm)
     _flange(root, flange, height)
     if ring:
         _ring(root)
-    _hand(root, hand.CONNECTOR_LENGTH + (marker_ring.LENGTH if ring else 0.0))
+    _hand(root, hand.CONNECTOR_LENGTH + (hand.RING_LENGTH if ring else 0.0))
     tools = f"{flange}, ring of the marker board" if ring else flange
     note = f"{robot} with {tools} and ReFlex TakkTile hand. Written by tools/generate.py of rig_description."
     root.insert(0, ET.Comment(f" {note} "))
     return minidom.parseString(ET.tostring(root)).toprettyxml(indent="  ", encoding="utf-8").decode()
 
 
-def _arm(root: ET.Element, arm: ArmDescription) -> None:
+def _arm(root: ET.Element, arm: arms.ArmDescription) -> None:
     for number in range(8):
-        link = _link(root, f"kuka/link_{number}", link_body(arm, number), _cylinder(*tube(arm, number)))
-        R = upright(number).T
+        link = _link(root, f"kuka/link_{number}", arms.link_body(arm, number), _cylinder(*arms.tube(arm, number)))
+        R = arms.upright(number).T
         if number < 7:
             roll = np.arctan2(R[2, 1], R[1, 1])
             _shown(link, _mesh(f"{arm.name.lower()}/link_{number}", roll))
-        _discs(link, arm_shapes.trim(arm, number), R)
+        _discs(link, arm_trim(arm, number), R)
     _joint(root, "kuka/base", "kuka/base_frame", "kuka/link_0")
-    for number, alpha, reach, speed, torque in zip(range(1, 8), ALPHA_DEG, RANGE_DEG, arm.speeds_deg, arm.torques):
+    for number, alpha, reach, speed, torque in zip(
+        range(1, 8), arms.ALPHA_DEG, arms.RANGE_DEG, arm.speeds_deg, arm.torques
+    ):
         ends = f"kuka/link_{number - 1}", f"kuka/link_{number}"
         rpy = (radians(alpha), 0.0, 0.0)
-        joint = _joint(root, f"kuka/joint_{number}", *ends, xyz=origin_in_parent(arm, number), rpy=rpy)
+        joint = _joint(root, f"kuka/joint_{number}", *ends, xyz=arms.origin_in_parent(arm, number), rpy=rpy)
         _movable(joint, (0, 0, 1), (radians(-reach), radians(reach)), radians(speed), torque)
 
 
 def _flange(root: ET.Element, name: str, height: float) -> None:
-    mass = round(MEDIA_FLANGE_DENSITY * pi * MEDIA_FLANGE_RADIUS**2 * height, 3)
-    shape = MEDIA_FLANGE_RADIUS, np.array([0.0, 0.0, -height]), np.zeros(3)
+    mass = round(arms.MEDIA_FLANGE_DENSITY * pi * arms.MEDIA_FLANGE_RADIUS**2 * height, 3)
+    shape = arms.MEDIA_FLANGE_RADIUS, np.array([0.0, 0.0, -height]), np.zeros(3)
     link = _link(root, "kuka/flange", cylinder(mass, *shape), _cylinder(*shape))
-    _discs(link, arm_shapes.media_flange(name, 1e3 * height), np.eye(3))
-    _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, WRIST_TO_FLANGE + height))
+    _discs(link, media_flange(name, 1e3 * height), np.eye(3))
+    _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, arms.WRIST_TO_FLANGE + height))
 
 
 def _ring(root: ET.Element) -> None:
-    shapes = [_cylinder(hand.CONNECTOR_RADIUS, *marker_ring.FACES), _box(*marker_ring.PAD), _box(*marker_ring.ARM)]
-    link = _link(root, "kuka/marker_connector", marker_ring.body(), *shapes)
+    shapes = [_cylinder(hand.CONNECTOR_RADIUS, *hand.RING_FACES), _box(*hand.RING_PAD), _box(*hand.RING_ARM)]
+    link = _link(root, "kuka/marker_connector", hand.ring_body(), *shapes)
     for shape in shapes:
-        _shown(link, shape, GREY)
+        _shown(link, shape, "grey")
     _joint(root, "kuka/marker_ring", "kuka/flange", "kuka/marker_connector")
 
 
@@ -107,30 +92,23 @@ def _hand(root: ET.Element, beyond: float) -> None:
         if name == "base_link":
             collisions.append(_cylinder(hand.CONNECTOR_RADIUS, *hand.CONNECTOR_FACES))
         link = _link(root, f"reflex/{name}", hand.body(name), *collisions)
-        for mesh in hand_shapes.LOOK[part]:
+        for mesh in LOOK[part]:
             _shown(link, _mesh(f"reflex/{mesh}"))
-        _discs(link, hand_shapes.trim(part), np.eye(3))
-    _joint(
-        root,
-        "reflex/connector",
-        "kuka/flange",
-        "reflex/base_link",
-        xyz=(0, 0, beyond),
-        rpy=(0, 0, hand.CONNECTOR_YAW),
-    )
+        _discs(link, hand_trim(part), np.eye(3))
+    ends = "kuka/flange", "reflex/base_link"
+    _joint(root, "reflex/connector", *ends, xyz=(0, 0, beyond), rpy=(0, 0, hand.CONNECTOR_YAW))
     for j in hand.JOINTS:
-        joint = _joint(
-            root, f"reflex/{j.name}", f"reflex/{j.parent}", f"reflex/{j.child}", xyz=j.xyz, rpy=(0, 0, j.yaw)
-        )
+        ends = f"reflex/{j.parent}", f"reflex/{j.child}"
+        joint = _joint(root, f"reflex/{j.name}", *ends, xyz=j.xyz, rpy=(0, 0, j.yaw))
         _movable(joint, j.axis, j.limits, hand.TENDON_SPEED, hand.TENDON_TORQUE)
 
 
 def _link(root: ET.Element, name: str, body: Body, *collisions: _Placed) -> ET.Element:
     link = ET.SubElement(root, "link", name=name)
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_numbers(body.com), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=_number(body.mass))
-    xx, xy, xz, _, yy, yz, _, _, zz = (_number(value, 9) for value in np.asarray(body.inertia).ravel())
+    ET.SubElement(inertial, "origin", xyz=decimals(body.com), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=decimal(body.mass))
+    xx, xy, xz, _, yy, yz, _, _, zz = (decimal(value, 9) for value in np.asarray(body.inertia).ravel())
     ET.SubElement(inertial, "inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
     for collision in collisions:
         _place(ET.SubElement(link, "collision"), collision)
@@ -143,13 +121,13 @@ def _discs(link: ET.Element, discs: list[Disc], R: np.ndarray) -> None:
         _shown(link, _cylinder(disc.radius / 1e3, bottom, top), disc.colour)
 
 
-def _shown(link: ET.Element, placed: _Placed, colour: tuple[float, float, float] | None = None) -> None:
+def _shown(link: ET.Element, placed: _Placed, colour: str | None = None) -> None:
     """Adds a visual element; meshes bring their own colour."""
     visual = ET.SubElement(link, "visual")
     _place(visual, placed)
     if colour is not None:
-        material = ET.SubElement(visual, "material", name=f"rig/{COLOUR_NAMES[colour]}")
-        ET.SubElement(material, "color", rgba=_numbers((*colour, 1.0)))
+        material = ET.SubElement(visual, "material", name=f"rig/{colour}")
+        ET.SubElement(material, "color", rgba=decimals((*COLOURS[colour], 1.0)))
 
 
 def _place(element: ET.Element, placed: _Placed) -> None:
@@ -167,7 +145,7 @@ def _joint(
     rpy: Iterable[float] = (0, 0, 0),
 ) -> ET.Element:
     joint = ET.SubElement(root, "joint", name=name, type="fixed")
-    ET.SubElement(joint, "origin", xyz=_numbers(xyz), rpy=_numbers(rpy, 15))
+    ET.SubElement(joint, "origin", xyz=decimals(xyz), rpy=decimals(rpy, 15))
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     return joint
@@ -175,34 +153,35 @@ def _joint(
 
 def _movable(joint: ET.Element, axis: Iterable[float], limits: Iterable[float], speed: float, torque: float) -> None:
     joint.set("type", "revolute")
-    ET.SubElement(joint, "axis", xyz=_numbers(axis))
-    lower, upper = (_number(value, 15) for value in limits)
-    ET.SubElement(joint, "limit", lower=lower, upper=upper, velocity=_number(speed, 15), effort=_number(torque))
+    ET.SubElement(joint, "axis", xyz=decimals(axis))
+    lower, upper = (decimal(value, 15) for value in limits)
+    ET.SubElement(joint, "limit", lower=lower, upper=upper, velocity=decimal(speed, 15), effort=decimal(torque))
 
 
 def _cylinder(radius: float, bottom: np.ndarray, top: np.ndarray) -> _Placed:
     """Returns a cylinder between two points [m] whose axis lies across x."""
     axis = top - bottom
-    origin = {"xyz": _numbers((bottom + top) / 2.0), "rpy": _numbers((np.arctan2(-axis[1], axis[2]), 0, 0))}
+    origin = {"xyz": decimals((bottom + top) / 2.0), "rpy": decimals((np.arctan2(-axis[1], axis[2]), 0, 0))}
     length = np.sqrt((axis**2).sum())
-    return _Placed(origin, ("cylinder", {"radius": _number(radius), "length": _number(length)}))
+    return _Placed(origin, ("cylinder", {"radius": decimal(radius), "length": decimal(length)}))
 
 
 def _mesh(name: str, roll: float = 0.0) -> _Placed:
     attributes = {"filename": f"package://rig_description/meshes/{name}.dae", "scale": "0.001 0.001 0.001"}
-    return _Placed({"xyz": "0 0 0", "rpy": _numbers((roll, 0, 0), 15)}, ("mesh", attributes))
+    return _Placed({"xyz": "0 0 0", "rpy": decimals((roll, 0, 0), 15)}, ("mesh", attributes))
 
 
 def _box(low: ArrayLike, high: ArrayLike) -> _Placed:
     low, high = np.array(low), np.array(high)
-    origin = {"xyz": _numbers((low + high) / 2.0), "rpy": "0 0 0"}
-    return _Placed(origin, ("box", {"size": _numbers(high - low)}))
+    return _Placed({"xyz": decimals((low + high) / 2.0), "rpy": "0 0 0"}, ("box", {"size": decimals(high - low)}))
 
 
-def _numbers(values: Iterable[float], digits: int = 6) -> str:
-    return " ".join(_number(value, digits) for value in values)
+def decimals(values: Iterable[float], digits: int = 6) -> str:
+    """Returns numbers as short text, separated by blanks."""
+    return " ".join(decimal(value, digits) for value in values)
 
 
-def _number(value: float, digits: int = 6) -> str:
+def decimal(value: float, digits: int = 6) -> str:
+    """Returns a number as short text, of at most so many digits behind the point."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text
+    return "0" if text == "-0" else text

@@ -30,37 +30,23 @@ def port(text: str) -> int:
     return value
 
 
-def finite(text: str) -> float:
-    """A finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
-    return value
+def _number(valid: Callable[[float], bool], meaning: str) -> Callable[[str], float]:
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and valid(value)):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {meaning}")
+        return value
+
+    return convert
 
 
-def not_negative(text: str) -> float:
-    """A finite number from 0 up."""
-    return _checked(text, lambda value: value >= 0.0, "a number from 0 up")
-
-
-def positive(text: str) -> float:
-    """A finite number above 0."""
-    return _checked(text, lambda value: value > 0.0, "a number above 0")
-
-
-def angle(text: str) -> float:
-    """An angle between -180 and 180 degrees."""
-    return _checked(text, lambda value: -180.0 <= value <= 180.0, "an angle between -180 and 180")
-
-
-def _checked(text: str, valid: Callable[[float], bool], meaning: str) -> float:
-    value = finite(text)
-    if not valid(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not {meaning}")
-    return value
+finite = _number(lambda value: True, "a finite number")
+not_negative = _number(lambda value: value >= 0.0, "a number from 0 up")
+positive = _number(lambda value: value > 0.0, "a number above 0")
+angle = _number(lambda value: -180.0 <= value <= 180.0, "an angle between -180 and 180")
 
 
 def parse_options(parser: argparse.ArgumentParser, arguments: list[str] | None) -> argparse.Namespace:

@@ -9,6 +9,7 @@ port.
 from __future__ import annotations
 
 import contextlib
+import functools
 import inspect
 import io
 import ipaddress
@@ -16,40 +17,41 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Callable
 
 from common.errors import DeviceError, RigError
 
 MAX_LINE_BYTES = 65536
-BACKLOG = 16
+BACKLOG = 50
+"""Clients that may wait for acceptance; Java's default, as of the toolbox's server."""
 CLOSE_TIMEOUT_S = 10.0
 """Longest wait for a running request; to build a world takes seconds on a busy machine."""
+Handler = Callable[..., Any]
+"""Takes the other fields of a request by name, and returns the fields of the answer or None."""
 
 
 class PortClosedError(DeviceError):
     """Nothing listens on the control port: the simulated device does not run."""
 
 
-class ControlPort:
+class ControlPort(contextlib.AbstractContextManager):
     """Serves requests from its own threads until `close`.
 
     Args:
-        handlers: by request name, a function that takes the other fields of the request by name and returns the fields
-            of the answer, or None. A ValueError or RigError becomes the error of the answer.
-        host: a loopback address.
+        handlers: by request name. A ValueError or RigError becomes the error of the answer.
         port: 0 takes any free port; see the attribute `port`.
 
     Raises:
         DeviceError: the address is not a loopback address, or the port is taken.
     """
 
-    def __init__(self, handlers: Mapping[str, Callable[..., Any]], host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, handlers: Mapping[str, Handler], host: str = "127.0.0.1", port: int = 0) -> None:
         self._handlers = {name: (handler, inspect.signature(handler)) for name, handler in handlers.items()}
         self._closed = False
         self._clients: dict[socket.socket, threading.Thread] = {}
         self._lock = threading.Lock()
-        self._listener = listen(host, port, "the control port", BACKLOG)
+        self._listener = listen(host, port, "the control port")
         self.host, self.port = self._listener.getsockname()[:2]
         self._acceptor = threading.Thread(target=self._accept, name="control port", daemon=True)
         self._acceptor.start()
@@ -69,9 +71,6 @@ class ControlPort:
         for thread in (self._acceptor, *clients.values()):
             thread.join(max(0.0, deadline - time.monotonic()))
         self._listener.close()
-
-    def __enter__(self) -> ControlPort:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -126,17 +125,22 @@ class ControlPort:
             return _refusal(f"The request {name!r} failed: {type(error).__name__}: {error}.")
 
 
-class ControlClient:
-    """Asks a control port. Connects at the first request, and again at the next request after a failure.
+def within(context: Callable[[], contextlib.AbstractContextManager[Any]], handler: Callable[..., Any]) -> Handler:
+    """Returns the handler with the same fields that runs within a context, such as a lock."""
 
-    Args:
-        host: address of the simulated device.
-        port: its control port.
-        timeout: longest time for connecting and for one answer [s].
-    """
+    @functools.wraps(handler)  # the port checks the fields of a request against the signature
+    def answer(**fields: Any) -> Any:
+        with context():
+            return handler(**fields)
+
+    return answer
+
+
+class ControlClient(contextlib.AbstractContextManager):
+    """Asks a control port within `timeout` [s]. Connects at the first request, and anew after a failure."""
 
     def __init__(self, host: str, port: int, timeout: float = 2.0) -> None:
-        self._address = (host, port)
+        self._address, self._name = (host, port), f"{host}:{port}"
         self._timeout = timeout
         self._stream: io.BufferedRWPair | None = None
         self._lock = threading.Lock()
@@ -159,9 +163,6 @@ class ControlClient:
         """Closes the connection; the next request opens it again."""
         with self._lock:
             self._disconnect()
-
-    def __enter__(self) -> ControlClient:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -189,19 +190,13 @@ class ControlClient:
                 self._stream.close()
         self._stream = None
 
-    @property
-    def _name(self) -> str:
-        return f"{self._address[0]}:{self._address[1]}"
 
-
-def listen(host: str, port: int, purpose: str, backlog: int) -> socket.socket:
-    """Returns a listening TCP socket on a loopback address.
+def listen(host: str, port: int, purpose: str) -> socket.socket:
+    """Returns a listening TCP socket on a loopback address; other machines must not reach a simulator.
 
     Args:
-        host: a loopback address; other machines must not reach a simulator.
         port: 0 takes any free port.
         purpose: of the port, for the error message, such as "the control port".
-        backlog: how many clients may wait for acceptance.
 
     Raises:
         DeviceError: the address is not a loopback address, or the port is taken.
@@ -216,7 +211,7 @@ def listen(host: str, port: int, purpose: str, backlog: int) -> socket.socket:
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((host, port))
-        listener.listen(backlog)
+        listener.listen(BACKLOG)
     except (OSError, OverflowError) as error:
         listener.close()
         cure = "Stop the other program, or choose another port."

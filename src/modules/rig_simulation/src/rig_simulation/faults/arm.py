@@ -6,8 +6,7 @@ import random
 
 import numpy as np
 
-from rig_simulation.faults.delay_line import DelayLine, garbled
-from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
+from rig_simulation.faults.injection import DelayLine, Fault, Faults, FaultValue, fraction_of, garbled
 
 ARM_FAULTS = (
     Fault("cut", "the connection is reset, and so is every new one; the arm brakes"),
@@ -20,19 +19,13 @@ ARM_FAULTS = (
     Fault("refused", "motions are answered `done`, `nak`: the arm stays, the tool is detached"),
     Fault("frozen", "the joint angles in answers stay the same while the arm moves"),
     Fault(
-        "shifted",
-        "the joint angles in answers are wrong",
-        FaultValue("offset of every joint [rad]", 0.1, -1.0, 1.0),
+        "shifted", "the joint angles in answers are wrong", FaultValue("offset of every joint [rad]", 0.1, -1.0, 1.0)
     ),
 )
 
 
 class ArmAnswers:
-    """Delays, drops and garbles the answers on their way out. Time is handed in.
-
-    Args:
-        faults: those of ARM_FAULTS.
-    """
+    """Delays, drops and garbles the answers on their way out. Time is handed in."""
 
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
@@ -71,11 +64,7 @@ class ArmAnswers:
 
 
 class Encoders:
-    """The joint angles that the answers report, shape (7,) [rad].
-
-    Args:
-        faults: those of ARM_FAULTS.
-    """
+    """The joint angles that the answers report, shape (7,) [rad]."""
 
     def __init__(self, faults: Faults) -> None:
         self._faults = faults

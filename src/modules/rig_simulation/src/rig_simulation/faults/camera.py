@@ -36,11 +36,7 @@ class Exposure:
 
 
 class ImageStream:
-    """Drops, repeats and changes images on their way out. Time is handed in.
-
-    Args:
-        faults: those of CAMERA_FAULTS.
-    """
+    """Drops, repeats and changes images on their way out. Time is handed in."""
 
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
@@ -49,12 +45,11 @@ class ImageStream:
         self._last_time = float("-inf")
 
     def next(self, expose: Callable[[], Exposure], stamp: Any, now: float) -> Exposure | None:
-        """Returns the exposure to publish now, or None.
+        """Returns the exposure to publish at the time `now` [s], or None.
 
         Args:
             expose: takes new images; not called when a fault prevents it.
             stamp: the present time, for old images that pretend to be new.
-            now: time [s].
         """
         active = self._faults.active()
         if "vanished" in active or ("slow" in active and now < self._last_time + 1.0 / active["slow"]):
@@ -73,13 +68,7 @@ class ImageStream:
         return exposure
 
     def garbled(self, height: int, width: int, step: int, data: bytes) -> dict[str, Any]:
-        """Returns the fields of an image message to overwrite; empty without the fault.
-
-        Args:
-            height, width: of the image [px].
-            step: length of a row in bytes.
-            data: all rows.
-        """
+        """Returns the fields of an image message to overwrite, whose rows have `step` bytes; empty without fault."""
         fraction = self._faults.value("garbled")
         if fraction is None or self._random.random() >= fraction:
             return {}

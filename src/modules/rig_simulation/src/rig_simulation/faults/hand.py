@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
-from typing import Protocol
+from typing import Callable, Mapping
 
-from rig_simulation.faults.delay_line import DelayLine, garbled
-from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
+from rig_simulation.devices.reflex.hand import SimulatedHand
+from rig_simulation.faults.injection import DelayLine, Fault, Faults, FaultValue, fraction_of, garbled
 
 FINGER = FaultValue("finger, 1 to 3", 1.0, 1.0, 3.0, whole=True)
 MOTOR = FaultValue("motor, 1 to 4: f1, f2, f3, preshape", 1.0, 1.0, 4.0, whole=True)
@@ -32,34 +30,18 @@ STUCK_PRESSURE = 100
 OTHER_FORMAT = 2
 
 
-class FaultyHand(Protocol):
-    """The hand as its internal faults need it."""
-
-    def power_cycle(self) -> None: ...
-    def stick_encoder(self, finger: int, on: bool) -> None: ...
-    def unplug_servo(self, motor: int, on: bool) -> None: ...
-    def set_load(self, motor: int, value: float | None) -> None: ...
-    def press(self, finger: int, value: int, cell: int | None = None) -> None: ...
-
-
-EFFECTS: Mapping[str, Callable[[FaultyHand, int, bool], None]] = MappingProxyType(
-    {
-        "restarted": lambda hand, _, on: None if on else hand.power_cycle(),
-        "encoder_stuck": lambda hand, finger, on: hand.stick_encoder(finger, on),
-        "servo_lost": lambda hand, motor, on: hand.unplug_servo(motor, on),
-        "overloaded": lambda hand, motor, on: hand.set_load(motor, FULL_LOAD if on else None),
-        "touch_stuck": lambda hand, finger, on: hand.press(finger, STUCK_PRESSURE if on else 0),
-    }
-)
+EFFECTS: Mapping[str, Callable[[SimulatedHand, int, bool], None]] = {
+    "restarted": lambda hand, _, on: None if on else hand.power_cycle(),
+    "encoder_stuck": lambda hand, finger, on: hand.stick_encoder(finger, on),
+    "servo_lost": lambda hand, motor, on: hand.unplug_servo(motor, on),
+    "overloaded": lambda hand, motor, on: hand.set_load(motor, FULL_LOAD if on else None),
+    "touch_stuck": lambda hand, finger, on: hand.press(finger, STUCK_PRESSURE if on else 0),
+}
 """Effect of an internal fault when it begins and ends, with the index of its finger or motor."""
 
 
 class HandWire:
-    """Delays, drops and garbles packets and commands on their way. Time is handed in.
-
-    Args:
-        faults: those of HAND_FAULTS.
-    """
+    """Delays, drops and garbles packets and commands on their way. Time is handed in."""
 
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
@@ -69,7 +51,7 @@ class HandWire:
         self._held: bytes | None = None
         self._inside: dict[str, float] = {}
 
-    def follow(self, hand: FaultyHand) -> None:
+    def follow(self, hand: SimulatedHand) -> None:
         """Starts and ends the internal faults of the hand."""
         active = self._faults.active()
         for name, effect in EFFECTS.items():

@@ -3,19 +3,20 @@
 All devices share one convention. On the control port, `{"do": "fault", "name": "slow", "value": 0.3, "duration": 2}`
 switches a fault on, `"on": false` switches it off, and `{"do": "faults"}` lists all. On the command line it is
 `--fault NAME[:SECONDS[:VALUE]]`; the camera node has the same texts in a parameter. A fault without a duration stays on
-until it is switched off. The device asks which faults are on and acts on them.
-"""
+until it is switched off. The device asks which faults are on and acts on them."""
 
 from __future__ import annotations
 
 import argparse
 import functools
 import math
+import random
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import Generic, Optional, Tuple, TypeVar
 
 from common.errors import ConfigError
 from rig_simulation.command_line import finite, positive
@@ -57,12 +58,7 @@ class _Active:
 
 
 class Faults:
-    """The faults of one device. Any thread may switch and ask.
-
-    Args:
-        known: all faults of the device.
-        clock: returns the time in seconds; monotonic.
-    """
+    """The faults of one device. Any thread may switch and ask. `clock`: monotonic [s]."""
 
     def __init__(self, known: Sequence[Fault], clock: Callable[[], float] = time.monotonic) -> None:
         self._known = {fault.name: fault for fault in known}
@@ -77,16 +73,12 @@ class Faults:
         """Switches a fault; a fault that is on gets the new value and duration.
 
         Args:
-            name: of the fault.
-            on: False switches it off.
             value: its number; None takes the default.
             duration: time until it switches itself off [s]; None: never.
 
-        Returns:
-            the names of all faults that are on now, under "active".
-
-        Raises:
-            ValueError: the fault is unknown, or a number is out of range.
+        Returns the names of all faults that are on now, under "active". Raises ValueError for an unknown fault
+        or a number out
+        of range.
         """
         fault = find(self._known.values(), name)
         if not isinstance(on, bool):
@@ -129,7 +121,19 @@ class Faults:
         self.active()
         now = self._clock()
         with self._lock:
-            return {"faults": [_description(fault, self._active.get(name), now) for name, fault in self._known.items()]}
+            pairs = [(fault, self._active.get(name)) for name, fault in self._known.items()]
+        described = [
+            {
+                "name": fault.name,
+                "doc": fault.doc,
+                "value_doc": fault.value.doc if fault.value else None,
+                "on": active is not None,
+                "value": active.value if active and fault.value else None,
+                "left": active.ends - now if active and math.isfinite(active.ends) else None,
+            }
+            for fault, active in pairs
+        ]
+        return {"faults": described}
 
     @property
     def requests(self) -> dict[str, Callable[..., dict]]:
@@ -137,23 +141,8 @@ class Faults:
         return {"fault": self.switch, "faults": self.describe}
 
 
-def _description(fault: Fault, active: _Active | None, now: float) -> dict:
-    return {
-        "name": fault.name,
-        "doc": fault.doc,
-        "value_doc": fault.value.doc if fault.value else None,
-        "on": active is not None,
-        "value": active.value if active and fault.value else None,
-        "left": active.ends - now if active and math.isfinite(active.ends) else None,
-    }
-
-
 def find(known: Iterable[Fault], name: str) -> Fault:
-    """Returns the fault of that name.
-
-    Raises:
-        ValueError: the device has no such fault.
-    """
+    """Returns the fault of that name; raises ValueError if the device has no such fault."""
     faults = {fault.name: fault for fault in known}
     if name not in faults:
         raise ValueError(f"Unknown fault {name!r}; this device has {', '.join(sorted(faults))}.")
@@ -173,15 +162,9 @@ def add_option(parser: argparse.ArgumentParser, known: Sequence[Fault], flag: st
 
 
 def parameter(text: str, known: Sequence[Fault], name: str) -> list[Option]:
-    """Returns the faults in a parameter's value, written as on a command line and separated by blanks.
+    """Returns the faults in the value of the parameter `name`, written as on a command line and separated by blanks.
 
-    Args:
-        text: its value.
-        known: faults of the device.
-        name: of the parameter, for the error message.
-
-    Raises:
-        ConfigError: the device has no such fault, or a number is invalid or out of range.
+    Raises ConfigError if the device has no such fault, or a number is invalid or out of range.
     """
     try:
         return [_read(item, known) for item in text.split()]
@@ -224,3 +207,37 @@ def _check_value(fault: Fault, value: float | None) -> float:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+Message = TypeVar("Message")
+
+
+class DelayLine(Generic[Message]):
+    """A queue with a due time for each message; no message overtakes another, as in one cable. Time is handed in."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[float, Message]] = deque()
+
+    def put(self, message: Message, due: float) -> None:
+        """Takes a message that is due at a time [s], or as soon as those before it have left."""
+        self._waiting.append((max(due, self._waiting[-1][0] if self._waiting else -math.inf), message))
+
+    def take(self, now: float) -> list[Message]:
+        """Returns the messages that are due by the time `now` [s]."""
+        due = []
+        while self.next_due() <= now:
+            due.append(self._waiting.popleft()[1])
+        return due
+
+    def next_due(self) -> float:
+        """Returns when the next message is due [s]; infinity for an empty queue."""
+        return self._waiting[0][0] if self._waiting else math.inf
+
+    def clear(self) -> None:
+        """Drops all messages."""
+        self._waiting.clear()
+
+
+def garbled(data: bytes, rng: random.Random) -> bytes:
+    """Returns the same number of bytes, each of them changed."""
+    return bytes((byte + rng.randrange(1, 256)) % 256 for byte in data)

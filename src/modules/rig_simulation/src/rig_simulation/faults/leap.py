@@ -7,8 +7,7 @@ import random
 from collections.abc import Callable
 
 from rig_simulation.devices.leap import wire
-from rig_simulation.faults.delay_line import DelayLine, garbled
-from rig_simulation.faults.injection import Fault, Faults, FaultValue, fraction_of
+from rig_simulation.faults.injection import DelayLine, Fault, Faults, FaultValue, fraction_of, garbled
 
 RIGHT_MM = "offset to the right [mm]"
 LEAP_FAULTS = (
@@ -16,11 +15,7 @@ LEAP_FAULTS = (
     Fault("half_open", "cable unplugged: nothing is read or sent, not even pongs; connections stay"),
     Fault("silent", "connections stay, but no frames arrive", fraction_of("frames")),
     Fault("slow", "every frame arrives late", FaultValue("delay [s]", 0.3, 0.001, 60.0)),
-    Fault(
-        "bursts",
-        "frames are held back, then arrive all at once",
-        FaultValue("their period [s]", 0.1, 0.01, 10.0),
-    ),
+    Fault("bursts", "frames are held back, then arrive all at once", FaultValue("their period [s]", 0.1, 0.01, 10.0)),
     Fault("low_rate", "most frames are dropped", FaultValue("remaining frame rate [Hz]", 10.0, 0.1, 100.0)),
     Fault("garbled", "frames are truncated, not JSON, without a list of hands, or contain NaN", fraction_of("frames")),
     Fault("restarted", "the service stops and its port closes; when the fault ends, ids and clock start again"),
@@ -28,32 +23,21 @@ LEAP_FAULTS = (
     Fault("frozen", "the same frame arrives again and again"),
     Fault("hand_lost", "frames contain no hand"),
     Fault("hand_swapped", "the service takes the hand for the other one, left or right, with a new id"),
-    Fault(
-        "hand_moved",
-        "the hand is detected elsewhere with a new id",
-        FaultValue(RIGHT_MM, 100.0, -500.0, 500.0),
-    ),
+    Fault("hand_moved", "the hand is detected elsewhere with a new id", FaultValue(RIGHT_MM, 100.0, -500.0, 500.0)),
     Fault("second_hand", "a second hand appears beside the first", FaultValue(RIGHT_MM, 250.0, -500.0, 500.0)),
     Fault(
-        "outliers",
-        "the hand jumps in one of forty frames",
-        FaultValue("upward offset [mm]", 200.0, -1000.0, 1000.0),
+        "outliers", "the hand jumps in one of forty frames", FaultValue("upward offset [mm]", 200.0, -1000.0, 1000.0)
     ),
     Fault("low_confidence", "the hand is poorly visible", FaultValue("confidence", 0.02, 0.0, 1.0)),
 )
 OF_HANDS = {"hand_lost", "hand_swapped", "hand_moved", "second_hand", "outliers", "low_confidence"}
 NEW_ID, SECOND_ID = 1000, 500
 """Offsets of hand ids: the service never uses an id twice."""
-
 OUTLIER_PERIOD = 40
 
 
 class FrameStream:
-    """Delays, drops and changes the frames on their way out. Time is handed in.
-
-    Args:
-        faults: those of LEAP_FAULTS.
-    """
+    """Delays, drops and changes the frames on their way out. Time is handed in."""
 
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
@@ -101,7 +85,7 @@ class HandFaults:
         if not OF_HANDS & faults.keys() and not self._renamed:
             return frame
         self._frames += 1
-        message = _with_ids(json.loads(frame), NEW_ID * self._renamed)
+        message = wire.with_ids(json.loads(frame), NEW_ID * self._renamed)
         if "hand_lost" in faults:
             message = {**message, "hands": [], "pointables": []}
         if "hand_swapped" in faults:
@@ -113,7 +97,7 @@ class HandFaults:
         if "outliers" in faults and self._frames % OUTLIER_PERIOD == 0:
             message = wire.shifted(message, (0.0, faults["outliers"], 0.0))
         if "second_hand" in faults:
-            other = _with_ids(wire.shifted(message, (faults["second_hand"], 0.0, 0.0)), SECOND_ID)
+            other = wire.with_ids(wire.shifted(message, (faults["second_hand"], 0.0, 0.0)), SECOND_ID)
             message.update({key: message[key] + other[key] for key in ("hands", "pointables")})
         return wire.text(message)
 
@@ -129,17 +113,6 @@ def broken(frame: str, rng: random.Random) -> str:
         lambda: json.dumps({**message, "timestamp": float("nan")}),
     ]
     return rng.choice(ways)()
-
-
-def _with_ids(message: dict, added: int) -> dict:
-    return {
-        **message,
-        "hands": [{**hand, "id": hand["id"] + added} for hand in message["hands"]],
-        "pointables": [
-            {**finger, "handId": finger["handId"] + added, "id": finger["id"] + 10 * added}
-            for finger in message["pointables"]
-        ],
-    }
 
 
 def _mirrored(message: dict) -> dict:

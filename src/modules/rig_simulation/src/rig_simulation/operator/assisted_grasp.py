@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from common.rotations import rotation_about
-from rig_simulation.operator.alignment import wrapped
-from rig_simulation.operator.pick_and_place import Move, PickAndPlace, PickView, Plan
+from rig_simulation.operator.pick_and_place import PickAndPlace, PickStep, PickView, Plan, wrapped
 
 EXECUTE, CANCEL, SHOW, HIDE = "execute", "cancel", "show", "hide"
 """Requests besides moves: to the execution, and for the operator's hand."""
@@ -97,19 +96,11 @@ class Round:
 
 
 @dataclass(frozen=True)
-class AssistedStep:
+class AssistedStep(PickStep):
     """Result of a cycle: a request, a move of the hand, or nothing; `failure`: why the operator gave up."""
 
-    step: str
-    round: Round
+    round: Round = Round(1)
     request: str = ""
-    move: Move | None = None
-    failure: str = ""
-
-    @property
-    def over(self) -> bool:
-        """Whether the work is over."""
-        return self.step == "done" or bool(self.failure)
 
 
 @dataclass
@@ -124,13 +115,7 @@ class _Attempt:
 
 
 class AssistedGrasp:
-    """The operator at work; call `step` about ten times a second, and after EXECUTE `answer` with the reply.
-
-    Args:
-        habits: parameters of the work with proposals.
-        plan: parameters of the work by hand.
-        center_line: direction of the workspace, shape (3,), z = 0.
-    """
+    """The operator at work; call `step` about ten times a second, and after EXECUTE `answer` with the reply."""
 
     def __init__(self, habits: OperatorHabits, plan: Plan, center_line: np.ndarray) -> None:
         self._habits, self._plan = habits, plan
@@ -277,4 +262,4 @@ class AssistedGrasp:
 
     def _result(self, **what: Any) -> AssistedStep:
         name = self._attempt.name if self._attempt is not None else self._step
-        return AssistedStep(name, self._round, **what)
+        return AssistedStep(name, round=self._round, **what)

@@ -52,32 +52,23 @@ class HandTarget:
     @property
     def state(self) -> np.ndarray:
         """The target as a state of motion.py, shape (7,) [mm, rad]."""
-        palm = 1e3 * np.array([self.right, self.up, self.back])
+        palm = 1e3 * self.right, 1e3 * self.up, 1e3 * self.back
         return np.array([*palm, self.pitch, self.yaw, self.roll, self.curl])
 
 
 class GuidedOperator:
-    """A source whose hand moves as its methods request, from any thread.
-
-    Args:
-        scripted: size and side of the hand, centre of the workspace.
-    """
+    """A source whose hand moves as its methods request, from any thread; `scripted`: its size, side, workspace."""
 
     def __init__(self, scripted: ScriptedOperator) -> None:
         self._scripted = scripted
         self._lock = threading.Lock()
         self._state: np.ndarray | None = None
-        self._shown = 0
         self._path = (np.zeros(motion.STATE_SIZE), np.zeros(motion.STATE_SIZE), 0.0)
-        self._elapsed = 0.0
+        self._elapsed, self._shown = 0.0, 0
         self._leaves_in: float | None = None
 
     def show(self, **at: float) -> None:
-        """Brings a hand into view at a `HandTarget`, with a new id, in place of the one before.
-
-        Raises:
-            ValueError: a field is unknown or out of range.
-        """
+        """Shows a hand at a `HandTarget`, with a new id, in place of the one before; ValueError if invalid."""
         state = _target(at).state
         with self._lock:
             self._state, self._path, self._elapsed = state, (state, state, 0.0), 0.0
@@ -85,11 +76,7 @@ class GuidedOperator:
             self._leaves_in = None
 
     def reach(self, **to: float) -> None:
-        """Moves the hand from its present pose to a `HandTarget`.
-
-        Raises:
-            ValueError: no hand is in view, or a field is unknown or out of range.
-        """
+        """Moves the hand from its present pose to a `HandTarget`; ValueError if invalid or if no hand is in view."""
         target = _target(to)
         with self._lock:
             if self._state is None:
@@ -152,7 +139,6 @@ class GuidedOperator:
 def _target(fields: dict) -> HandTarget:
     unknown = sorted(set(fields) - set(HandTarget.__dataclass_fields__))
     if unknown:
-        raise ValueError(
-            f"Unknown field {', '.join(unknown)}; the fields are {', '.join(HandTarget.__dataclass_fields__)}."
-        )
+        known = ", ".join(HandTarget.__dataclass_fields__)
+        raise ValueError(f"Unknown field {', '.join(unknown)}; the fields are {known}.")
     return HandTarget(**fields)

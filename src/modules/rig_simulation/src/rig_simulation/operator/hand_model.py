@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.rotations import rotation_about
+from common.rotations import rotation_about, unit
 
 PALM_WIDTH_MM = 84.25
 ARM_LENGTH_MM, ARM_WIDTH_MM = 250.0, 59.0
 TIP_ON_DISTAL = 0.77
 """Position of the finger tip's centre on the last bone in service 2; newer services end the bone there."""
-
 BONE_LENGTHS_MM = np.array(
     [
         [0.0, 46.22, 31.57, 21.67],
@@ -28,7 +27,6 @@ BONE_LENGTHS_MM = np.array(
     ]
 )
 """Metacarpal to distal (columns) of thumb to pinky (rows); the bones of the thumb count one joint further out."""
-
 FINGER_WIDTHS_MM = np.array([18.75, 17.91, 17.59, 16.738, 14.868])
 CARPS_MM = np.array(
     [[-19.34, -6.00, 53.17], [-11.87, 12.10, 43.26], [-0.88, 13.58, 40.60], [10.41, 12.60, 39.65], [21.41, 5.68, 41.81]]
@@ -39,7 +37,6 @@ KNUCKLES_MM = np.array(
 WRIST_MM = np.array([7.06, 4.0, 50.0])
 THUMB_TWIST = np.radians(45.0)
 """Turn of the thumb's hinges about its bones: it bends across the palm, not down."""
-
 FLEXION_SUM_EXTENDED = np.radians(85.0)
 OPEN = np.radians([[-5, 4, 4], [2, 5, 4], [1, 5, 4], [2, 5, 4], [3, 6, 5]])
 FIST = np.radians([[25, 40, 50], [85, 85, 62], [87, 86, 62], [87, 86, 62], [86, 85, 62]])
@@ -86,6 +83,10 @@ class HandModel:
         side: "right" or "left".
         scale: size against the template; adults have 1.03 to 1.10.
         ends_at_tip: whether the last bone ends at the tip centre, as with newer services.
+
+    Attributes:
+        finger_lengths, finger_widths: of thumb to pinky, shape (5,) [mm].
+        arm_width, palm_width: [mm].
     """
 
     def __init__(self, side: str = "right", scale: float = 1.05, ends_at_tip: bool = False) -> None:
@@ -95,33 +96,20 @@ class HandModel:
         self.lengths = BONE_LENGTHS_MM * scale
         if ends_at_tip:
             self.lengths[:, 3] *= TIP_ON_DISTAL
-        self.finger_lengths = (
-            0.5 * self.lengths[:, 1] + self.lengths[:, 2] + TIP_ON_DISTAL * scale * BONE_LENGTHS_MM[:, 3]
-        )
+        tips = TIP_ON_DISTAL * scale * BONE_LENGTHS_MM[:, 3]
+        self.finger_lengths = 0.5 * self.lengths[:, 1] + self.lengths[:, 2] + tips
         self.finger_lengths[0] -= 0.5 * self.lengths[0, 1]
+        self.finger_widths, self.arm_width = FINGER_WIDTHS_MM * scale, ARM_WIDTH_MM * scale
+        self.palm_width = PALM_WIDTH_MM * scale
         self._carps, self._knuckles, self._wrist = CARPS_MM * scale, KNUCKLES_MM * scale, WRIST_MM * scale
         self._metacarpals = np.array([_across(carp - knuckle) for carp, knuckle in zip(CARPS_MM, KNUCKLES_MM)])
 
-    @property
-    def finger_widths(self) -> np.ndarray:
-        """Widths of thumb to pinky, shape (5,) [mm]."""
-        return FINGER_WIDTHS_MM * self.scale
-
-    @property
-    def arm_width(self) -> float:
-        """Width of the forearm [mm]."""
-        return ARM_WIDTH_MM * self.scale
-
-    @property
-    def palm_width(self) -> float:
-        """Width of the palm [mm]."""
-        return PALM_WIDTH_MM * self.scale
-
     def place(self, pose: HandPose) -> HandGeometry:
         """Returns the geometry of the bones in a pose of the hand."""
-        # Yaw, pitch and roll of the service are projections of these two vectors.
-        direction = _unit(np.array([np.tan(pose.yaw), np.tan(pose.pitch), -1.0]))
-        normal = _unit(np.array([np.sin(pose.roll), -np.cos(pose.roll), _tilt(direction, pose.roll)]))
+        # Yaw, pitch and roll of the service are projections of these two orthogonal vectors.
+        direction = unit(np.array([np.tan(pose.yaw), np.tan(pose.pitch), -1.0]))
+        tilt = -(direction[0] * np.sin(pose.roll) - direction[1] * np.cos(pose.roll)) / direction[2]
+        normal = unit(np.array([np.sin(pose.roll), -np.cos(pose.roll), tilt]))
         # Columns: palm axes in Leap axes.
         axes = np.stack([np.cross(normal, direction), -normal, -direction], axis=1)
         if self.side == "left":
@@ -178,19 +166,10 @@ def extended(flexion: np.ndarray) -> list[bool]:
     return (flexion.sum(axis=1) < FLEXION_SUM_EXTENDED).tolist()
 
 
-def _tilt(direction: np.ndarray, roll: float) -> float:
-    """Returns the z of the normal (sin roll, -cos roll, z) that makes it orthogonal to the direction."""
-    return -(direction[0] * np.sin(roll) - direction[1] * np.cos(roll)) / direction[2]
-
-
 def _across(back: np.ndarray) -> np.ndarray:
     """Returns the orientation of a metacarpal from the vector of its end to its start; identity if it has no length."""
     if not back.any():
         return np.eye(3)
-    z = _unit(back)
-    x = _unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
+    z = unit(back)
+    x = unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
     return np.stack([x, np.cross(z, x), z], axis=1)
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)

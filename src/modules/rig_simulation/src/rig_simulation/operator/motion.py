@@ -7,27 +7,27 @@ the workspace, pitch, yaw, roll [rad], and curl (0 open, 1 fist).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Callable, Mapping
 
 import numpy as np
 
 MIN_JERK_PEAK = 1.875
 """Ratio of the highest to the mean speed of a minimum-jerk move."""
-
 RAMP = 0.15
 """Fraction of a figure's time for its acceleration, and for its deceleration."""
-
 HOLD_S = 2.5
 """Time for which the hand waits at the centre until the arm follows."""
-
 EDGE_MM = 200.0
 """Distance from the centre, on the operator's side, at which the hand enters and leaves the view."""
-
 FAR_MM = 320.0
 SHORTEST_MOVE_S = 0.6
 TILT_SPEED = np.radians(40.0)
 FIGURES = ("circle", "square", "eight", "line")
+CURVES: Mapping[str, Callable[[float], tuple[float, float]]] = {
+    "circle": lambda angle: (np.sin(angle), -np.cos(angle)),
+    "eight": lambda angle: (np.sin(angle), np.sin(angle) * np.cos(angle)),
+}
 PLANES = {"upright": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), "flat": ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0))}
 X, Y, Z, PITCH, YAW, ROLL, CURL = range(7)
 STATE_SIZE = 7
@@ -45,35 +45,21 @@ class Script:
     away: float = 3.0  # time out of view after each visit [s]
 
 
-@dataclass(frozen=True)
-class Segment:
-    """A segment of a visit: its duration [s], and its state as a function of the elapsed fraction, 0 to 1."""
-
-    duration: float
-    state: Callable[[float], np.ndarray]
-
-
 class Visit:
-    """One visit of the hand.
-
-    Args:
-        script: of the operator.
-        rng: makes each visit slightly different.
-    """
+    """One visit of the hand; `rng` makes each slightly different."""
 
     def __init__(self, script: Script, rng: np.random.Generator) -> None:
         if script.figure not in FIGURES or script.plane not in PLANES:
-            raise ValueError(
-                f"The figure is {script.figure!r} in the plane {script.plane!r}, but must be {FIGURES}, {[*PLANES]}."
-            )
+            chosen = f"The figure is {script.figure!r} in the plane {script.plane!r}"
+            raise ValueError(f"{chosen}, but must be {FIGURES}, {[*PLANES]}.")
         self._script = script
-        self._segments: list[Segment] = []
-        self._here = np.array(
-            [rng.uniform(-40, 40), rng.uniform(-30, 10), FAR_MM, *np.radians([6.0, rng.uniform(-8, 8), 3.0]), 0.0]
-        )
+        # Each starts and ends at rest: its duration [s], and its state as a function of the elapsed fraction, 0 to 1
+        self._segments: list[tuple[float, Callable[[float], np.ndarray]]] = []
+        entry = rng.uniform(-40, 40), rng.uniform(-30, 10), FAR_MM
+        self._here = np.array([*entry, *np.radians([6.0, rng.uniform(-8, 8), 3.0]), 0.0])
         rest = np.array([*rng.uniform(-8, 8, 3), *np.radians(rng.uniform([2, -6, -4], [7, 6, 4])), 0.0])
         self._compose(rest)
-        self._ends = np.cumsum([segment.duration for segment in self._segments])
+        self._ends = np.cumsum([duration for duration, _ in self._segments])
         self.duration = float(self._ends[-1])
         times = np.arange(0.0, self.duration, 0.005)
         visible = times[[self.state(t)[Z] < EDGE_MM for t in times]]
@@ -82,9 +68,8 @@ class Visit:
     def state(self, t: float) -> np.ndarray:
         """Returns the state at `t` seconds after the start of the visit, shape (7,)."""
         i = min(int(np.searchsorted(self._ends, t)), len(self._segments) - 1)
-        segment = self._segments[i]
-        start = self._ends[i] - segment.duration
-        return segment.state(float(np.clip((t - start) / segment.duration, 0.0, 1.0)))
+        duration, state = self._segments[i]
+        return state(float(np.clip((t - (self._ends[i] - duration)) / duration, 0.0, 1.0)))
 
     def visible(self, t: float) -> bool:
         """Returns whether the hand is in view."""
@@ -107,14 +92,14 @@ class Visit:
 
     def _hold(self, duration: float) -> None:
         here = self._here
-        self._segments.append(Segment(duration, lambda _: here))
+        self._segments.append((duration, lambda _: here))
 
     def _move(self, there: np.ndarray, duration: float = 0.0, speed: float = 0.0) -> None:
         here = self._here
         travel = np.linalg.norm(there[:3] - here[:3]) / (speed or self._script.speed)
         turn = np.abs(there[3:6] - here[3:6]).max() / TILT_SPEED
         duration = duration or max(SHORTEST_MOVE_S, MIN_JERK_PEAK * max(travel, turn))
-        self._segments.append(Segment(duration, lambda fraction: here + min_jerk(fraction) * (there - here)))
+        self._segments.append((duration, lambda fraction: here + min_jerk(fraction) * (there - here)))
         self._here = there
 
     def _figure(self, rest: np.ndarray) -> None:
@@ -126,25 +111,19 @@ class Visit:
             for corner in (corners * script.laps) + corners[:1]:
                 self._move(_shifted(rest, half * np.array(corner) @ plane))
             return
-        path = _circle if script.figure == "circle" else _eight
+        path = CURVES[script.figure]
+
+        def at(angle: float) -> np.ndarray:
+            return _shifted(rest, half * np.array(path(angle)) @ plane)
+
         angles = np.linspace(0.0, 2.0 * np.pi, 721)
         points = half * np.array([path(angle) for angle in angles])
         fastest = np.linalg.norm(np.gradient(points, angles, axis=0), axis=1).max()
         total = 2.0 * np.pi * script.laps
         duration = fastest * total / (script.speed * (1.0 - RAMP))
-        self._move(_shifted(rest, half * np.array(path(0.0)) @ plane))
-        self._segments.append(
-            Segment(duration, lambda fraction: _shifted(rest, half * np.array(path(total * _run(fraction))) @ plane))
-        )
-        self._here = _shifted(rest, half * np.array(path(total)) @ plane)
-
-
-def _circle(angle: float) -> tuple[float, float]:
-    return np.sin(angle), -np.cos(angle)
-
-
-def _eight(angle: float) -> tuple[float, float]:
-    return np.sin(angle), np.sin(angle) * np.cos(angle)
+        self._move(at(0.0))
+        self._segments.append((duration, lambda fraction: at(total * _run(fraction))))
+        self._here = at(total)
 
 
 def min_jerk(fraction: float) -> float:

@@ -1,21 +1,50 @@
 """The operator picks an object up and puts it down: a state machine from observations to moves of the hand.
 
 The operator compares the tool with the object and moves the hand by the difference until they match; all that is known
-of the controller is that the tool follows the hand. Positions in metres in `kuka/base_frame`, times in seconds.
-"""
+of the controller is that the tool follows the hand. Positions in metres in `kuka/base_frame`, times in seconds."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from rig_simulation.operator.motion import MIN_JERK_PEAK
+from rig_simulation.world.scene import Cuboid, SceneObject
 
 UP = np.array([0.0, 0.0, 1.0])
 SHORTEST_MOVE_S, SETTLE_S = 0.4, 0.3
 FINGER_FRACTION = 0.6
 """The operator's fingers move for this fraction of the robot fingers' time."""
+WIDEST = 0.1
+"""Longest side that fits between the fingers."""
+
+
+def heading(R_base_tool: np.ndarray) -> float:
+    """Returns the direction from above of the x axis of the tool's orientation, along which the fingers close."""
+    return math.atan2(R_base_tool[1, 0], R_base_tool[0, 0])
+
+
+def wrapped(angle: float, period: float = 2.0 * math.pi) -> float:
+    """Returns the angle within plus and minus half of the period."""
+    return (angle + period / 2.0) % period - period / 2.0
+
+
+def turn_to(shape: SceneObject, R_base_object: np.ndarray, fingers: float) -> float:
+    """Returns the smallest turn after which the fingers close along a side that fits; 0 for a round object.
+
+    Args:
+        shape: the object, which stands upright.
+        R_base_object: its orientation, shape (3, 3).
+        fingers: direction along which they close.
+    """
+    if not isinstance(shape, Cuboid):
+        return 0.0
+    sides = shape.size[:2]
+    fitting = [axis for axis in (0, 1) if sides[axis] <= WIDEST] or [int(np.argmin(sides))]
+    turns = [wrapped(math.atan2(R_base_object[1, axis], R_base_object[0, axis]) - fingers, math.pi) for axis in fitting]
+    return min(turns, key=abs)
 
 
 @dataclass(frozen=True)
@@ -84,9 +113,7 @@ STEPS = ("wait", "above", "down", "close", "lift", "hold", "lower", "open", "awa
 class PickAndPlace:
     """The operator at work; call `step` about ten times a second.
 
-    Args:
-        plan: parameters of the work.
-        center_line: direction of the workspace, shape (3,), z = 0; the hand points along it when it comes in.
+    `center_line`: direction of the workspace, shape (3,), z = 0; the hand points along it when it comes in.
     """
 
     def __init__(self, plan: Plan, center_line: np.ndarray) -> None:
@@ -102,20 +129,15 @@ class PickAndPlace:
 
     def step(self, view: PickView, now: float) -> PickStep:
         """Takes an observation at the time `now` [s]; returns what to do."""
-        at_rest = self._at_rest(view.grip, now)
-        if STEPS[self._step] == "done":
-            return PickStep("done")
+        at_rest, name = self._at_rest(view.grip, now), STEPS[self._step]
+        if name == "done":
+            return PickStep(name)
         if self._since is None:
             self._since = now
         if now - self._since > self._plan.patience:
-            return PickStep(STEPS[self._step], failure=self._complaint(view))
+            return PickStep(name, failure=self._complaint(name, view))
         if now < self._busy_until or not at_rest or not view.following:
-            return PickStep(STEPS[self._step])
-        return self._correct_or_continue(view, now)
-
-    def _correct_or_continue(self, view: PickView, now: float) -> PickStep:
-        """Corrects the last move, or begins the next step; the tool is at rest."""
-        name = STEPS[self._step]
+            return PickStep(name)
         if self._target is not None:
             error, turn = self._target - view.grip, self._turn(name, view)
             if np.linalg.norm(error) > self._plan.tolerance or abs(turn) > self._plan.turn_tolerance:
@@ -172,8 +194,7 @@ class PickAndPlace:
             return False
         return float(np.linalg.norm(grip - before[1])) / (now - before[0]) < self._plan.at_rest
 
-    def _complaint(self, view: PickView) -> str:
-        name = STEPS[self._step]
+    def _complaint(self, name: str, view: PickView) -> str:
         if not view.following:
             return f"the arm did not follow within {self._plan.patience:g} s (step {name!r})"
         if self._target is not None:

@@ -1,8 +1,7 @@
-"""Sources of frames: no hand, an operator who follows a script, or a recording.
+"""Sources of frames: no hand, an operator who follows a script, or a recording; and their playback with ids and times.
 
 A source yields (interval, frame): the time since the last frame [s], and a frame without the `id` and `timestamp` of
-the service. The service counts hand ids, so a source gets the first free one.
-"""
+the service. The service counts hand ids, so a source gets the first free one."""
 
 from __future__ import annotations
 
@@ -11,6 +10,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -24,17 +24,12 @@ PERIOD_S = 1.0 / 115.3
 JITTER_S = 0.08e-3
 LOST_FRAME = 0.005
 """Probability that the sensor loses a frame: the interval is double, the id continues."""
-
 PAUSE_S = 1.5
 """Empty frames between two rounds of a recording."""
 
 
 class RecordingError(RigError):
-    """An unusable recording.
-
-    Attributes:
-        path: of the recording.
-    """
+    """An unusable recording; `path`: of the recording."""
 
     def __init__(self, path: Path, problem: str) -> None:
         self.path = path
@@ -95,7 +90,6 @@ class Recording:
     """A file of recorded frames, one JSON object a line, as text or compressed by gzip.
 
     Args:
-        path: the file.
         rate: playback speed.
         offset: added to every position [mm].
         loop: whether it repeats, after a pause, with new hand ids.
@@ -137,13 +131,7 @@ class Recording:
         frame = json.loads(line)
         if any(self._offset):
             frame = wire.shifted(frame, self._offset)
-        if shift:
-            for hand in frame["hands"]:
-                hand["id"] += shift
-            for pointable in frame["pointables"]:
-                pointable["handId"] += shift
-                pointable["id"] += 10 * shift
-        return frame
+        return wire.with_ids(frame, shift) if shift else frame
 
     @staticmethod
     def _check(path: Path, number: int, line: str) -> dict:
@@ -173,3 +161,66 @@ def next_interval(rng: np.random.Generator) -> float:
     """Returns the time to the next frame [s]: the period of the device with its jitter, doubled for a lost frame."""
     frames = 2 if rng.random() < LOST_FRAME else 1
     return frames * PERIOD_S + JITTER_S * float(np.clip(rng.standard_normal(), -3.0, 3.0))
+
+
+START_US = 1_000_000
+
+
+class Source(Protocol):
+    """A source of frames: see operator/sources.py."""
+
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+        """Yields (interval, frame)."""
+
+
+@dataclass(frozen=True)
+class PlayedFrame:
+    """A frame that is due `time` seconds after the service started."""
+
+    time: float
+    text: str
+
+
+class Playback:
+    """The clock and counters of the service: frames of the source get rising ids and time stamps.
+
+    Playing starts the source from its beginning; paused, and before, the frames are empty. The same seed of the
+    noise and
+    the same calls give the same frames. `fields`: field set of the empty frames.
+    """
+
+    def __init__(self, source: Source, seed: int = 0, fields: str = "2.x", playing: bool = True) -> None:
+        self._source, self._seed = source, seed
+        self._idle = empty_frames(np.random.default_rng(seed), fields)
+        self._frames = self._idle
+        self._time = 0.0
+        self._id = 0
+        self._next_hand = 1
+        self.playing = False
+        self.position = 0
+        if playing:
+            self.play()
+
+    def play(self) -> None:
+        """Starts the source from its beginning."""
+        self._frames = self._source.frames(np.random.default_rng(self._seed), self._next_hand)
+        self.playing, self.position = True, 0
+
+    def pause(self) -> None:
+        """Continues with empty frames."""
+        self._frames, self.playing = self._idle, False
+
+    def restart(self) -> None:
+        """Restarts ids and time, like a restarted service; the source continues."""
+        self._time, self._id = 0.0, 0
+
+    def next(self) -> PlayedFrame:
+        """Returns the next frame."""
+        interval, message = next(self._frames)
+        self._time += interval
+        self._id += 1
+        self.position += self.playing
+        for hand in message["hands"]:
+            self._next_hand = max(self._next_hand, hand["id"] + 1)
+        stamp = START_US + round(self._time * 1e6)
+        return PlayedFrame(self._time, wire.text({**message, "id": self._id, "timestamp": stamp}))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shutil
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -22,22 +21,8 @@ class FilmError(RigError):
     """A film or contact sheet that cannot be written."""
 
 
-class Film(Protocol):
-    """A sink for images."""
-
-    def add(self, image: np.ndarray, time: float) -> None:
-        """Adds an image, shape (height, width, 3), RGB, uint8, of the time [s]."""
-
-    def close(self) -> None:
-        """Completes the file."""
-
-
-def film_for(path: Path, rate: float) -> Film:
-    """Returns the film for a file of type .mp4 or .png.
-
-    Raises:
-        FilmError: another type, or the folder does not exist.
-    """
+def film_for(path: Path, rate: float) -> Mp4 | ContactSheet:
+    """Returns the film for a .mp4 or .png file; raises FilmError for another type or a missing folder."""
     if not path.resolve().parent.is_dir():
         raise FilmError(f"There is no folder {path.resolve().parent} for {path.name}; make it first.")
     if path.suffix == ".mp4":
@@ -48,12 +33,7 @@ def film_for(path: Path, rate: float) -> Film:
 
 
 class Mp4:
-    """A film in the time of its images; a late image prolongs the one before.
-
-    Args:
-        path: of the file.
-        rate: images a second.
-    """
+    """A film in the time of its images, `rate` a second; a late image prolongs the one before."""
 
     def __init__(self, path: Path, rate: float) -> None:
         self._path, self._rate = path, rate
@@ -63,22 +43,18 @@ class Mp4:
         self.frames = 0
 
     def add(self, image: np.ndarray, time: float) -> None:
-        """Adds an image; see Film.
+        """Adds an image, shape (height, width, 3), RGB, uint8, of the time [s].
 
-        Raises:
-            FilmError: the film cannot be written, or the disk is nearly full; earlier images remain.
+        Raises FilmError if the disk is full or the film cannot be written: earlier images remain.
         """
         if shutil.disk_usage(self._path.resolve().parent).free < LEAST_FREE_BYTES:
-            raise FilmError(
-                f"The film {self._path} stops after {self.frames / self._rate:.1f} s: "
-                f"its disk has less than {LEAST_FREE_BYTES / 1e6:.0f} MB free."
-            )
+            full = f"its disk has less than {LEAST_FREE_BYTES / 1e6:.0f} MB free"
+            raise FilmError(f"The film {self._path} stops after {self.frames / self._rate:.1f} s: {full}.")
         if self._writer is None:
             self._start = time
             height, width = image.shape[:2]
-            self._writer = cv2.VideoWriter(
-                str(self._path), cv2.VideoWriter.fourcc(*"mp4v"), self._rate, (width, height)
-            )
+            code = cv2.VideoWriter.fourcc(*"mp4v")
+            self._writer = cv2.VideoWriter(str(self._path), code, self._rate, (width, height))
             if not self._writer.isOpened():
                 raise FilmError(f"Cannot write the film {self._path}.")
         due = math.floor((time - self._start) * self._rate + 1e-6)
@@ -88,11 +64,7 @@ class Mp4:
             self._write(self._writer, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
 
     def close(self) -> None:
-        """Completes the file.
-
-        Raises:
-            FilmError: images are missing in it; the writer itself reports no error.
-        """
+        """Completes the file; raises FilmError if images are missing in it: the writer itself reports no error."""
         if self._writer is None:
             return
         self._writer.release()
@@ -114,10 +86,6 @@ class ContactSheet:
     """A sheet of a few images at equal intervals.
 
     Its duration is unknown beforehand: it keeps up to twice as many images as it shows, and then drops every second.
-
-    Args:
-        path: of the file.
-        columns, rows: of the sheet.
     """
 
     def __init__(self, path: Path, columns: int = 4, rows: int = 3) -> None:
@@ -127,7 +95,7 @@ class ContactSheet:
         self._next = -math.inf
 
     def add(self, image: np.ndarray, time: float) -> None:
-        """Adds an image; see Film."""
+        """Adds an image; see Mp4."""
         if time < self._next:
             return
         half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -138,11 +106,7 @@ class ContactSheet:
         self._next = time + self._interval
 
     def close(self) -> None:
-        """Writes the sheet.
-
-        Raises:
-            FilmError: the file cannot be written.
-        """
+        """Writes the sheet; raises FilmError if the file cannot be written."""
         if not self._kept:
             return
         chosen = np.linspace(0, len(self._kept) - 1, min(self._count, len(self._kept))).round().astype(int)

@@ -17,21 +17,9 @@ import numpy as np
 from common.errors import DeviceError, RigError
 from rig_simulation.command_line import failed, parse_options, positive
 from rig_simulation.control_port import ControlClient, PortClosedError
-from rig_simulation.devices.camera.world_copy import WorldCopy
-from rig_simulation.recording.films import Film, film_for, with_lines
-from rig_simulation.recording.following import (
-    HOST,
-    NICENESS,
-    PATIENCE_S,
-    RETRY_S,
-    TIMEOUT_S,
-    add_arrows,
-    add_options,
-    point_camera,
-    stop_when_interrupted,
-    wait_for_world,
-)
-from rig_simulation.recording.forces import arrows, pair_forces, short
+from rig_simulation.recording import display
+from rig_simulation.recording.films import ContactSheet, Mp4, film_for, with_lines
+from rig_simulation.world.model import WorldCopy
 
 NAME = "record"
 MAX_GEOMS = 5000
@@ -41,12 +29,12 @@ SHOWN_FORCES = 6
 def main(arguments: list[str] | None = None) -> int:
     """Films until it is interrupted, the world stops, or the time is over; returns the exit code."""
     options = _options(arguments)
-    stop = stop_when_interrupted()
-    os.nice(NICENESS)
+    stop = display.stop_when_interrupted()
+    os.nice(display.NICENESS)
     try:
         films = [film_for(path, options.rate) for path in options.files]
-        with ControlClient(HOST, options.port, TIMEOUT_S) as client:
-            wait_for_world(client, options.wait, stop)
+        with ControlClient(display.HOST, options.port, display.TIMEOUT_S) as client:
+            display.wait_for_world(client, options.wait, stop)
             images = record(client, films, options, stop)
     except RigError as error:
         return failed(NAME, error)
@@ -54,12 +42,10 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def record(client: ControlClient, films: list[Film], options: argparse.Namespace, stop: threading.Event) -> int:
-    """Adds images of the world to the films and closes them; returns the number of images.
-
-    Raises:
-        RigError: a film cannot be written, this machine cannot render, or the world hangs.
-    """
+def record(
+    client: ControlClient, films: list[Mp4 | ContactSheet], options: argparse.Namespace, stop: threading.Event
+) -> int:
+    """Films the world, closes the films; returns the number of images, or raises RigError if the film stops early."""
     count, start, due = 0, None, time.monotonic()
     view = FilmView(client, tuple(options.size), tuple(options.view))
     try:
@@ -82,12 +68,8 @@ def record(client: ControlClient, films: list[Film], options: argparse.Namespace
 
 
 def _follow(view: FilmView, stop: threading.Event) -> bool:
-    """Lets the view follow the world; returns False if the world stopped, or `stop` is set.
-
-    Raises:
-        DeviceError: the world runs but does not answer.
-    """
-    deadline = time.monotonic() + PATIENCE_S
+    """Lets the view follow; returns False once the world stopped or `stop` is set, DeviceError if the world hangs."""
+    deadline = time.monotonic() + display.PATIENCE_S
     while not stop.is_set():
         try:
             view.follow()
@@ -97,21 +79,12 @@ def _follow(view: FilmView, stop: threading.Event) -> bool:
         except DeviceError as error:
             if time.monotonic() > deadline:
                 raise DeviceError(f"The film stops at {view.time:.1f} s of the world: {error}") from None
-        stop.wait(RETRY_S)
+        stop.wait(display.RETRY_S)
     return False
 
 
 class FilmView:
-    """Renders a copy of the world.
-
-    Args:
-        client: of the world's control port.
-        size: width and height of an image [px].
-        view: of the camera, see following.point_camera.
-
-    Attributes:
-        time: of the world at the last `follow` [s].
-    """
+    """Renders a copy of the world in images of width and height `size` [px]; `time`: of its last state [s]."""
 
     def __init__(self, client: ControlClient, size: tuple[int, int], view: tuple[float, float, float]) -> None:
         self._client = client
@@ -120,35 +93,28 @@ class FilmView:
         self._camera = mujoco.MjvCamera()
         self._renderer: mujoco.Renderer | None = None
         self._contacts: list[dict] = []
-        self._is_new = False
-        self.time = 0.0
+        self._is_new, self.time = False, 0.0
 
     def follow(self) -> None:
-        """Copies the present state of the world.
-
-        Raises:
-            DeviceError: the world does not answer.
-        """
+        """Copies the present state of the world."""
         self._is_new |= self._world.follow()
         self._contacts = self._client.ask("contacts")["contacts"]
         self.time = self._client.ask("state")["time"]
 
     def image(self) -> np.ndarray:
-        """Returns an image of the last state, shape (height, width, 3), RGB.
-
-        Raises:
-            DeviceError: this machine cannot render.
-        """
+        """Returns an image of the last state, shape (height, width, 3), RGB."""
         if self._is_new:
             self._attach()
             self._is_new = False
         assert self._renderer is not None  # the first state is of a new model
         self._renderer.update_scene(self._world.data, self._camera)
-        pairs = pair_forces(self._contacts)
-        add_arrows(self._renderer.scene, arrows(pairs))
+        pairs = display.pair_forces(self._contacts)
+        display.add_arrows(self._renderer.scene, display.arrows(pairs))
         grasp = [pair for pair in pairs if pair.by_robot][:SHOWN_FORCES]
         lines = [f"{self.time:.1f} s"]
-        lines += [f"{short(pair.bodies[1])} on {short(pair.bodies[0])}: {pair.newtons:.1f} N" for pair in grasp]
+        for pair in grasp:
+            first, second = map(display.short, pair.bodies)
+            lines.append(f"{second} on {first}: {pair.newtons:.1f} N")
         return with_lines(self._renderer.render(), lines)
 
     def close(self) -> None:
@@ -165,12 +131,12 @@ class FilmView:
             self._renderer = mujoco.Renderer(model, height, width, max_geom=MAX_GEOMS)
         except (RuntimeError, AttributeError, ImportError, mujoco.FatalError) as error:
             raise DeviceError(f"Cannot render without a display: {error}. Install libegl1 and libegl-mesa0.") from None
-        point_camera(self._camera, self._view, self._world.data)
+        display.point_camera(self._camera, self._view, self._world.data)
 
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=f"{NAME}.py", description="Films the simulated world.")
-    add_options(parser)
+    display.add_options(parser)
     add = parser.add_argument
     add("files", type=Path, nargs="+", metavar="FILE", help="a film (.mp4) or a contact sheet (.png)")
     add("--size", type=int, nargs=2, default=(960, 540), metavar=("WIDTH", "HEIGHT"), help="of an image, px")

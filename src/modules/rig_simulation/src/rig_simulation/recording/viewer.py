@@ -15,19 +15,8 @@ from typing import Any
 from common.errors import DeviceError
 from rig_simulation.command_line import failed, parse_options
 from rig_simulation.control_port import ControlClient, PortClosedError
-from rig_simulation.devices.camera.world_copy import WorldCopy
-from rig_simulation.recording.following import (
-    HOST,
-    NICENESS,
-    PATIENCE_S,
-    TIMEOUT_S,
-    add_arrows,
-    add_options,
-    point_camera,
-    stop_when_interrupted,
-    wait_for_world,
-)
-from rig_simulation.recording.forces import arrows, pair_forces
+from rig_simulation.recording import display
+from rig_simulation.world.model import WorldCopy
 
 NAME = "viewer"
 CLOSING_S = 30.0
@@ -36,14 +25,14 @@ CLOSING_S = 30.0
 def main(arguments: list[str] | None = None) -> int:
     """Shows the world until the window is closed, it is interrupted, or the world stops; returns the exit code."""
     parser = argparse.ArgumentParser(prog=f"{NAME}.py", description="Shows the simulated world in a window.")
-    add_options(parser)
+    display.add_options(parser)
     options = parse_options(parser, arguments)
-    stop = stop_when_interrupted()
-    os.nice(NICENESS)
+    stop = display.stop_when_interrupted()
+    os.nice(display.NICENESS)
     try:
         _check_screen()
-        with ControlClient(HOST, options.port, TIMEOUT_S) as client:
-            wait_for_world(client, options.wait, stop)
+        with ControlClient(display.HOST, options.port, display.TIMEOUT_S) as client:
+            display.wait_for_world(client, options.wait, stop)
             _show(client, options, stop)
     except DeviceError as error:
         return failed(NAME, error)
@@ -51,11 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _check_screen() -> None:
-    """Opens the connection to the screen; the thread of the window could not report its absence.
-
-    Raises:
-        DeviceError: there is no screen.
-    """
+    """Opens the connection to the screen, whose absence the window's thread could not report as a DeviceError."""
     import glfw  # with mujoco
 
     screen = os.environ.get("DISPLAY")
@@ -65,28 +50,22 @@ def _check_screen() -> None:
         warnings.simplefilter("ignore")  # the error below says the same
         opened = glfw.init()
     if not opened:
-        raise DeviceError(
-            f"Cannot open the screen {screen} (DISPLAY). Allow access to it, or start without the viewer."
-        )
+        raise DeviceError(f"Cannot open the screen {screen} (DISPLAY). Allow access, or start without the viewer.")
 
 
 def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Event) -> None:
-    """Shows the world in a window, in a new one after a change of the scene, until it stops.
-
-    Raises:
-        DeviceError: the world runs but does not answer.
-    """
+    """Shows the world in a window, a new one after a change of the scene, until it stops; DeviceError if it hangs."""
     world, window, answered = WorldCopy(client), None, time.monotonic()
     try:
         while not stop.wait(1.0 / options.rate) and (window is None or window.is_open):
             try:
-                pairs = pair_forces(client.ask("contacts")["contacts"])
+                pairs = display.pair_forces(client.ask("contacts")["contacts"])
                 is_new = world.follow()
             except PortClosedError:
                 print(f"{NAME}: The world has stopped.", flush=True)
                 break
             except DeviceError:
-                if time.monotonic() - answered > PATIENCE_S:
+                if time.monotonic() - answered > display.PATIENCE_S:
                     raise
                 continue
             answered = time.monotonic()
@@ -95,19 +74,14 @@ def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Ev
                     window.close()
                 window = ViewerWindow(world, tuple(options.view))
             assert window is not None  # the first state is of a new model
-            window.show(arrows(pairs))
+            window.show(display.arrows(pairs))
     finally:
         if window is not None:
             window.close()
 
 
 class ViewerWindow:
-    """MuJoCo's passive viewer of a copy of the world.
-
-    Args:
-        world: to show.
-        view: of the camera, see following.point_camera.
-    """
+    """MuJoCo's passive viewer of a copy of the world; `view`: see display.point_camera."""
 
     def __init__(self, world: WorldCopy, view: tuple[float, float, float]) -> None:
         from mujoco import viewer  # opens the screen
@@ -116,7 +90,7 @@ class ViewerWindow:
         self._handle: Any = viewer.launch_passive(world.model, world.data, show_left_ui=False, show_right_ui=False)
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         with self._handle.lock():
-            point_camera(self._handle.cam, view, world.data)
+            display.point_camera(self._handle.cam, view, world.data)
 
     @property
     def is_open(self) -> bool:
@@ -127,7 +101,7 @@ class ViewerWindow:
         """Shows the present state of the copy, with arrows."""
         with self._handle.lock():
             self._handle.user_scn.ngeom = 0
-            add_arrows(self._handle.user_scn, forces)
+            display.add_arrows(self._handle.user_scn, forces)
         self._handle.sync()
 
     def close(self) -> None:

@@ -19,12 +19,11 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.images import RGBD_FRAMES, Outgoing, RgbdTopics
 from common.ros.params import private_config, private_values
 from rig_simulation.control_port import ControlClient, ControlPort
-from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
-from rig_simulation.devices.camera.rgbd_camera import RgbdCamera, RgbdImages
-from rig_simulation.devices.camera.world_copy import WorldCopy
+from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
 from rig_simulation.faults.camera import CAMERA_FAULTS, Exposure, ImageStream
 from rig_simulation.faults.injection import Faults, parameter, switch_all
-from rig_simulation.node_parameters import LOOPBACK, CameraConfig
+from rig_simulation.node_parameters import LOOPBACK, CameraConfig, ColourConfig, DepthConfig
+from rig_simulation.world.model import WorldCopy
 
 RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 1.0
@@ -36,11 +35,7 @@ SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
 class CameraNode:
     """Follows the world, takes images and publishes them.
 
-    Args:
-        config: private parameters.
-        camera: takes the images.
-        open_topics: opens the topics; its argument changes each outgoing image message.
-        faults: those of CAMERA_FAULTS.
+    `open_topics` opens the topics; its argument changes each outgoing image message.
     """
 
     def __init__(
@@ -59,11 +54,7 @@ class CameraNode:
         Diagnostics("camera", self._diagnose)
 
     def run(self) -> None:
-        """Publishes until ROS shuts down; waits while the world does not answer.
-
-        Raises:
-            DeviceError: this machine cannot render off-screen.
-        """
+        """Publishes until ROS shuts down, while the world answers; raises DeviceError if this machine cannot render."""
         due = time.monotonic()
         while not rospy.is_shutdown():
             try:
@@ -91,7 +82,11 @@ class CameraNode:
         if topics is None:
             return
         stamp = rospy.Time.now()
-        exposure = self._stream.next(lambda: Exposure(self._take(topics), stamp), stamp, time.monotonic())
+        exposure = self._stream.next(
+            lambda: Exposure(self._camera.take(self._world.data, *map(topics.wanted, RGBD_FRAMES)), stamp),
+            stamp,
+            time.monotonic(),
+        )
         if exposure is None:
             return
         started = time.perf_counter()
@@ -101,7 +96,9 @@ class CameraNode:
                 topics.publish(name, image, exposure.stamp)
             topics.publish_info(name, exposure.stamp)
         self._published += 1
-        self._count({**images.seconds, "publish": time.perf_counter() - started})
+        for stage, seconds in {**images.seconds, "publish": time.perf_counter() - started}.items():
+            before = self._milliseconds.get(stage, 1000.0 * seconds)
+            self._milliseconds[stage] = before + SMOOTHING * (1000.0 * seconds - before)
 
     def _present_topics(self) -> RgbdTopics | None:
         """Opens the topics; closes them and returns None while the driver restarts."""
@@ -118,15 +115,6 @@ class CameraNode:
             setattr(message, field, value)
         return message
 
-    def _take(self, topics: RgbdTopics) -> RgbdImages:
-        colour, depth, registered = (topics.wanted(name) for name in RGBD_FRAMES)
-        return self._camera.take(self._world.data, colour, depth, registered)
-
-    def _count(self, seconds: dict[str, float]) -> None:
-        for stage, value in seconds.items():
-            before = self._milliseconds.get(stage, 1000.0 * value)
-            self._milliseconds[stage] = before + SMOOTHING * (1000.0 * value - before)
-
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         active = sorted(self._faults.active())
         values = {"pictures": self._published, "late_pictures": self._overruns, "faults": ", ".join(active)}
@@ -142,14 +130,8 @@ def main() -> None:
     """Runs the node with its private parameters."""
     config = private_config(CameraConfig, others=SECTIONS)
     rgb, depth = (from_calibration(private_values().get(name, {})) for name in ("rgb_calibration", "depth_calibration"))
-    camera = RgbdCamera(
-        rgb,
-        depth,
-        private_config(ColourConfig, "colour"),
-        private_config(DepthConfig, "depth"),
-        config.samples,
-        config.seed,
-    )
+    effects = private_config(ColourConfig, "colour"), private_config(DepthConfig, "depth")
+    camera = RgbdCamera(rgb, depth, *effects, config.samples, config.seed)
     faults = Faults(CAMERA_FAULTS)
     switch_all(faults, parameter(config.fault, CAMERA_FAULTS, "~fault"))
     with ControlPort(faults.requests, LOOPBACK, config.control_port):

@@ -19,8 +19,7 @@ from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import ASSISTED_GRASP, LOOPBACK, OperatorConfig
-from rig_simulation.ros.assisted_scenario import AssistedScenario
-from rig_simulation.ros.scenario import PickScenario
+from rig_simulation.ros.scenarios import AssistedScenario, PickScenario
 
 NAME = "operator"
 POLL_S = 0.1
@@ -39,34 +38,26 @@ class Operator:
         rospy.Subscriber("kuka/joint_positions", jointPositions, self._take_joints, queue_size=1)
 
     def run(self) -> None:
-        """Starts the rig and the scenario, then spins until ROS shuts down.
-
-        Raises:
-            RigError: a step timed out.
-        """
+        """Starts the rig and the scenario, then spins until ROS shuts down; raises RigError if a step timed out."""
         self._wait(lambda: rospy.has_param("kuka/joints_home"), "the controller has computed the home position")
         home = np.asarray(rospy.get_param("kuka/joints_home"), dtype=float)
-        self._wait(lambda: self._is_at(home), "the arm is at home")
+        self._wait(
+            lambda: self._joints is not None and np.abs(self._joints - home).max() < AT_HOME, "the arm is at home"
+        )
         if self._config.auto_start:
             self._switch("kuka/gripper_control", setGripperControl)
             self._switch("kuka/kuka_control", setKukaControl)
         self._wait(self._leapd_plays, "the simulated Leap service plays")
         rospy.loginfo("A hand enters the view of the Leap.")
-        if self._config.scenario:
-            self._scenario().run()
-        rospy.spin()
-
-    def _scenario(self) -> PickScenario | AssistedScenario:
         name, world = self._config.scenario, ControlClient(LOOPBACK, self._config.world_port)
         if name == ASSISTED_GRASP:
-            return AssistedScenario(name, self._config.rounds, self._leapd, world)
-        return PickScenario(name, "cup", self._leapd, world)
+            AssistedScenario(name, self._config.rounds, self._leapd, world).run()
+        elif name:
+            PickScenario(name, "cup", self._leapd, world).run()
+        rospy.spin()
 
     def _take_joints(self, message: jointPositions) -> None:
         self._joints = np.array([getattr(message, f"joint_{i}") for i in range(1, 8)])
-
-    def _is_at(self, home: np.ndarray) -> bool:
-        return self._joints is not None and bool(np.abs(self._joints - home).max() < AT_HOME)
 
     def _switch(self, name: str, service_type: type) -> None:
         client = ServiceClient(name, service_type)
@@ -92,12 +83,7 @@ class Operator:
         return True
 
     def _wait(self, condition: Callable[[], bool], what: str) -> None:
-        """Waits for a condition.
-
-        Raises:
-            RigError: it timed out.
-            rospy.ROSInterruptException: ROS shut down.
-        """
+        """Waits for a condition; raises RigError after the time-out, and ROSInterruptException when ROS shuts down."""
         start = time.monotonic()
         remind = start + 1.0
         self._why = ""

@@ -17,18 +17,16 @@ from common.poses import inverse
 from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.camera.world_copy import WorldCopy
 from rig_simulation.node_parameters import WorldViewConfig
-from rig_simulation.recording.forces import Arrow, PairForce, arrows, pair_forces, short
-from rig_simulation.recording.shapes import BALL, BOX, CYLINDER, Shape, base_pose, beyond, shapes
-from rig_simulation.ros.polling import poll
+from rig_simulation.recording import display
+from rig_simulation.ros.monitors import poll
+from rig_simulation.world.model import WorldCopy
 
 NAME = "world_view"
 TIMEOUT_S = 1.0
 LIFETIME_S = 1.0
 """Markers of a stopped world disappear after this time."""
-
-KINDS = {BOX: Marker.CUBE, BALL: Marker.SPHERE, CYLINDER: Marker.CYLINDER}
+KINDS = {display.BOX: Marker.CUBE, display.BALL: Marker.SPHERE, display.CYLINDER: Marker.CYLINDER}
 SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.012, 0.024, 0.03, 0.03, 0.11
 OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)
 
@@ -53,22 +51,22 @@ class WorldView:
             self._publish(self._client.ask("contacts")["contacts"])
 
     def _publish(self, contacts: list[dict]) -> None:
-        found = shapes(self._world.model, self._world.data)
-        T_base_world = inverse(base_pose(self._world.data))
-        bodies: dict[str, list[Shape]] = {}
+        found = display.shapes(self._world.model, self._world.data)
+        T_base_world = inverse(display.base_pose(self._world.data))
+        bodies: dict[str, list[display.Shape]] = {}
         for shape in found:
             bodies.setdefault(shape.body, []).append(shape)
-        touched: dict[str, list[PairForce]] = {}
-        pairs = pair_forces(contacts)
+        touched: dict[str, list[display.PairForce]] = {}
+        pairs = display.pair_forces(contacts)
         for pair in pairs:
             touched.setdefault(pair.bodies[0], []).append(pair)
         self._objects.publish(_array([shape_marker(shape) for shape in found]))
-        marks = [arrow_marker(arrow, T_base_world) for arrow in arrows(pairs)]
+        marks = [arrow_marker(arrow, T_base_world) for arrow in display.arrows(pairs)]
         marks += [label_marker(pairs, bodies.get(body, []), T_base_world) for body, pairs in touched.items()]
         self._contacts.publish(_array(marks))
 
 
-def shape_marker(shape: Shape) -> Marker:
+def shape_marker(shape: display.Shape) -> Marker:
     """Returns the marker of a shape."""
     marker = Marker(type=KINDS[shape.kind], ns=shape.body, color=ColorRGBA(*shape.colour))
     R, p = shape.T_base_shape[:3, :3], shape.T_base_shape[:3, 3]
@@ -77,7 +75,7 @@ def shape_marker(shape: Shape) -> Marker:
     return marker
 
 
-def arrow_marker(arrow: Arrow, T_base_world: np.ndarray) -> Marker:
+def arrow_marker(arrow: display.Arrow, T_base_world: np.ndarray) -> Marker:
     """Returns the marker of a force."""
     marker = Marker(type=Marker.ARROW, ns="force", color=OF_ROBOT if arrow.by_robot else OF_OTHERS)
     marker.pose.orientation.w = 1.0
@@ -86,17 +84,17 @@ def arrow_marker(arrow: Arrow, T_base_world: np.ndarray) -> Marker:
     return marker
 
 
-def label_marker(pairs: list[PairForce], parts: list[Shape], T_base_world: np.ndarray) -> Marker:
+def label_marker(pairs: list[display.PairForce], parts: list[display.Shape], T_base_world: np.ndarray) -> Marker:
     """Returns the label of all forces on one body, beside the body if its shapes are known."""
     by_robot = any(pair.by_robot for pair in pairs)
     marker = Marker(type=Marker.TEXT_VIEW_FACING, ns="label", color=OF_ROBOT if by_robot else OF_OTHERS)
     marker.pose.orientation.w = 1.0
     if parts:
-        marker.pose.position = Point(*beyond(parts, T_base_world[:3, 1], LABEL_BESIDE_M).tolist())
+        marker.pose.position = Point(*display.beyond(parts, T_base_world[:3, 1], LABEL_BESIDE_M).tolist())
     else:
         marker.pose.position = _point(pairs[0].position, T_base_world)
     marker.scale.z = LETTER_M
-    marker.text = "\n".join(f"{short(pair.bodies[1])} {pair.newtons:.1f} N" for pair in pairs)
+    marker.text = "\n".join(f"{display.short(pair.bodies[1])} {pair.newtons:.1f} N" for pair in pairs)
     return marker
 
 

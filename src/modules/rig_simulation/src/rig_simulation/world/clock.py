@@ -1,40 +1,56 @@
-"""The one clock of the world."""
+"""The one clock of the world, and its pace against real time."""
 
 from __future__ import annotations
 
 import time
+from collections import deque
 
 
 class Clock:
     """Time of the world [s].
 
+    With speed 1 it equals the system's monotonic clock, with another speed it does not.
+
     Args:
         speed: seconds of the world in a second; None: it moves only by `move`.
-
-    With speed 1 it equals the system's monotonic clock, with another speed it does not.
     """
 
     def __init__(self, speed: float | None) -> None:
         self.speed = speed
         self._start = time.monotonic() if speed is not None else 0.0
 
-    @property
-    def stepped(self) -> bool:
-        """Whether it moves only by `move`."""
-        return self.speed is None
-
     def __call__(self) -> float:
         """Returns the time."""
-        if self.speed is None:
-            return self._start
-        return self._start + (time.monotonic() - self._start) * self.speed
+        return self._start + (0.0 if self.speed is None else (time.monotonic() - self._start) * self.speed)
 
     def move(self, seconds: float) -> None:
-        """Advances the clock.
-
-        Raises:
-            ValueError: the clock runs by itself.
-        """
-        if not self.stepped:
+        """Advances the clock; raises ValueError if it runs by itself."""
+        if self.speed is not None:
             raise ValueError("The world's clock runs by itself; start the world with --stepped to step it.")
         self._start += seconds
+
+
+WINDOW_S = 5.0
+
+
+class Pace:
+    """Compares the world's time with real time over the last WINDOW_S."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, float]] = deque()
+
+    def add(self, world: float, now: float) -> None:
+        """Adds a sample [s]; a restarted world restarts the comparison."""
+        if self._samples and world < self._samples[-1][0]:
+            self._samples.clear()
+        self._samples.append((world, now))
+        while self._samples[-1][1] - self._samples[0][1] > WINDOW_S:
+            self._samples.popleft()
+
+    @property
+    def factor(self) -> float | None:
+        """Seconds of the world in a second; None before the second sample."""
+        if len(self._samples) < 2 or self._samples[-1][1] == self._samples[0][1]:
+            return None
+        (world_before, before), (world, now) = self._samples[0], self._samples[-1]
+        return (world - world_before) / (now - before)

@@ -11,17 +11,15 @@ Lengths in m, angles in rad, in the frames of the URDF.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Tuple
+from typing import Any, Tuple
 from xml.etree import ElementTree as ET
 
-from rig_simulation.world.mjcf import NOTHING, Touch, child, geom, numbers
+from rig_simulation.world.mjcf import Touch, child, geom, numbers
 
 FINGERS = (1, 2, 3)
 PARTS = ("proximal", "distal")
 FLEXURE_RATIO = 0.4
 """Ratio of the turns of flexure and knuckle of a free finger."""
-
 FLEXURE_STIFFNESS_NM_RAD = 0.6
 KNUCKLE_STIFFNESS_NM_RAD = FLEXURE_RATIO * FLEXURE_STIFFNESS_NM_RAD
 PRELOAD_NM = 0.08
@@ -31,27 +29,23 @@ MOST_TENSION_NM = 6.0
 SWIVEL_STIFFNESS_NM_RAD = 8.0
 SWIVEL_DAMPING_NM_S_RAD = 0.08
 MOST_SWIVEL_TORQUE_NM = 3.75
-
 _JOINTS = {
     "preshape": (0.0, 0.01, 5e-4),
     "proximal_joint": (KNUCKLE_STIFFNESS_NM_RAD, 0.015, 2e-4),
     "distal_joint": (FLEXURE_STIFFNESS_NM_RAD, 0.006, 1e-4),
 }
 """Stiffness [Nm/rad], damping [Nm s/rad], armature [kg m^2]."""
-
 HAND = Touch(kind=5, partners=6, group=3)
 """Touches what the rest of the robot touches, and itself: fingers lie against each other and on the palm."""
 SHELL_FRICTION = 0.5
 # Rubber grips well, is slightly soft, and its contact resists twisting, whatever it touches.
 RUBBER_FRICTION = 1.1
-_RUBBER = {"condim": "4", "priority": "1", "solref": "0.005 1", "solimp": "0.95 0.99 0.001"}
+_RUBBER: dict[str, Any] = {"condim": "4", "priority": "1", "solref": "0.005 1", "solimp": "0.95 0.99 0.001"}
 HOLDING = {"cone": "elliptic", "impratio": "100", "noslip_iterations": "4"}
 """With MuJoCo's defaults a held object creeps out of the hand by about 1 mm/s."""
-
 _PAD_RADIUS = 0.008
 _PADS = {"proximal": (0.019, 0.054, 0.006), "distal": (0.013, 0.040, 0.002)}
 """First and last point of the middle line along the link, and its height."""
-
 _Corners = Tuple[Tuple[float, float, float], Tuple[float, float, float]]
 _PALM = ((-0.016, -0.050, 0.066), (0.080, 0.050, 0.089))
 _SHELL = ((-0.055, -0.053, 0.030), (0.083, 0.053, 0.066)), ((-0.055, -0.024, 0.066), (-0.016, 0.024, 0.090))
@@ -70,10 +64,9 @@ def tendon_name(finger: int) -> str:
 
 
 def prepare_hand(root: ET.Element) -> None:
-    """Adds the mechanics of the hand to a model.
+    """Adds the mechanics of the hand to a model: springs and damping of its joints, tendons, motors.
 
-    Adds springs and damping to its joints, replaces its collision shapes by those of this file, and adds tendons,
-    motors, and the pairs of links that never touch. Visual shapes stay.
+    Replaces its collision shapes by those of this file, and excludes the pairs of links that never touch.
 
     Args:
         root: the model with its options and the bodies and joints of the robot's URDF.
@@ -89,22 +82,27 @@ def prepare_hand(root: ET.Element) -> None:
                 if shape.get("contype") != "0":
                     body.remove(shape)
     base = bodies["reflex/base_link"]
-    _box(base, "palm", _PALM, RUBBER_FRICTION, _RUBBER)
+    _box(base, "palm", _PALM, RUBBER_FRICTION, **_RUBBER)
     for number, corners in enumerate(_SHELL):
         _box(base, f"shell_{number}", corners, SHELL_FRICTION)
     contact = _section(root, "contact")
     for finger in FINGERS:
         if finger != 3:
             _spring(joints[f"reflex/preshape_{finger}"], "preshape")
-            _swivel(bodies[f"reflex/swivel_{finger}"])
-            ET.SubElement(contact, "exclude", body1="reflex/base_link", body2=f"reflex/swivel_{finger}")
+            swivel, size, middle = (
+                f"reflex/swivel_{finger}",
+                (_SWIVEL_RADIUS, _SWIVEL_HEIGHT / 2),
+                (0, 0, _SWIVEL_HEIGHT / 2),
+            )
+            geom(bodies[swivel], f"{swivel}/drum", HAND, "cylinder", size, p=middle, friction=SHELL_FRICTION)
+            ET.SubElement(contact, "exclude", body1="reflex/base_link", body2=swivel)
         for kind in ("proximal_joint", "distal_joint"):
             _spring(joints[f"reflex/{kind}_{finger}"], kind)
         _box(bodies[f"reflex/proximal_{finger}"], "beam", _BEAM, SHELL_FRICTION)
         for part in PARTS:
             _pad(bodies[f"reflex/{part}_{finger}"], part, finger)
         ET.SubElement(contact, "exclude", body1="reflex/base_link", body2=f"reflex/proximal_{finger}")
-    _add_motors(root)
+    _add_motors(_section(root, "tendon"), _section(root, "actuator"))
     child(root, "option").attrib.update(HOLDING)
 
 
@@ -115,28 +113,21 @@ def _spring(joint: ET.Element, kind: str) -> None:
         joint.attrib.update(stiffness=str(stiffness), springref=str(-PRELOAD_NM / stiffness))
 
 
-def _box(body: ET.Element, name: str, corners: _Corners, friction: float, more: Mapping[str, str] = NOTHING) -> None:
+def _box(body: ET.Element, name: str, corners: _Corners, friction: float, **more: Any) -> None:
     middle = [(low + high) / 2 for low, high in zip(*corners)]
     halves = [(high - low) / 2 for low, high in zip(*corners)]
-    geom(body, f"{body.get('name')}/{name}", HAND, "box", halves, p=middle, friction=friction, more=more)
-
-
-def _swivel(body: ET.Element) -> None:
-    size = (_SWIVEL_RADIUS, _SWIVEL_HEIGHT / 2)
-    name = f"{body.get('name')}/drum"
-    geom(body, name, HAND, "cylinder", size, p=(0, 0, _SWIVEL_HEIGHT / 2), friction=SHELL_FRICTION)
+    geom(body, f"{body.get('name')}/{name}", HAND, "box", halves, p=middle, friction=friction, **more)
 
 
 def _pad(body: ET.Element, part: str, finger: int) -> None:
     first, last, height = _PADS[part]
-    capsule = geom(body, pad_name(part, finger), HAND, "capsule", [_PAD_RADIUS], friction=RUBBER_FRICTION, more=_RUBBER)
+    capsule = geom(body, pad_name(part, finger), HAND, "capsule", [_PAD_RADIUS], friction=RUBBER_FRICTION, **_RUBBER)
     del capsule.attrib["pos"]
     capsule.set("fromto", numbers((first, 0, height, last, 0, height)))
 
 
-def _add_motors(root: ET.Element) -> None:
+def _add_motors(tendons: ET.Element, actuators: ET.Element) -> None:
     """Adds a motor for each tendon, which only pulls, and for each swivel; their control is the spool angle."""
-    tendons, actuators = _section(root, "tendon"), _section(root, "actuator")
     for finger in FINGERS:
         name = tendon_name(finger)
         fixed = ET.SubElement(tendons, "fixed", name=name)

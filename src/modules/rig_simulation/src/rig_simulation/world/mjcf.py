@@ -1,15 +1,22 @@
-"""Elements of MuJoCo's model format and of URDF. Lengths in m, angles in rad, poses as 4x4 matrices."""
+"""Elements of MuJoCo's model format and of URDF, and the arm and the hand as bodies of the physics.
+
+Lengths in m, angles in rad, poses as 4x4 matrices. The robot has frames, masses, shapes and names of its URDF. Contacts
+use the collision shapes of the URDF; arm and hand do not touch each other. Meshes are visual only.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
-from types import MappingProxyType
+from collections.abc import Iterable
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from common.rotations import quaternion_from_rotation
+from common.frames import BASE
+from common.poses import pose
+from common.rotations import quaternion_from_rotation, rotation_from_zyx
+from rig_simulation.devices.sunrise.robot import JOINTS
+from rig_simulation.files import read_mesh
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,8 +33,6 @@ BOARD = Touch(kind=2, partners=1, group=0)
 OBJECT = Touch(kind=2, partners=3, group=0)
 VISUAL = Touch(kind=0, partners=0, group=1)
 
-NOTHING: Mapping[str, str] = MappingProxyType({})
-
 
 def body(parent: ET.Element, name: str, T: np.ndarray) -> ET.Element:
     """Adds a body at the pose T in its parent, shape (4, 4)."""
@@ -43,9 +48,9 @@ def geom(
     p: Iterable[float] = (0, 0, 0),
     R: np.ndarray | None = None,
     friction: float | None = None,
-    mass: float | None = None,
+    mass: float = 0.0,
     colour: Iterable[float] | None = None,
-    more: Mapping[str, str] = NOTHING,
+    **more: str,
 ) -> ET.Element:
     """Adds a geom.
 
@@ -53,35 +58,26 @@ def geom(
         size: as MuJoCo defines it: half lengths of a box, radius and half length of a cylinder.
         p, R: its pose in the body.
         friction: sliding friction.
-        mass: [kg]; None if the body has a mass of its own.
+        mass: [kg]; 0 if the body has a mass of its own.
         colour: red, green, blue.
         more: further attributes of MuJoCo.
     """
-    values = {
-        "name": name,
-        "type": kind,
-        "pos": numbers(p),
-        "contype": str(touch.kind),
-        "conaffinity": str(touch.partners),
-        "group": str(touch.group),
-        **more,
-    }
+    values = {"name": name, "type": kind, "pos": numbers(p), "mass": numbers([mass])}
+    values.update(contype=str(touch.kind), conaffinity=str(touch.partners), group=str(touch.group))
     if size is not None:
         values["size"] = numbers(size)
     if R is not None:
         values["quat"] = quaternion(R)
     if friction is not None:
         values["friction"] = numbers((friction, 0.005, 0.0001))
-    values["mass"] = numbers([0.0 if mass is None else mass])
     if colour is not None:
         values["rgba"] = numbers((*colour, 1.0))
-    return ET.SubElement(parent, "geom", values)
+    return ET.SubElement(parent, "geom", {**values, **more})
 
 
 def quaternion(R: np.ndarray) -> str:
     """Returns a rotation, shape (3, 3), as a quaternion in MuJoCo's order: w first."""
-    x, y, z, w = quaternion_from_rotation(R)
-    return numbers((w, x, y, z))
+    return numbers(quaternion_from_rotation(R)[[3, 0, 1, 2]])
 
 
 def numbers(values: Iterable[float]) -> str:
@@ -90,11 +86,7 @@ def numbers(values: Iterable[float]) -> str:
 
 
 def child(element: ET.Element, path: str) -> ET.Element:
-    """Returns the first element at a path below this one.
-
-    Raises:
-        ValueError: it does not exist.
-    """
+    """Returns the first element at a path below this one; raises ValueError if it does not exist."""
     found = element.find(path)
     if found is None:
         raise ValueError(f"The element <{element.tag}> has no {path}.")
@@ -102,12 +94,153 @@ def child(element: ET.Element, path: str) -> ET.Element:
 
 
 def attribute(element: ET.Element, name: str) -> str:
-    """Returns the value of an attribute.
-
-    Raises:
-        ValueError: it does not exist.
-    """
+    """Returns the value of an attribute; raises ValueError if it does not exist."""
     value = element.get(name)
     if value is None:
         raise ValueError(f"The element <{element.tag}> has no attribute {name}.")
     return value
+
+
+def add_mesh(asset: ET.Element, name: str, vertices: np.ndarray, triangles: np.ndarray) -> None:
+    """Adds a mesh, vertices of shape (n, 3) [m], triangles of shape (m, 3), to the model's assets."""
+    ET.SubElement(
+        asset, "mesh", name=name, vertex=numbers(vertices.ravel()), face=" ".join(map(str, triangles.ravel()))
+    )
+
+
+_COLLADA = {"c": "http://www.collada.org/2005/11/COLLADASchema"}
+
+
+def surface_from_collada(text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the surface of one colour in a COLLADA file of rig_description, whose vertices have one normal each.
+
+    Twenty lines read what rig_description writes; trimesh with pycollada would add two packages and their start time.
+
+    Returns:
+        vertices, shape (n, 3), in the file's unit; triangles, shape (m, 3); red, green, blue from 0 to 1, shape (3,).
+
+    Raises:
+        ValueError: the text lacks positions, triangles or the colour.
+    """
+    root = ET.fromstring(text)
+    paths = ".//c:source[@id='positions']/c:float_array", ".//c:triangles/c:p", ".//c:diffuse/c:color"
+    positions, indices, colour = (root.findtext(path, namespaces=_COLLADA) for path in paths)
+    if not positions or not indices or not colour:
+        raise ValueError("The COLLADA text lacks positions, triangles or the colour; generate the meshes again.")
+    vertices = np.array(positions.split(), dtype=float).reshape(-1, 3)
+    return vertices, np.array(indices.split(), dtype=int).reshape(-1, 3), np.array(colour.split(), dtype=float)[:3]
+
+
+ROBOT_FRICTION = 0.7
+ARM_STIFFNESS = (10000.0, 10000.0, 10000.0, 10000.0, 6000.0, 6000.0, 6000.0)
+"""Of the arm's gears [Nm/rad], of the published order for such arms, 6000 to 15000."""
+ARM_DAMPING = (100.0, 100.0, 60.0, 60.0, 15.0, 15.0, 15.0)
+"""Of the arm's gears [Nm s/rad]: a blow decays within one or two oscillations."""
+ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001
+"""Inertia added to each joint [kg m^2] for numerical stability."""
+
+
+def add_robot(root: ET.Element, world: ET.Element, urdf: str, R_world_base: np.ndarray, visuals: bool) -> None:
+    """Adds the robot of a URDF.
+
+    Args:
+        root: the model, whose assets take the meshes.
+        world: its world body.
+        urdf: text of the description.
+        R_world_base: orientation of the base, shape (3, 3).
+        visuals: with visual shapes.
+
+    Raises:
+        ValueError: the URDF is not a tree, or has an unsupported shape.
+    """
+    description = ET.fromstring(urdf)
+    links = {attribute(link, "name"): link for link in description.findall("link")}
+    waiting = description.findall("joint")
+    bodies = {BASE: body(world, BASE, pose(R_world_base))}
+    while waiting:
+        ready = [joint for joint in waiting if _parent(joint) in bodies]
+        if not ready:
+            raise ValueError(f"Not all links of the robot description are connected to {BASE}.")
+        for joint in ready:
+            name = attribute(child(joint, "child"), "link")
+            bodies[name] = body(bodies[_parent(joint)], name, _origin(joint))
+            _add_joint(bodies[name], joint)
+            waiting.remove(joint)
+    for name, element in bodies.items():
+        _add_link(element, name, links[name])
+        for i, visual in enumerate(links[name].findall("visual") if visuals else ()):
+            _add_visual(root, element, f"{name}/visual_{i}", visual)
+
+
+def _parent(joint: ET.Element) -> str:
+    """Returns the name of a joint's parent link."""
+    return attribute(child(joint, "parent"), "link")
+
+
+def _add_joint(element: ET.Element, joint: ET.Element) -> None:
+    if joint.get("type") == "fixed":
+        return
+    name, limit, axis = attribute(joint, "name"), child(joint, "limit"), attribute(child(joint, "axis"), "xyz")
+    if name in JOINTS:
+        effort = attribute(limit, "effort")
+        drive = {"damping": str(ARM_DAMPING[JOINTS.index(name)]), "armature": str(ARM_ARMATURE)}
+        drive["actuatorfrcrange"] = f"-{effort} {effort}"
+    else:
+        drive = {"range": f"{attribute(limit, 'lower')} {attribute(limit, 'upper')}", "armature": str(HAND_ARMATURE)}
+    ET.SubElement(element, "joint", {"name": name, "axis": axis, **drive})
+
+
+def _add_link(element: ET.Element, name: str, link: ET.Element) -> None:
+    """Adds mass and contact shapes."""
+    inertial = link.find("inertial")
+    if inertial is not None:
+        inertia = child(inertial, "inertia")
+        entries = " ".join(attribute(inertia, key) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+        position, mass = attribute(child(inertial, "origin"), "xyz"), attribute(child(inertial, "mass"), "value")
+        ET.SubElement(element, "inertial", pos=position, mass=mass, fullinertia=entries)
+    for i, collision in enumerate(link.findall("collision")):
+        _add_plain(element, f"{name}/collision_{i}", ROBOT, collision, friction=ROBOT_FRICTION)
+
+
+def _add_visual(root: ET.Element, element: ET.Element, name: str, visual: ET.Element) -> None:
+    mesh = visual.find("geometry/mesh")
+    if mesh is None:
+        _add_plain(element, name, VISUAL, visual, colour=_numbers(child(visual, "material/color"), "rgba")[:3])
+        return
+    file = attribute(mesh, "filename")
+    vertices, triangles, colour = surface_from_collada(read_mesh(file))
+    asset, T = child(root, "asset"), _origin(visual)
+    label = file.partition("meshes/")[2]
+    if asset.find(f"mesh[@name='{label}']") is None:
+        add_mesh(asset, label, vertices * np.array(mesh.get("scale", "1 1 1").split(), dtype=float), triangles)
+    geom(element, name, VISUAL, "mesh", None, p=T[:3, 3], R=T[:3, :3], colour=colour, mesh=label)
+
+
+def _add_plain(
+    element: ET.Element,
+    name: str,
+    touch: Touch,
+    shape: ET.Element,
+    friction: float | None = None,
+    colour: Iterable[float] | None = None,
+) -> None:
+    T = _origin(shape)
+    box, cylinder = shape.find("geometry/box"), shape.find("geometry/cylinder")
+    if box is not None:
+        kind, size = "box", _numbers(box, "size") / 2.0
+    elif cylinder is not None:
+        radius, length = float(attribute(cylinder, "radius")), float(attribute(cylinder, "length"))
+        kind, size = "cylinder", np.array([radius, length / 2.0])
+    else:
+        raise ValueError(f"The shape {name} is neither a box nor a cylinder.")
+    geom(element, name, touch, kind, size, p=T[:3, 3], R=T[:3, :3], friction=friction, colour=colour)
+
+
+def _origin(element: ET.Element) -> np.ndarray:
+    origin = child(element, "origin")
+    roll, pitch, yaw = _numbers(origin, "rpy")
+    return pose(rotation_from_zyx(yaw, pitch, roll), _numbers(origin, "xyz"))
+
+
+def _numbers(element: ET.Element, name: str) -> np.ndarray:
+    return np.array(attribute(element, name).split(), dtype=float)

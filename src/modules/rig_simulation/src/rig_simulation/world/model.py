@@ -1,7 +1,7 @@
 """The MuJoCo model of robot, table, objects, marker board, camera and light, from a description of the world.
 
-Processes that build it from the same description have the same model. The world frame is upright with its origin in the
-arm's base; with an upright arm it is `kuka/base_frame`.
+Processes that build it from the same description have the same model; a `WorldCopy` follows the original's state. The
+world frame is upright with its origin in the arm's base; with an upright arm it is `kuka/base_frame`.
 
 Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint of that
 name; `panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`,
@@ -11,36 +11,31 @@ which look along their own -z with y up, as in MuJoCo: the optical frames turned
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import mujoco
 import numpy as np
 
+from common.errors import ConfigError, DeviceError
 from common.frames import CAMERA_LINK, DEPTH_OPTICAL, FLANGE, RGB_OPTICAL
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_zyx, unit
-from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
-from rig_simulation.world.files import read_mesh
+from rig_simulation.control_port import ControlClient
+from rig_simulation.files import FLANGES, ROBOTS, read_urdf
 from rig_simulation.world.hand_model import prepare_hand
-from rig_simulation.world.meshes import TriangleSurface, surface_from_collada
-from rig_simulation.world.mjcf import BOARD, ROBOT, VISUAL, body, child, geom, numbers
-from rig_simulation.world.objects import add_object, add_table
-from rig_simulation.world.robot import add_mesh, add_robot
-from rig_simulation.world.scene import CameraPose, MarkerBoard, board_from, scene_from
-from rig_simulation.world.tags import tag_mesh
+from rig_simulation.world.mjcf import BOARD, ROBOT, VISUAL, add_mesh, add_robot, body, child, geom, numbers
+from rig_simulation.world.scene import CameraPose, MarkerBoard, add_object, add_table, board_from, scene_from, tag_mesh
 
 TIMESTEP_S = 0.001
 """The cycle of the simulated controller."""
 FLOOR_BELOW_TABLE = 0.75
 SKY, HAZE = (0.85, 0.89, 0.93), (0.62, 0.67, 0.72)
-WHITE, BLACK, FLOOR_COLOUR, BOARD_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4), (0.72, 0.6, 0.45)
-
+WHITE, BLACK, FLOOR_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4)
 R_FLANGE_BOARD = ((-1, 0, 0), (0, 0, 1), (0, 1, 0))
 """Orientation of the board in the flange: its face parallel to the flange's axis, its y axis along the flange's z."""
 PLATE_THICKNESS = 0.004
-
 RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.018, 0.0)
 CAMERA_SIZE = (0.018, 0.090, 0.018)
 FOVY_DEG = 45.0
@@ -58,26 +53,11 @@ class WorldDescription:
     # Mapping as in the yaml of the marker board, which has a ring between flange and hand; None: no board
     panel: Mapping[str, Any] | None = None
 
-    def as_fields(self) -> dict[str, Any]:
-        """Returns the fields of the control port's answer to `scene`."""
-        return {**dataclasses.asdict(self), "mounting": list(self.mounting)}
-
-    @staticmethod
-    def from_fields(fields: Mapping[str, Any]) -> WorldDescription:
-        """Returns the description from the result of `as_fields`.
-
-        Raises:
-            KeyError: a field is missing.
-        """
-        names = [field.name for field in dataclasses.fields(WorldDescription)]
-        return WorldDescription(**{**{name: fields[name] for name in names}, "mounting": tuple(fields["mounting"])})
-
 
 def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.MjModel:
     """Returns the model.
 
     Args:
-        description: of the world.
         visuals: with visual shapes, which the physics does not need; joints and bodies are the same without them.
 
     Raises:
@@ -97,7 +77,12 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     option = ET.SubElement(root, "option", timestep=str(TIMESTEP_S), integrator="implicitfast")
     option.attrib.update(cone="elliptic", impratio="10")
     ET.SubElement(option, "flag", multiccd="enable")
-    _add_visual_settings(root)
+    visual = ET.SubElement(root, "visual")
+    ET.SubElement(visual, "headlight", ambient="0.35 0.35 0.35", diffuse="0.3 0.3 0.3", specular="0 0 0")
+    ET.SubElement(visual, "map", znear="0.02", zfar="20")
+    ET.SubElement(visual, "quality", shadowsize="0")
+    ET.SubElement(visual, "global", offwidth="1280", offheight="1024")
+    ET.SubElement(root, "statistic", extent="1", center="0.4 -0.4 0.3")
     sky = ET.SubElement(ET.SubElement(root, "asset"), "texture", type="skybox", builtin="gradient")
     sky.attrib.update(rgb1=numbers(SKY), rgb2=numbers(HAZE), width="64", height="384")
     world = ET.SubElement(root, "worldbody")
@@ -105,38 +90,17 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     floor = body(world, "floor", pose(p=(0, 0, scene.table.top - FLOOR_BELOW_TABLE)))
     geom(floor, "floor", BOARD, "plane", (5, 5, 0.1), colour=FLOOR_COLOUR)
     add_table(world, scene.table)
-    child(world, "body[@name='table']/geom").set("rgba", numbers((*BOARD_COLOUR, 1.0)))
     _add_camera(world, scene.camera)
     roll, pitch, yaw = np.radians(description.mounting)
     R_world_base = rotation_from_zyx(yaw, pitch, roll)
     urdf = read_urdf(description.robot, description.flange, ring=description.panel is not None)
-    add_robot(root, world, urdf, R_world_base, _reader() if visuals else None)
+    add_robot(root, world, urdf, R_world_base, visuals)
     prepare_hand(root)
     if description.panel is not None:
         _add_board(root, world, board_from(description.panel), visuals)
     for name, shape in scene.objects.items():
         add_object(world, name, shape)
     return ET.tostring(root, encoding="unicode")
-
-
-def _reader() -> Callable[[str], TriangleSurface]:
-    surfaces: dict[str, TriangleSurface] = {}
-
-    def read(uri: str) -> TriangleSurface:
-        if uri not in surfaces:
-            surfaces[uri] = surface_from_collada(read_mesh(uri))
-        return surfaces[uri]
-
-    return read
-
-
-def _add_visual_settings(root: ET.Element) -> None:
-    visual = ET.SubElement(root, "visual")
-    ET.SubElement(visual, "headlight", ambient="0.35 0.35 0.35", diffuse="0.3 0.3 0.3", specular="0 0 0")
-    ET.SubElement(visual, "map", znear="0.02", zfar="20")
-    ET.SubElement(visual, "quality", shadowsize="0")
-    ET.SubElement(visual, "global", offwidth="1280", offheight="1024")
-    ET.SubElement(root, "statistic", extent="1", center="0.4 -0.4 0.3")
 
 
 def camera_link_pose(camera: CameraPose) -> np.ndarray:
@@ -160,10 +124,44 @@ def _add_board(root: ET.Element, world: ET.Element, board: MarkerBoard, visuals:
     flange = child(world, f".//body[@name='{FLANGE}']")
     plate = body(flange, "panel", pose(R_FLANGE_BOARD, board.centre))
     half = (*(board.size / 2.0), PLATE_THICKNESS / 2.0)
-    geom(plate, "panel/plate", ROBOT, "box", half, p=(0, 0, -PLATE_THICKNESS / 2.0), colour=WHITE, mass=0.1).set(
-        "group", "1"
-    )
+    below = (0, 0, -PLATE_THICKNESS / 2.0)
+    geom(plate, "panel/plate", ROBOT, "box", half, p=below, colour=WHITE, mass=0.1, group="1")
     for tag in board.tags if visuals else ():
-        add_mesh(child(root, "asset"), f"panel/tag_{tag.id}", *tag_mesh(tag.id, tag.size))
         name = f"panel/tag_{tag.id}"
-        geom(plate, name, VISUAL, "mesh", None, p=(*tag.position, 0.0), colour=BLACK, more={"mesh": name})
+        add_mesh(child(root, "asset"), name, *tag_mesh(tag.id, tag.size))
+        geom(plate, name, VISUAL, "mesh", None, p=(*tag.position, 0.0), colour=BLACK, mesh=name)
+
+
+class WorldCopy:
+    """The model of the world in the state of the last snapshot: model and data of MuJoCo, once `follow` was called."""
+
+    def __init__(self, client: ControlClient) -> None:
+        self._client = client
+        self._load: int | None = None
+        self.model: mujoco.MjModel
+        self.data: mujoco.MjData
+
+    def follow(self) -> bool:
+        """Copies the present state of the world; returns whether the model is new.
+
+        Raises:
+            DeviceError: the world gives no valid answer; the next call rebuilds the model.
+        """
+        load, self._load = self._load, None
+        try:
+            snapshot = self._client.ask("snapshot")
+            new = snapshot["loads"] != load
+            if new:
+                fields = self._client.ask("scene")
+                load = fields.pop("loads")
+                self.model = build_model(WorldDescription(**fields))
+                self.data = mujoco.MjData(self.model)
+                snapshot = self._client.ask("snapshot")
+            self.data.qpos[:] = snapshot["qpos"]
+        except (KeyError, TypeError, ValueError, FileNotFoundError, ConfigError) as error:
+            problem = f"The simulated world gave an invalid answer: {type(error).__name__}: {error}."
+            raise DeviceError(f"{problem} Is it of another version?") from None
+        self._load = load
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        return new

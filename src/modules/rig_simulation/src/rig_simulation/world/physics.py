@@ -17,8 +17,7 @@ from common.errors import DeviceError
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_about
 from rig_simulation.world.model import WorldDescription, build_model
-from rig_simulation.world.objects import table_pose
-from rig_simulation.world.scene import SceneObject, WorldScene, scene_from
+from rig_simulation.world.scene import SceneObject, WorldScene, scene_from, table_pose
 
 DROP_M = 0.0008
 """Height above the table at which objects start; they settle on it."""
@@ -54,26 +53,13 @@ class ObjectState:
     touches: tuple[str, ...]  # sorted names of the bodies in contact
 
 
-@dataclasses.dataclass(frozen=True)
-class Contact:
-    """A contact of two bodies."""
-
-    bodies: tuple[str, str]  # names of both
-    position: tuple[float, ...]  # shape (3,) [m]
-    normal: tuple[float, ...]  # from the first to the second, shape (3,)
-    force: float  # along the normal [N]
-    depth: float  # penetration [m]
-
-
 class World:
     """The world.
 
     Args:
-        description: of its content.
         seed: of the poses of scattered objects.
 
     Attributes:
-        description: the present one.
         model, data: of MuJoCo; new ones after a change of the scene.
         steps: number of steps since the start.
         loads: number of models since the start; a copy of the model must be rebuilt when it changes.
@@ -86,8 +72,7 @@ class World:
     def __init__(self, description: WorldDescription, seed: int = 0) -> None:
         self._parts: list[Part] = []
         self._rng = np.random.default_rng(seed)
-        self.steps = 0
-        self.loads = 0
+        self.steps = self.loads = 0
         self._load(description)
 
     @property
@@ -107,11 +92,7 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def step(self) -> None:
-        """Advances by one time step.
-
-        Raises:
-            DeviceError: the physics diverged; the state is unusable.
-        """
+        """Advances by one time step; raises DeviceError if the physics diverged: the state is unusable then."""
         mujoco.mj_step1(self.model, self.data)
         for part in self._parts:
             part.before_step()
@@ -125,8 +106,7 @@ class World:
     def reset(self) -> None:
         """Puts all objects back to their poses of the scene, at rest; arm and hand keep their state.
 
-        Raises:
-            ValueError: the robot is in the way of an object; nothing has changed.
+        Raises ValueError if the robot is in the way of an object; nothing has changed then.
         """
         placed = self._placed(self.model, self._scene, self.data)
         self.data.qpos[:] = placed.qpos
@@ -135,10 +115,7 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def set_scene(self, values: Mapping[str, Any]) -> None:
-        """Changes the scene; arm and hand keep their state.
-
-        Args:
-            values: mapping as in a scene's yaml.
+        """Changes the scene to a mapping as in a scene's yaml; arm and hand keep their state.
 
         Raises:
             ConfigError: the scene is invalid; nothing has changed.
@@ -158,16 +135,20 @@ class World:
                 touches[one[7:]].add(other)
         return {name: self._object(name, touches[name]) for name in self._scene.objects}
 
-    def contacts(self) -> list[Contact]:
-        """Returns all contacts with a force."""
+    def contacts(self) -> list[dict[str, Any]]:
+        """Returns all contacts with a force, as the control port answers them.
+
+        Each has the names of both bodies, position [m], normal from the first to the second, the force along it [N],
+        and the depth of penetration [m].
+        """
         found = []
         force = np.zeros(6)
         for i, bodies in enumerate(_pairs(self.data, self._geom_bodies)):
             mujoco.mj_contactForce(self.model, self.data, i, force)
             if force[0] > 0.0:
                 contact = self.data.contact[i]
-                position, normal = tuple(contact.pos.tolist()), tuple(contact.frame[:3].tolist())
-                found.append(Contact(bodies, position, normal, float(force[0]), float(-contact.dist)))
+                place = {"position": contact.pos.tolist(), "normal": contact.frame[:3].tolist()}
+                found.append({"bodies": bodies, **place, "force": float(force[0]), "depth": float(-contact.dist)})
         return found
 
     def _load(self, description: WorldDescription) -> None:
@@ -181,8 +162,8 @@ class World:
     def _placed(self, model: mujoco.MjModel, scene: WorldScene, before: mujoco.MjData | None) -> mujoco.MjData:
         """Returns a state with the robot as in `before` and the objects as in the scene."""
         data = mujoco.MjData(model)
-        robot_qpos = model.nq - FREE_QPOS * len(scene.objects)
-        robot_qvel = model.nv - FREE_QVEL * len(scene.objects)
+        count = len(scene.objects)
+        robot_qpos, robot_qvel = model.nq - FREE_QPOS * count, model.nv - FREE_QVEL * count
         if before is not None:
             data.qpos[:robot_qpos] = before.qpos[:robot_qpos]
             data.qvel[:robot_qvel] = before.qvel[:robot_qvel]
@@ -201,11 +182,9 @@ class World:
         shift, turn = np.zeros(2), 0.0
         if scene.scatter:
             shift, turn = self._rng.uniform(-scene.scatter, scene.scatter, 2), self._rng.uniform(-np.pi, np.pi)
-        T = table_pose(scene.table) @ pose(
-            rotation_about(2, np.radians(shape.yaw) + turn), (*(shape.position + shift), shape.height / 2.0 + DROP_M)
-        )
-        x, y, z, w = quaternion_from_rotation(T[:3, :3])
-        return np.array([*T[:3, 3], w, x, y, z])
+        middle = (*(shape.position + shift), shape.height / 2.0 + DROP_M)
+        T = table_pose(scene.table) @ pose(rotation_about(2, np.radians(shape.yaw) + turn), middle)
+        return np.concatenate([T[:3, 3], quaternion_from_rotation(T[:3, :3])[[3, 0, 1, 2]]])
 
     def _object(self, name: str, touches: set[str]) -> ObjectState:
         joint = self.data.joint(f"object/{name}")
@@ -222,8 +201,8 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float
     down, size, kind = np.abs(data.geom_xmat[geoms, 6:]), model.geom_size[geoms], model.geom_type[geoms]
     of_box = np.sum(down * size, axis=1)
     of_cylinder = down[:, 2] * size[:, 1] + np.hypot(down[:, 0], down[:, 1]) * size[:, 0]
-    is_box, is_cylinder = kind == mujoco.mjtGeom.mjGEOM_BOX, kind == mujoco.mjtGeom.mjGEOM_CYLINDER
-    reach = np.where(is_box, of_box, np.where(is_cylinder, of_cylinder, size[:, 0]))
+    kinds = [kind == mujoco.mjtGeom.mjGEOM_BOX, kind == mujoco.mjtGeom.mjGEOM_CYLINDER]
+    reach = np.select(kinds, [of_box, of_cylinder], size[:, 0])
     return float(np.min(data.geom_xpos[geoms, 2] - reach))
 
 

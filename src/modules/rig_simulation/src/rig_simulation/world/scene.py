@@ -1,4 +1,4 @@
-"""The content of the simulated world besides the rig: the schema of a scene's yaml, and its records.
+"""The content of the simulated world besides the rig: schema and records of a scene's yaml, and its bodies.
 
 Lengths in m, angles in deg. The world is upright with its origin in the arm's base. Positions of objects are from the
 table's centre along its sides; the origin of an object is the middle of its height.
@@ -10,11 +10,16 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from common.config import integer, number, parse_part, vector
 from common.errors import ConfigError
+from common.poses import pose
+from common.rotations import rotation_about
+from common.tag36h11 import CELLS, black_cells
+from rig_simulation.world.mjcf import BOARD, OBJECT, body, geom
 
 NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -118,13 +123,7 @@ class Bottle(SceneObject):
         return []
 
 
-KINDS: Mapping[str, type[SceneObject]] = {
-    "cup": Cup,
-    "box": Cuboid,
-    "ball": Ball,
-    "cylinder": Cylinder,
-    "bottle": Bottle,
-}
+KINDS: dict[str, type[SceneObject]] = {"cup": Cup, "box": Cuboid, "ball": Ball, "cylinder": Cylinder, "bottle": Bottle}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,12 +136,16 @@ class Tag:
 
 
 @dataclasses.dataclass(frozen=True)
-class MarkerBoard:
-    """The marker board beside the flange."""
+class _Plate:
+    size: np.ndarray = vector(2, "m", above=0.0, high=1.0, doc="edges along the tags' x and y axes")
+    centre: np.ndarray = vector(3, "m", low=-1.0, high=1.0, doc="in the flange")
 
-    size: np.ndarray  # edges of the plate along the tags' x and y axes, shape (2,) [m]
-    centre: np.ndarray  # of the plate in the flange, shape (3,) [m]
-    tags: tuple[Tag, ...]  # printed on it
+
+@dataclasses.dataclass(frozen=True)
+class MarkerBoard(_Plate):
+    """The marker board beside the flange, a plate with tags printed on it."""
+
+    tags: tuple[Tag, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,11 +164,7 @@ class _Rest:
 
 
 def scene_from(values: Any) -> WorldScene:
-    """Returns the scene that a yaml mapping describes.
-
-    Raises:
-        ConfigError: with all faults.
-    """
+    """Returns the scene that a yaml mapping describes; raises ConfigError with all faults."""
     faults: list[str] = []
     rest = parse_part(_Rest, values, "", faults, ("table", "camera", "objects"))
     sections = values if isinstance(values, Mapping) else {}
@@ -181,11 +180,7 @@ def scene_from(values: Any) -> WorldScene:
 
 
 def board_from(values: Any) -> MarkerBoard:
-    """Returns the marker board that a yaml mapping describes.
-
-    Raises:
-        ConfigError: with all faults.
-    """
+    """Returns the marker board that a yaml mapping describes; raises ConfigError with all faults."""
     faults: list[str] = []
     plate = parse_part(_Plate, values, "", faults, ("tags",))
     listed = values.get("tags") if isinstance(values, Mapping) else None
@@ -196,12 +191,6 @@ def board_from(values: Any) -> MarkerBoard:
     if faults or plate is None:
         raise ConfigError(faults)
     return MarkerBoard(plate.size, plate.centre, tuple(tag for tag in tags if tag is not None))
-
-
-@dataclasses.dataclass(frozen=True)
-class _Plate:
-    size: np.ndarray = vector(2, "m", above=0.0, high=1.0)
-    centre: np.ndarray = vector(3, "m", low=-1.0, high=1.0)
 
 
 def _section(values: Mapping[str, Any], key: str, faults: list[str]) -> Mapping[str, Any] | None:
@@ -222,3 +211,94 @@ def _object(name: Any, entry: Any, faults: list[str]) -> SceneObject | None:
         faults.append(f"objects/{name}/kind is {kind!r}, but must be one of {', '.join(KINDS)}.")
         return None
     return parse_part(KINDS[kind], entry, f"objects/{name}/", faults, ("kind",))
+
+
+TABLE_THICKNESS, TABLE_COLOUR = 0.03, (0.72, 0.6, 0.45)
+WALL_PLATES = 16
+FEET, FOOT_RADIUS, FOOT_OUT = 8, 0.0025, 0.0005
+"""A round bottom stands on small balls: a cylinder on a box has few, unsteady contact points."""
+BOTTOM_FRACTION = 0.25
+"""Fraction of a cup's mass in its bottom."""
+TAG_THICKNESS = 0.0002
+_CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
+_FACES = np.array(list("031023457476015054273267046062137175"), dtype=int).reshape(-1, 3)
+
+
+def table_pose(table: Table) -> np.ndarray:
+    """Returns the pose of the middle of the table top in the world, shape (4, 4)."""
+    return pose(rotation_about(2, np.radians(table.yaw)), (*table.centre, table.top))
+
+
+def add_table(world: ET.Element, table: Table) -> None:
+    """Adds the board of the table to the world."""
+    look: dict[str, Any] = {"friction": table.friction, "colour": TABLE_COLOUR}
+    half = (*(table.size / 2.0), TABLE_THICKNESS / 2.0)
+    geom(body(world, "table", table_pose(table)), "table", BOARD, "box", half, p=(0, 0, -TABLE_THICKNESS / 2.0), **look)
+
+
+def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:
+    """Adds a free object; a reset sets its pose."""
+    prefix = f"object/{name}"
+    element = body(world, prefix, np.eye(4))
+    ET.SubElement(element, "freejoint", name=prefix)
+    look: dict[str, Any] = {"friction": shape.friction, "colour": shape.colour}
+    if isinstance(shape, Cuboid):
+        geom(element, f"{prefix}/box", OBJECT, "box", shape.size / 2.0, mass=shape.mass, **look)
+    elif isinstance(shape, Ball):
+        geom(element, f"{prefix}/ball", OBJECT, "sphere", [shape.radius], mass=shape.mass, **look)
+    elif isinstance(shape, Cup):
+        _cup(element, prefix, shape, look)
+    elif isinstance(shape, Cylinder):
+        size = (shape.radius, shape.height / 2.0)
+        geom(element, f"{prefix}/body", OBJECT, "cylinder", size, mass=shape.mass, **look)
+    elif isinstance(shape, Bottle):
+        _bottle(element, prefix, shape, look)
+    else:
+        raise TypeError(f"There is no shape for {type(shape).__name__}.")
+    if isinstance(shape, (Cup, Cylinder, Bottle)):
+        across = shape.radius - FOOT_RADIUS
+        for i, angle in enumerate(2.0 * np.pi * (np.arange(FEET) + 0.5) / FEET):
+            middle = (across * np.cos(angle), across * np.sin(angle), FOOT_RADIUS - FOOT_OUT - shape.height / 2.0)
+            geom(element, f"{prefix}/foot_{i}", OBJECT, "sphere", [FOOT_RADIUS], p=middle, mass=1e-6, **look)
+
+
+def _cup(element: ET.Element, prefix: str, cup: Cup, look: dict[str, Any]) -> None:
+    bottom, below = (cup.radius, cup.wall / 2.0), (0, 0, cup.wall / 2.0 - cup.height / 2.0)
+    geom(element, f"{prefix}/bottom", OBJECT, "cylinder", bottom, p=below, mass=BOTTOM_FRACTION * cup.mass, **look)
+    mass = (1.0 - BOTTOM_FRACTION) * cup.mass / WALL_PLATES
+    half = (cup.wall / 2.0, cup.radius * np.tan(np.pi / WALL_PLATES), (cup.height - cup.wall) / 2.0)
+    for i in range(WALL_PLATES):
+        R = rotation_about(2, 2.0 * np.pi * i / WALL_PLATES)
+        middle = R @ np.array([cup.radius - cup.wall / 2.0, 0.0, cup.wall / 2.0])
+        geom(element, f"{prefix}/wall_{i}", OBJECT, "box", half, p=middle, R=R, mass=mass, **look)
+
+
+def _bottle(element: ET.Element, prefix: str, bottle: Bottle, look: dict[str, Any]) -> None:
+    low, high = bottle.height - bottle.neck_height, bottle.neck_height
+    volumes = np.array([bottle.radius**2 * low, bottle.neck_radius**2 * high])
+    masses = bottle.mass * volumes / volumes.sum()
+    below, above = (0, 0, (low - bottle.height) / 2.0), (0, 0, (bottle.height - high) / 2.0)
+    body_size, neck_size = (bottle.radius, low / 2.0), (bottle.neck_radius, high / 2.0)
+    geom(element, f"{prefix}/body", OBJECT, "cylinder", body_size, p=below, mass=masses[0], **look)
+    geom(element, f"{prefix}/neck", OBJECT, "cylinder", neck_size, p=above, mass=masses[1], **look)
+
+
+def tag_mesh(tag: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the black cells of a tag as thin plates on z = 0: exact edges, which no renderer can blur or mirror.
+
+    Args:
+        tag: id, an index of common.tag36h11.CODES.
+        size: edge of the black square [m].
+
+    Returns:
+        vertices, shape (n, 3) [m], and triangles, shape (m, 3); origin in the middle, x to the right, y up.
+    """
+    cell = size / CELLS
+    vertices: list[np.ndarray] = []
+    for row, cells in enumerate(black_cells(tag)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], cells, [False]]).astype(int)))
+        for start, end in edges.reshape(-1, 2):
+            low = np.array([start * cell - size / 2.0, size / 2.0 - (row + 1) * cell, 0.0])
+            high = np.array([end * cell - size / 2.0, size / 2.0 - row * cell, TAG_THICKNESS])
+            vertices.append(low + _CORNERS * (high - low))
+    return np.concatenate(vertices), np.concatenate([_FACES + 8 * i for i in range(len(vertices))])

@@ -7,6 +7,7 @@ sensor, each with its own errors. Images are PNG files; `pictures.json` describe
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -16,16 +17,16 @@ import mujoco
 import numpy as np
 import yaml
 
-from common.camera_model import CameraModel, from_calibration
+from common.camera_model import from_calibration
 from common.config import parse
 from common.errors import ConfigError, DeviceError, RigError
 from common.frames import CAMERA_LINK, DEPTH_OPTICAL, RGB_OPTICAL
 from common.poses import inverse, pose
 from common.rotations import quaternion_from_rotation, rotation_about, unit
 from rig_simulation.command_line import failed, finite, not_negative, positive
-from rig_simulation.devices.camera.config import ColourConfig, DepthConfig
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
-from rig_simulation.world.files import SOURCE_TREE, read_board, read_scene
+from rig_simulation.files import SOURCE_TREE, read_board, read_scene
+from rig_simulation.node_parameters import ColourConfig, DepthConfig
 from rig_simulation.world.model import WorldDescription, build_model
 
 NAME = "panel_pictures"
@@ -39,11 +40,7 @@ HALF_VIEW = np.array([0.50, 0.38])
 
 
 class BoardScene:
-    """The world with the marker board and a movable camera.
-
-    Args:
-        panel: mapping as in the board's yaml.
-    """
+    """The world with a marker board, a mapping as in its yaml, and a movable camera."""
 
     def __init__(self, panel: dict) -> None:
         self.model = build_model(WorldDescription("LBR7R800", "MF_elektrisch", (0, 0, 0), read_scene("empty"), panel))
@@ -75,13 +72,12 @@ class BoardScene:
 
 
 def random_pose(distance: float, tilt: float, size: float, rng: np.random.Generator) -> np.ndarray:
-    """Returns a random pose of the board in the image of the colour camera, shape (4, 4) [m].
+    """Returns a random pose of the board, wholly in the image of the colour camera, shape (4, 4) [m].
 
     Args:
         distance: of its centre from the camera [m].
         tilt: between its normal and the line of sight [rad].
-        size: edge of the board [m], which lies wholly in the image.
-        rng: source of position and rotation.
+        size: edge of the board [m].
     """
     room = np.clip(HALF_VIEW - size / np.sqrt(2.0) / distance, 0.0, None)
     sight = unit([*(room * rng.uniform(-1.0, 1.0, 2)), 1.0])
@@ -108,38 +104,32 @@ def _take(options: argparse.Namespace) -> int:
     scene = BoardScene(panel)
     calibrations = {name: _yaml(getattr(options, name)) for name in ("rgb", "depth")}
     rgb, depth = (from_calibration(values) for values in calibrations.values())
+    colour_config = parse(ColourConfig, options.config.get("colour"), prefix="colour/")
+    depth_config = parse(DepthConfig, options.config.get("depth"), prefix="depth/")
     rng = np.random.default_rng(options.seed)
     options.folder.mkdir(parents=True, exist_ok=True)
     entries: list[dict[str, Any]] = []
     for number in range(options.units):
-        camera = _camera(options.config, rgb, depth, seed=options.seed + 1 + number)
+        samples = int(options.config.get("samples", 0))
+        camera = RgbdCamera(rgb, depth, colour_config, depth_config, samples, seed=options.seed + 1 + number)
         try:
             camera.attach(scene.model)
-            for distance in options.distances:
-                for tilt in options.tilts:
-                    for _ in range(options.pictures):
-                        T = random_pose(distance, np.radians(tilt), float(max(panel["size"])), rng)
-                        scene.place_camera(T)
-                        taken = camera.take(scene.data, colour=True, depth=True, registered=False)
-                        files = [f"{len(entries):04d}_{name}.png" for name in ("colour", "depth")]
-                        assert taken.colour is not None and taken.depth is not None  # both were requested
-                        for file, image in zip(files, (taken.colour[..., ::-1], taken.depth)):
-                            if not cv2.imwrite(str(options.folder / file), image):
-                                raise DeviceError(f"Cannot write the image {options.folder / file}; is the disk full?")
-                        entry = {"colour": files[0], "depth": files[1], "unit": number, "distance": distance}
-                        entries.append({**entry, "tilt": tilt, "T_rgb_panel": T.tolist()})
+            for distance, tilt, _ in itertools.product(options.distances, options.tilts, range(options.pictures)):
+                T = random_pose(distance, np.radians(tilt), float(max(panel["size"])), rng)
+                scene.place_camera(T)
+                taken = camera.take(scene.data, colour=True, depth=True, registered=False)
+                files = [f"{len(entries):04d}_{name}.png" for name in ("colour", "depth")]
+                assert taken.colour is not None and taken.depth is not None  # both were requested
+                for file, image in zip(files, (taken.colour[..., ::-1], taken.depth)):
+                    if not cv2.imwrite(str(options.folder / file), image):
+                        raise DeviceError(f"Cannot write the image {options.folder / file}; is the disk full?")
+                entry = {"colour": files[0], "depth": files[1], "unit": number, "distance": distance}
+                entries.append({**entry, "tilt": tilt, "T_rgb_panel": T.tolist()})
         finally:
             camera.close()
     index = {"panel": panel, **calibrations, "T_rgb_depth": scene.T_rgb_depth.tolist(), "pictures": entries}
     (options.folder / INDEX).write_text(json.dumps(index), encoding="utf-8")
     return len(entries)
-
-
-def _camera(config: dict, rgb: CameraModel, depth: CameraModel, seed: int) -> RgbdCamera:
-    sections: dict[str, Any] = {name: config.get(name) for name in ("colour", "depth")}
-    colour_config = parse(ColourConfig, sections["colour"], prefix="colour/")
-    depth_config = parse(DepthConfig, sections["depth"], prefix="depth/")
-    return RgbdCamera(rgb, depth, colour_config, depth_config, int(config.get("samples", 0)), seed)
 
 
 def _yaml(path: Path) -> dict:
@@ -174,12 +164,8 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if max(options.tilts) > 80.0:
         parser.error(f"a tilt of {max(options.tilts):g} deg is more than 80")
-    options.config = _yaml_option(parser, options.config)
-    return options
-
-
-def _yaml_option(parser: argparse.ArgumentParser, path: Path) -> dict:
     try:
-        return _yaml(path)
+        options.config = _yaml(options.config)
     except ConfigError as error:
         parser.error(str(error))
+    return options

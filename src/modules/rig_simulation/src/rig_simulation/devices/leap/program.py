@@ -10,13 +10,12 @@ from typing import Any
 from common.errors import RigError
 from rig_simulation.command_line import failed, finite, parse_options, port, positive, stop_on_signals
 from rig_simulation.devices.leap import wire
-from rig_simulation.devices.leap.playback import Playback, Source
 from rig_simulation.devices.leap.server import LeapService
 from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.faults.leap import LEAP_FAULTS
 from rig_simulation.operator import motion
 from rig_simulation.operator.guided import GuidedOperator
-from rig_simulation.operator.sources import Recording, ScriptedOperator
+from rig_simulation.operator.sources import Playback, Recording, ScriptedOperator, Source
 
 NAME = "leapd"
 

@@ -19,10 +19,8 @@ WANDER_MM = 1.2
 WANDER_ANGLE = np.radians(0.5)
 NOISE_MEMORY, WANDER_MEMORY = 0.86, 0.992
 """Fraction of a filter's value that remains from frame to frame."""
-
 NOISE_SPEED_MM_S = 40.0
 """At this speed of the palm the noise is twice that at rest."""
-
 FIST_CONFIDENCE = 0.72
 SETTLE_S = 0.3
 FIRST_VELOCITY_MM_S = 1.19209e-07
@@ -76,13 +74,7 @@ class ReportedHand:
 
 
 class Tracker:
-    """Follows one hand from its entry to its exit.
-
-    Args:
-        model: size and side of the hand.
-        hand_id: its id.
-        rng: source of the noise.
-    """
+    """Follows one hand from its entry to its exit."""
 
     def __init__(self, model: HandModel, hand_id: int, rng: np.random.Generator) -> None:
         self._model, self._id, self._rng = model, hand_id, rng
@@ -93,10 +85,9 @@ class Tracker:
         self._last: ReportedHand | None = None
 
     def report(self, pose: HandPose, curl: float, speed: float, age: float, left: float) -> ReportedHand:
-        """Returns the report of the hand.
+        """Returns the report of the hand in its true pose.
 
         Args:
-            pose: the true pose.
             curl: 0 open to 1 fist.
             speed: of the palm [mm/s].
             age: time since it came into view [s].

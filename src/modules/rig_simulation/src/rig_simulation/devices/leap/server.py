@@ -10,7 +10,6 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -18,21 +17,19 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from common.errors import DeviceError
-from rig_simulation.control_port import ControlPort, listen
+from rig_simulation.control_port import ControlPort, Handler, listen
 from rig_simulation.devices.leap import wire
-from rig_simulation.devices.leap.playback import Playback
 from rig_simulation.faults.injection import Faults
 from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
+from rig_simulation.operator.sources import Playback
 
 LATE_S = 0.05
 """Later frames are dropped: the clock does not wait for a busy machine."""
 LONGEST_LAG_S = 0.5
 """A lag beyond this is dropped: frames then come at a low rate, where otherwise none would be in time."""
-
 CLOSE_TIMEOUT_S = 0.5
 LONGEST_SLEEP_S = 0.2
 GATED_FROM_VERSION = 4
-BACKLOG = 16
 POLL_S = 0.02
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
@@ -76,16 +73,10 @@ class LeapService:
     """Plays frames to all clients.
 
     Args:
-        playback: source of the frames.
-        host: loopback address to listen on.
-        port: 0 takes any free port.
-        control_port: of the service; 0 takes any free port.
+        port, control_port: 0 takes any free port; see the attributes.
         fields: field set, which the header announces.
         lenient: serve clients without a request, as the bridge for current services does.
         requests: further requests of the control port.
-
-    Attributes:
-        faults: those of LEAP_FAULTS; may be switched at any time.
 
     Raises:
         DeviceError: a port is taken.
@@ -99,7 +90,7 @@ class LeapService:
         control_port: int,
         fields: str = "2.x",
         lenient: bool = False,
-        requests: Mapping[str, Callable] = MappingProxyType({}),
+        requests: Mapping[str, Handler] | None = None,
     ) -> None:
         self._playback, self._fields, self._lenient = playback, fields, lenient
         self._clients: set[_Client] = set()
@@ -108,10 +99,10 @@ class LeapService:
         self._stream = FrameStream(self.faults)
         self._loop = asyncio.new_event_loop()
         self._stopping = False
-        self._socket = listen(host, port, "the Leap service", BACKLOG)
+        self._socket = listen(host, port, "the Leap service")
         self.host, self.port = self._socket.getsockname()[:2]
-        handlers: dict[str, Callable[..., Any]] = {
-            **requests,
+        handlers: dict[str, Handler] = {
+            **(requests or {}),
             "state": self._state,
             "play": lambda: self._do(self._playback.play),
             "pause": lambda: self._do(self._playback.pause),
@@ -173,7 +164,7 @@ class LeapService:
         if self.faults.is_on("restarted"):
             return False
         try:
-            self._socket = listen(self.host, self.port, "the Leap service", BACKLOG)
+            self._socket = listen(self.host, self.port, "the Leap service")
         except DeviceError:  # another program may have taken the port for a moment
             return False
         self._playback.restart()

@@ -61,7 +61,6 @@ def frame(hands: Sequence[ReportedHand], rate: float, fields: str, order: Sequen
     """Returns a frame without `id` and `timestamp`, which the playback adds.
 
     Args:
-        hands: the hands in view.
         rate: the service's estimate of the frame rate [Hz].
         fields: one of FIELD_SETS.
         order: of the fingers of a hand, which the service does not sort.
@@ -78,9 +77,23 @@ def frame(hands: Sequence[ReportedHand], rate: float, fields: str, order: Sequen
 
 def shifted(message: dict, offset: Sequence[float]) -> dict:
     """Returns the frame with every position moved by `offset` [mm]; directions and velocities stay."""
+
+    def moved(part: dict) -> dict:
+        places = {key: [six(v + o) for v, o in zip(part[key], offset)] for key in POSITIONS if key in part}
+        return {key: places.get(key, value) for key, value in part.items()}
+
+    return {**message, **{key: [moved(part) for part in message[key]] for key in ("hands", "pointables")}}
+
+
+def with_ids(message: dict, added: int) -> dict:
+    """Returns the frame with the ids of hands, and accordingly of fingers, raised."""
     return {
         **message,
-        **{key: [_shifted(part, offset) for part in message[key]] for key in ("hands", "pointables")},
+        "hands": [{**hand, "id": hand["id"] + added} for hand in message["hands"]],
+        "pointables": [
+            {**finger, "handId": finger["handId"] + added, "id": finger["id"] + 10 * added}
+            for finger in message["pointables"]
+        ],
     }
 
 
@@ -92,12 +105,6 @@ def six(values: float | np.ndarray | list[Any]) -> Any:
         return [six(value) for value in values]
     value = float(f"{values:.6g}")
     return int(value) if value.is_integer() else value
-
-
-def _shifted(part: dict, offset: Sequence[float]) -> dict:
-    return {
-        key: [six(v + o) for v, o in zip(value, offset)] if key in POSITIONS else value for key, value in part.items()
-    }
 
 
 def _hand(hand: ReportedHand, fields: str) -> dict:

@@ -4,20 +4,70 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Sequence
 from typing import Any
 
-from rig_simulation.devices.reflex.finger import Finger
-from rig_simulation.devices.reflex.mechanics import FINGERS, TAXELS, FreeMechanics, Mechanics
-from rig_simulation.devices.reflex.servo import TICK_RAD, TURN_TICKS, DynamixelServo
+from rig_simulation.devices.reflex.mechanics import (
+    FINGERS,
+    KNUCKLE_FRACTION,
+    TAXELS,
+    TICK_RAD,
+    TURN_TICKS,
+    DynamixelServo,
+    Mechanics,
+)
 from rig_simulation.devices.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand, pack_state
 
+ENCODER_COUNTS = 16384
+LIGHTEST_REST, HEAVIEST_REST = 110, 170
+LEAST_COUNT, MOST_COUNT = 56, 310
+
+
+class Finger:
+    """The electronics of one finger, its knuckle encoder and its taxels, with the effects of the control port."""
+
+    def __init__(self, rng: random.Random) -> None:
+        self._rng = rng
+        self._encoder_zero = rng.randrange(ENCODER_COUNTS)
+        self._rest = [rng.randint(LIGHTEST_REST, HEAVIEST_REST) for _ in range(TAXELS)]
+        self.pressed = [0] * TAXELS  # added to each taxel [counts]
+        self._stuck_count: int | None = None
+        self.obstacle: float | None = None  # proximal angle [rad]
+        self.stiffness = 0.0  # of the obstacle, in 0.1 % of load per rad of the spool
+
+    def resistance(self, spool: float) -> float:
+        """Returns the effort against the obstacle [0.1 %]."""
+        if self.obstacle is None:
+            return 0.0
+        return self.stiffness * max(0.0, spool - self.obstacle / KNUCKLE_FRACTION)
+
+    def encoder(self, proximal: float) -> int:
+        """Returns the encoder count at a turn of the knuckle [rad]: closing lowers it, with wrap-around."""
+        if self._stuck_count is not None:
+            return self._stuck_count
+        count = self._encoder_zero - proximal / (2 * math.pi) * ENCODER_COUNTS + self._rng.randint(-1, 1)
+        return round(count) % ENCODER_COUNTS
+
+    def stick(self, on: bool, proximal: float) -> None:
+        """Lets the encoder stick at its count for this turn of the knuckle [rad], or work again."""
+        self._stuck_count = None
+        if on:
+            self._stuck_count = self.encoder(proximal)
+
+    def pressures(self, touch: Sequence[float]) -> list[int]:
+        """Returns the counts of the nine taxels; `touch`: additional pressure [counts]."""
+        counts = [
+            round(rest + pressed + touched) + self._rng.randint(-1, 1)
+            for rest, pressed, touched in zip(self._rest, self.pressed, touch)
+        ]
+        return [max(LEAST_COUNT, min(MOST_COUNT, c)) for c in counts]
+
+
 PERIOD_S = 0.025
-LEAST_SLACK_RAD = 0.04
-MOST_SLACK_RAD = 0.14
+LEAST_SLACK_RAD, MOST_SLACK_RAD = 0.04, 0.14
 PRESHAPE_STOPS_RAD = (-0.3, 2.0)
 LOOSEST_SPOOL_RAD = -20.0
 MAX_SPOOL_RAD = 4.0
-
 _NAMES = ("f1", "f2", "f3", "preshape")
 _CLOSING = (1, -1, 1, -1)
 _RATIOS = (1.42, 1.42, 1.42, 1.5)
@@ -27,14 +77,13 @@ _PRESHAPE = 3
 class SimulatedHand:
     """State of the hand; angles are spool angles at the joint [rad], 0 = open with the tendon just tight.
 
-    Args:
-        seed: of its individual values (slack, zeros, rest counts of taxels) and of its noise.
-        mechanics: driven by the motors; None: a hand in free space.
+    `seed`: of its individual values (slack, zeros, rest counts of taxels) and of its noise; `mechanics`: driven by the
+    motors, by default a hand in free space.
     """
 
     def __init__(self, seed: int = 0, mechanics: Mechanics | None = None) -> None:
         self._rng = random.Random(seed)
-        self._mechanics = mechanics or FreeMechanics()
+        self._mechanics = mechanics or Mechanics()
         self._fingers = [Finger(self._rng) for _ in range(FINGERS)]
         # Shaft position of each motor where its angle is 0.
         self._open = [float(self._rng.randrange(TURN_TICKS)) for _ in _NAMES]
@@ -47,9 +96,7 @@ class SimulatedHand:
         self.modes = [IDLE] * 4
         self._clock = 0.0
         self.silent = False
-        self.targets_received = 0
-        self.modes_received = 0
-        self.power_cycles = 0
+        self.targets_received = self.modes_received = self.power_cycles = 0
 
     def step(self, dt: float) -> None:
         """Advances by `dt` [s]."""
@@ -94,7 +141,10 @@ class SimulatedHand:
             errors=[servo.error for servo in servos],
             positions=[servo.position % 65536 if servo.present else 0 for servo in servos],
             speeds=[servo.speed_register() for servo in servos],
-            loads=[self._load_register(i) for i in range(4)],
+            loads=[
+                servo.load_register(servo.effort if forced is None else closing * forced)
+                for servo, forced, closing in zip(servos, self._forced_loads, _CLOSING)
+            ],
             voltages=[self._rng.randint(120, 122) for _ in servos],
             temperatures=[servo.temperature for servo in servos],
         )
@@ -118,13 +168,15 @@ class SimulatedHand:
         """Presses a taxel (`cell`) of finger 0, 1 or 2, or all its taxels, by `value` counts."""
         if cell is not None and not 0 <= cell < TAXELS:
             raise ValueError(f"The cell is {cell}, but must lie in 0..{TAXELS - 1}.")
-        self._fingers[_finger(finger)].press(cell, int(value))
+        for taxel in range(TAXELS) if cell is None else [cell]:
+            self._fingers[_finger(finger)].pressed[taxel] = int(value)
 
     def block(self, finger: int, proximal: float | None, stiffness: float = 400.0) -> None:
         """Sets an obstacle at a proximal angle [rad], None removes it; `stiffness` in 0.1 % of load per rad."""
         if proximal is not None and not 0 <= proximal <= math.pi:
             raise ValueError(f"The proximal angle is {proximal}, but must lie in 0..pi.")
-        self._fingers[_finger(finger)].block(proximal, stiffness)
+        blocked = self._fingers[_finger(finger)]
+        blocked.obstacle, blocked.stiffness = proximal, stiffness
         self._mechanics.block(finger, proximal)
 
     def stick_encoder(self, finger: int, on: bool) -> None:
@@ -174,10 +226,6 @@ class SimulatedHand:
 
     def _shaft(self, motor: int, angle: float) -> float:
         return self._open[motor] + _CLOSING[motor] * angle * _RATIOS[motor] / TICK_RAD
-
-    def _load_register(self, motor: int) -> int:
-        servo, forced = self.servos[motor], self._forced_loads[motor]
-        return servo.load_register(servo.effort if forced is None else _CLOSING[motor] * forced)
 
 
 def _motor(motor: int) -> int:

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 
 GROUP = "224.0.0.124"
 STATE_BYTES = 202
-
 IDLE = 0
 VELOCITY = 1
 POSITION = 2
-
 _FORMAT_CODE = 1
 _MODE_CODE = 1
 _TARGET_CODE = 2
@@ -43,10 +41,7 @@ class TargetCommand:
 
 
 def read_command(data: bytes) -> ModeCommand | TargetCommand | None:
-    """Returns the command in a datagram; accepts longer ones, ignores shorter ones and unknown codes.
-
-    Ignores state packets, which begin like a mode command.
-    """
+    """Returns the command in a datagram of sufficient length; None for unknown codes and for state packets."""
     if not data or len(data) == STATE_BYTES:
         return None
     if data[0] == _MODE_CODE and len(data) >= _MODE_BYTES:

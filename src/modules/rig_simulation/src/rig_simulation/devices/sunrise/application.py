@@ -9,15 +9,15 @@ Toolbox").
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from functools import partial
+from typing import Callable, List, Optional
 
 import numpy as np
 
 from rig_simulation.devices.sunrise import java_text, motions
 from rig_simulation.devices.sunrise.arm import SimulatedArm
-from rig_simulation.devices.sunrise.goals import Goals, finite, frame_from_pose, overwritten, pose_from_frame
-from rig_simulation.devices.sunrise.profiles import PlannedMotion
+from rig_simulation.devices.sunrise.motions import Goals, finite, frame_from_pose, overwritten, pose_from_frame
+from rig_simulation.devices.sunrise.paths import PlannedMotion
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
 SERVO_START_S = 0.1
@@ -29,6 +29,11 @@ INPUT_PINS = (3, 4, 10, 13, 16)
 OUTPUT_PINS = (1, 2, 11, 12)
 VERSIONS = ("1.7", "2019-03", "2019-05")
 """Versions of the server, newest last: 1.7 of 2018, and the two states of the LTS that differ on the wire."""
+
+Command = Callable[[List[str]], str]
+"""Takes the words of a line behind its command; returns what to answer at once."""
+Planner = Callable[[SimulatedArm, Goals], Optional[PlannedMotion]]
+Condition = Callable[[SimulatedArm], bool]
 
 
 @dataclasses.dataclass
@@ -44,7 +49,6 @@ class Application:
 
     Args:
         arm: moved by this application alone; its tool is detached.
-        io: outputs and counters.
         wiped_window: after an answer of the main thread, commands for it are lost for this long [s].
         encoders: reported joint angles as a function of the true ones, both shape (7,) [rad].
         version: one of VERSIONS.
@@ -74,7 +78,7 @@ class Application:
         self._reader_alive = self._main_alive = True
         self._main_answered = self._now = -np.inf
         self._goals = Goals()
-        self._arrived: Callable[[SimulatedArm], bool] = lambda _: True
+        self._arrived: Condition = lambda _: True
         self._servo_starts: float | None = None
         self._servo_stopping = False
         self._reader = self._reader_commands()
@@ -109,27 +113,21 @@ class Application:
         return "" if self.ended else text
 
     def _answer(self, line: str) -> None:
-        words = [word for word in line.split("_") if word]
+        words = [word for word in line.split("_") if word][1:]
         for prefix, command in self._reader:
             if line.startswith(prefix):
-                command(words[1:])
+                self._replies.append(command(words))
                 return
         for prefix, command in self._main:
             if line == prefix if prefix.startswith("Eef_") else line.startswith(prefix):
                 if self._main_alive and not self.busy and self._now >= self._main_answered + self._wiped_window:
                     self._main_answered = self._now
-                    self._run_main(command, words[1:])
+                    try:
+                        self._replies.append(command(words))
+                    except (ValueError, IndexError):
+                        self._arm.attach(np.eye(4))
+                        self._replies.append(NAK)
                 return
-
-    def _run_main(self, command: Callable[[list[str]], None], words: list[str]) -> None:
-        try:
-            command(words)
-        except (ValueError, IndexError):
-            self._refuse()
-
-    def _refuse(self) -> None:
-        self._arm.attach(np.eye(4))
-        self._replies.append(NAK)
 
     def _advance(self, now: float) -> None:
         self._now = now
@@ -147,16 +145,16 @@ class Application:
             if self._arm.resting:
                 self.mode = "idle"
 
-    def _reader_commands(self) -> list[tuple[str, Callable[[list[str]], None]]]:
+    def _reader_commands(self) -> list[tuple[str, Command]]:
         arm, newest = self._arm, self._version == VERSIONS[-1]
-        feedback = {
+        feedback: dict[str, Callable[[], str]] = {
             "ExT_": lambda: _line(arm.external_torques),
             "MT_": lambda: _line(arm.measured_torques),
             "JP_": self._joints,
             **({"EEfP_": self._tool, "EEfFrelEEF_": self._force} if newest else {"EEfP_": self._force}),
         }
         take_pose = self._refuse_goal if self._version == "1.7" else self._take_pose
-        commands = [
+        commands: list[tuple[str, Command]] = [
             ("end", self._end),
             *((f"jp{suffix}", self._goal(self._take_joints, answer)) for suffix, answer in feedback.items()),
             ("jp_", self._goal(self._take_joints, lambda: DONE)),
@@ -165,21 +163,20 @@ class Application:
             ("DcSeCar_", self._goal(self._take_pose, lambda: "")),
             *((f"velJDC{s}", self._goal(self._take_speeds, feedback[s])) for s in ("ExT_", "MT_", "JP_", "EEfP_")),
             ("velJDC_", self._goal(self._take_speeds, lambda: DONE)),
-            ("cArtixanPositionCirc1_", self._keep_pose("via")),
-            ("cArtixanPositionCirc2_", self._keep_pose("end")),
-            ("cArtixanPosition_", self._keep_pose("target")),
+            ("cArtixanPositionCirc1_", partial(self._keep_pose, "via")),
+            ("cArtixanPositionCirc2_", partial(self._keep_pose, "end")),
+            ("cArtixanPosition_", partial(self._keep_pose, "target")),
             ("stopDirectServoJoints", self._stop),
-            ("getJointsPositions", self._answered(self._joints)),
-            ("blueOn", self._output("blue", True)),
-            ("blueOff", self._output("blue", False)),
+            ("getJointsPositions", self._joints),
+            *((f"getPin{n}", lambda _: "1\n\n") for n in INPUT_PINS),
         ]
-        commands += [(f"getPin{n}", self._answered(lambda: "1\n\n")) for n in INPUT_PINS]
-        for n in OUTPUT_PINS:
-            commands += [(f"pin{n}on", self._output(f"pin{n}", True)), (f"pin{n}off", self._output(f"pin{n}", False))]
+        switches = [("blueOn", "blueOff", "blue"), *((f"pin{n}on", f"pin{n}off", f"pin{n}") for n in OUTPUT_PINS)]
+        for on, off, name in switches:
+            commands += [(on, partial(self._output, name, True)), (off, partial(self._output, name, False))]
         return commands
 
-    def _main_commands(self) -> list[tuple[str, Callable[[list[str]], None]]]:
-        arm, answer = self._arm, self._answered
+    def _main_commands(self) -> list[tuple[str, Command]]:
+        arm = self._arm
         return [
             ("TFtrans", self._attach),
             ("jRelVel_", self._set_speed),
@@ -195,60 +192,54 @@ class Application:
             ("stDcEEf_", lambda _: self._start_servo("cartesian_servo")),
             ("stVelDcJoint_", lambda _: self._start_servo("velocity_servo")),
             ("startSmartImpedneceJoints", self._start_impedance),
-            ("Torques_ext_J", answer(lambda: _line(arm.external_torques))),
-            ("Torques_m_J", answer(lambda: _line(arm.measured_torques))),
-            ("Eef_pos", answer(self._tool)),
-            ("Eef_force", answer(self._force)),
-            ("Eef_moment", answer(lambda: _line(arm.tool_moment))),
-            ("handGuiding", answer(lambda: DONE)),
-            ("preciseHandGuiding1", answer(lambda: DONE)),
-            ("preciseHandGuiding2", answer(lambda: DONE)),
+            ("Torques_ext_J", lambda _: _line(arm.external_torques)),
+            ("Torques_m_J", lambda _: _line(arm.measured_torques)),
+            ("Eef_pos", self._tool),
+            ("Eef_force", self._force),
+            ("Eef_moment", lambda _: _line(arm.tool_moment)),
+            *((name, lambda _: DONE) for name in ("handGuiding", "preciseHandGuiding1", "preciseHandGuiding2")),
         ]
 
-    def _answered(self, text: Callable[[], str]) -> Callable[[list[str]], None]:
-        return lambda _: self._replies.append(text())
-
-    def _joints(self) -> str:
+    def _joints(self, *_: list[str]) -> str:
         return _line(self._encoders(self._arm.q))
 
-    def _tool(self) -> str:
+    def _tool(self, *_: list[str]) -> str:
         return _line(frame_from_pose(self._arm.tool))
 
-    def _force(self) -> str:
+    def _force(self, *_: list[str]) -> str:
         return _line(self._arm.tool_force)
 
-    def _goal(self, take: Callable[[list[str]], bool], answer: Callable[[], str]) -> Callable[[list[str]], None]:
-        def command(words: list[str]) -> None:
+    def _goal(self, take: Callable[[list[str]], bool], answer: Callable[[], str]) -> Command:
+        def command(words: list[str]) -> str:
             reply = answer()
             if not take(words):
                 self._reader_alive = False
-                return
-            if self._arm.in_servo:
-                self._io.goals += 1
-            self._replies.append(reply)
+                return ""
+            self._io.goals += self._arm.in_servo
+            return reply
 
         return command
 
     def _take_joints(self, words: list[str]) -> bool:
         try:
-            goal = overwritten(self._goals.joints, words)
+            self._goals.joints = goal = overwritten(self._goals.joints, words)
         except ValueError:
             return False
-        self._goals.joints = goal
         if self._arm.in_servo and self.mode in ("servo", "impedance_servo"):
             self._arm.goal = goal
         return True
 
     def _take_speeds(self, words: list[str]) -> bool:
-        def command(speeds: np.ndarray) -> None:
+        speeds, valid = self._take_numbers(words, self._goals.speeds)
+        if speeds is not None:
             self._goals.speeds = speeds
             if self._arm.in_servo and self.mode == "velocity_servo":
                 self._arm.goal_speed = speeds
-
-        return self._take_numbers(words, self._goals.speeds, command)
+        return valid
 
     def _take_pose(self, words: list[str]) -> bool:
-        def command(frame: np.ndarray) -> None:
+        frame, valid = self._take_numbers(words, self._goals.servo)
+        if frame is not None:
             self._goals.servo = frame
             if self._arm.in_servo and self.mode == "cartesian_servo":
                 goal = None
@@ -258,124 +249,104 @@ class Application:
                     self._stop_servo()
                 else:
                     self._arm.goal = goal
+        return valid
 
-        return self._take_numbers(words, self._goals.servo, command)
-
-    def _take_numbers(self, words: list[str], before: np.ndarray, command: Callable[[np.ndarray], None]) -> bool:
-        """Returns False for too many words, which end the reader thread; an invalid number ends the servo mode."""
+    def _take_numbers(self, words: list[str], before: np.ndarray) -> tuple[np.ndarray | None, bool]:
+        """Returns None and False for too many words, which end the reader thread; an invalid number ends the mode."""
         if len(words) > len(before):
-            return False
+            return None, False
         try:
-            values = overwritten(before, words)
+            return overwritten(before, words), True
         except ValueError:
             self._stop_servo()
-            return True
-        command(values)
-        return True
+            return None, True
 
     def _refuse_goal(self, _: list[str]) -> bool:
         """Ends the mode, as version 1.7 does: it parses Cartesian goals that ask for an answer as joints."""
         self._stop_servo()
         return True
 
-    def _keep_pose(self, name: str) -> Callable[[list[str]], None]:
-        def command(words: list[str]) -> None:
-            try:
-                setattr(self._goals, name, overwritten(getattr(self._goals, name), words))
-            except ValueError:
-                self._reader_alive = False
-                return
-            self._replies.append(DONE)
+    def _keep_pose(self, name: str, words: list[str]) -> str:
+        try:
+            setattr(self._goals, name, overwritten(getattr(self._goals, name), words))
+        except ValueError:
+            self._reader_alive = False
+            return ""
+        return DONE
 
-        return command
-
-    def _stop(self, _: list[str]) -> None:
+    def _stop(self, _: list[str]) -> str:
         self._stop_servo()
-        self._replies.append(DONE)
+        return DONE
 
     def _stop_servo(self) -> None:
         self._servo_starts = None
         self._arm.stop_servo()
 
-    def _end(self, _: list[str]) -> None:
+    def _end(self, _: list[str]) -> str:
         self._stop_servo()
         self.ended = True
+        return ""
 
-    def _output(self, name: str, on: bool) -> Callable[[list[str]], None]:
-        def command(_: list[str]) -> None:
-            self._io.outputs[name] = on
-            self._replies.append(DONE)
+    def _output(self, name: str, on: bool, _: list[str]) -> str:
+        self._io.outputs[name] = on
+        return DONE
 
-        return command
-
-    def _attach(self, words: list[str]) -> None:
+    def _attach(self, words: list[str]) -> str:
         if len(words) < 6:
             self._main_alive = False
         if len(words) != 6:
             raise ValueError
         self._arm.attach(pose_from_frame(finite(words)))
-        self._replies.append(DONE)
+        return DONE
 
-    def _set_speed(self, words: list[str]) -> None:
+    def _set_speed(self, words: list[str]) -> str:
         self._goals.speed = java_text.number(words[0])
-        self._replies.append(DONE)
+        return DONE
 
-    def _move(
-        self,
-        make: Callable[[SimulatedArm, Goals], PlannedMotion | None],
-        break_when: Callable[[SimulatedArm], bool] | None = None,
-        arrived: Callable[[SimulatedArm], bool] = lambda _: True,
-    ) -> None:
+    def _move(self, make: Planner, break_when: Condition | None = None, arrived: Condition = lambda _: True) -> str:
         self._replies.append(DONE)
         motion = make(self._arm, self._goals)
         if motion is None:
-            self._replies.append(DONE)
-            return
+            return DONE
         self.mode = "ptp"
         self._arrived = arrived
         self._arm.start_motion(motion, break_when)
+        return ""
 
-    def _guarded_joint_motion(self, words: list[str]) -> None:
+    def _guarded_joint_motion(self, words: list[str]) -> str:
         target = self._goals.joints
-        self._guarded(words, motions.joint_motion, lambda arm: motions.arrived_at_joints(arm, target))
+        return self._guarded(words, motions.joint_motion, lambda arm: motions.arrived_at_joints(arm, target))
 
-    def _guarded_line(self, words: list[str]) -> None:
+    def _guarded_line(self, words: list[str]) -> str:
         target = self._goals.target
-        self._guarded(words, motions.line, lambda arm: motions.arrived_at_pose(arm, pose_from_frame(target)))
+        return self._guarded(words, motions.line, lambda arm: motions.arrived_at_pose(arm, pose_from_frame(target)))
 
-    def _guarded(
-        self,
-        words: list[str],
-        make: Callable[[SimulatedArm, Goals], PlannedMotion | None],
-        arrived: Callable[[SimulatedArm], bool],
-    ) -> None:
+    def _guarded(self, words: list[str], make: Planner, arrived: Condition) -> str:
         ranges = finite(words[: len(words) // 3 * 3]).reshape(-1, 3)
         if len(ranges) == 0:
-            self._replies += [DONE, DONE]
-            return
+            return DONE + DONE
         try:
             break_when = motions.leaves_torque_ranges(ranges)
         except ValueError:
             self._replies.append(DONE)
             raise
-        self._move(make, break_when, arrived)
+        return self._move(make, break_when, arrived)
 
-    def _start_servo(self, mode: str) -> None:
-        self._replies.append(DONE)
+    def _start_servo(self, mode: str) -> str:
         self.mode = mode
         self._servo_stopping = False
         self._servo_starts = self._now + SERVO_START_S
+        return DONE
 
-    def _start_impedance(self, words: list[str]) -> None:
+    def _start_impedance(self, words: list[str]) -> str:
         numbers = finite(words)
         if len(numbers) < 7:
             raise ValueError
         mass, stiffness = numbers[0], numbers[4:7]
         refused = mass < 0.0 or np.any(stiffness < 0.0) or np.any(stiffness[:2] > MAX_STIFFNESS)
         if refused or np.max(np.abs(self._arm.external_torques)) > IMPEDANCE_MAX_TORQUE_NM:
-            self._replies += [DONE, DONE]
-        else:
-            self._start_servo("impedance_servo")
+            return DONE + DONE
+        return self._start_servo("impedance_servo")
 
     def _begin_servo(self) -> None:
         self._servo_starts = None

@@ -13,9 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from common.poses import read_only
-from rig_simulation.devices.sunrise.profiles import PlannedMotion
-from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.servo import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Law, plain_law
+from rig_simulation.devices.sunrise.paths import PlannedMotion
+from rig_simulation.devices.sunrise.robot import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Law, Robot, plain_law
 
 FULL_SPEED_TIME_S = 0.1
 """Time in which a joint at its acceleration limit reaches full speed; the data sheet gives no acceleration."""
@@ -52,32 +51,18 @@ class ArmEnvironment(Protocol):
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Advances by dt [s] to where the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,).
 
-        Returns:
-            torques of contacts and load on the joints, shape (7,) [Nm].
+        Returns the torques of contacts and load on the joints, shape (7,) [Nm].
         """
 
 
-@dataclasses.dataclass
-class _Servo:
-    law: Law
-    drives: Drives
-    integrates: bool
-
-
 class SimulatedArm:
-    """The arm; starts at rest in the zero position.
-
-    Args:
-        robot: kinematics, limits, dynamics.
-        settings: limits of the safety stop, law of the servo.
-        environment: in which it moves; None: it touches nothing.
+    """The arm; starts at rest in the zero position. Without an environment it touches nothing.
 
     Attributes:
         time: up to which the arm has moved [s].
         q, v, a: joint angles [rad], speeds, accelerations, shape (7,).
         T_flange_tool: the attached tool, shape (4, 4).
-        goal: last goal of a servo mode, shape (7,) [rad].
-        goal_speed: last goal of the velocity servo, shape (7,) [rad/s].
+        goal, goal_speed: last goals of the servo modes, shape (7,) [rad], [rad/s].
         safety_stop: cause of the active safety stop, or None.
         stops: number of safety stops so far.
         max_tool_speed: highest speed of the tool point so far [m/s].
@@ -97,7 +82,7 @@ class SimulatedArm:
         self.acceleration = read_only(robot.max_speed / FULL_SPEED_TIME_S)
         self.motion_acceleration = read_only(MOTION_FRACTION * self.acceleration)
         self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
-        self._servo: _Servo | None = None
+        self._servo: tuple[Law, Drives, bool] | None = None  # with whether the goal integrates `goal_speed`
         self._motion: PlannedMotion | None = None
         self._break_when: Callable[[SimulatedArm], bool] | None = None
         self._motion_time, self._motion_rate = 0.0, 1.0
@@ -130,7 +115,7 @@ class SimulatedArm:
         elif self._backing_off:
             self._step_back(dt)
         elif self._servo is not None and self.safety_stop is None:
-            self._step_servo(self._servo, dt)
+            self._step_servo(*self._servo, dt)
         else:
             self._move(self._drives.brake(self.v, dt), dt)
         self.a = (self.v - v_before) / dt
@@ -188,7 +173,7 @@ class SimulatedArm:
             limits = fraction * self.robot.max_speed, fraction * self.acceleration
             drives = Drives(*limits, self.settings.trajectory_time)
         chosen = plain_law if integrates else LAWS[law or self.settings.servo_law]
-        self._servo = _Servo(chosen, drives, integrates)
+        self._servo = (chosen, drives, integrates)
         self.goal, self.goal_speed, self._last_goal_speed = self.q.copy(), np.zeros(7), np.zeros(7)
 
     def stop_servo(self) -> None:
@@ -213,8 +198,7 @@ class SimulatedArm:
     def release(self) -> None:
         """Ends a safety stop, as the run key does; a planned motion resumes.
 
-        Raises:
-            ValueError: no stop is active, its cause persists, or the arm still brakes.
+        Raises ValueError if no stop is active, its cause persists, or the arm still brakes.
         """
         if self.safety_stop is None:
             raise ValueError("No safety stop is active; kuka/status reports what the arm waits for.")
@@ -229,10 +213,7 @@ class SimulatedArm:
     def back_off(self) -> None:
         """Moves an arm in a safety stop slowly back along its path, as with the jog keys of the smartPad.
 
-        It stops once no external torque exceeds FREE_FRACTION of the limit.
-
-        Raises:
-            ValueError: no stop is active.
+        It stops once no external torque exceeds FREE_FRACTION of the limit. Raises ValueError if no stop is active.
         """
         if self.safety_stop is None:
             raise ValueError("No safety stop is active, so there is nothing to back off from.")
@@ -304,14 +285,14 @@ class SimulatedArm:
         self._backing_off = self._backing_off and path_left and not free
         return self._backing_off
 
-    def _step_servo(self, servo: _Servo, dt: float) -> None:
-        if servo.integrates:
+    def _step_servo(self, law: Law, drives: Drives, integrates: bool, dt: float) -> None:
+        if integrates:
             self.goal = self.goal + dt * 0.5 * (self.goal_speed + self._last_goal_speed)
             self._last_goal_speed = self.goal_speed
         if not self.robot.within_range(self.goal):
             self._servo = None
             return
-        self._move(servo.drives.towards(servo.law(self.goal - self.q), self.v, dt), dt)
+        self._move(drives.towards(law(self.goal - self.q), self.v, dt), dt)
 
     def _move(self, v: np.ndarray, dt: float) -> None:
         self.q = self.q + v * dt

@@ -44,8 +44,7 @@ def vector(values: Iterable[float]) -> str:
 def number(source: str) -> float:
     """Returns the double that the text denotes.
 
-    Raises:
-        ValueError: Java's parser refuses the text, such as `nan`, `inf`, `1,5` and the empty text.
+    Raises ValueError where Java's parser does, such as for `nan`, `inf`, `1,5` and the empty text.
     """
     stripped = source.strip(_BLANKS)
     if _SPECIAL.fullmatch(stripped):
@@ -67,11 +66,7 @@ class JavaLineSplitter:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[str]:
-        """Returns the lines that the new bytes complete; drops empty lines, which mean nothing.
-
-        Raises:
-            ValueError: a line is longer than MAX_LINE_BYTES.
-        """
+        """Returns the lines that the new bytes complete, but empty ones; raises ValueError if one is too long."""
         *lines, self._rest = _LINE_END.split(self._rest + data)
         if len(self._rest) > MAX_LINE_BYTES:
             raise ValueError(f"a line is longer than {MAX_LINE_BYTES} bytes")

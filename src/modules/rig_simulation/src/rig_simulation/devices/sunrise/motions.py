@@ -1,29 +1,77 @@
-"""The motions of the main thread's commands, planned from the present position of the arm.
+"""The server's stored goals in its own units, and the motions that its main thread plans from them.
 
-Each planner returns the motion, or None if the arm is at its target already.
-"""
+Each planner returns the motion from the present position of the arm, or None if the arm is at its target already."""
 
 from __future__ import annotations
 
-from typing import Callable
+import dataclasses
+from typing import Any, Callable
 
 import numpy as np
 
+from common.poses import pose
+from common.rotations import rotation_from_zyx, zyx_from_rotation
+from rig_simulation.devices.sunrise import java_text
 from rig_simulation.devices.sunrise.arm import SimulatedArm
-from rig_simulation.devices.sunrise.goals import MM_PER_M, Goals, pose_from_frame
-from rig_simulation.devices.sunrise.paths import Circle, Line, Unreachable, plan, shifted
-from rig_simulation.devices.sunrise.profiles import JointMove, PathMove
+from rig_simulation.devices.sunrise.paths import Circle, JointMove, Line, PathMove, Unreachable, plan, shifted
+
+MM_PER_M = 1000.0
+DEFAULT_RELATIVE_SPEED = 0.1
+
+
+def _zeros(size: int) -> Any:
+    return dataclasses.field(default_factory=lambda: np.zeros(size))
+
+
+@dataclasses.dataclass
+class Goals:
+    """The server's stored goals."""
+
+    # Of `jp_` and similar commands, shape (7,) [rad]; target of joint motions, goal of the joint servo
+    joints: np.ndarray = _zeros(7)
+    speeds: np.ndarray = _zeros(7)  # of the velocity servo, shape (7,) [rad/s]
+    # Poses X, Y, Z [mm], A, B, C [rad], shape (6,)
+    target: np.ndarray = _zeros(6)  # of lines
+    via: np.ndarray = _zeros(6)  # of circles
+    end: np.ndarray = _zeros(6)  # of circles
+    servo: np.ndarray = _zeros(6)  # of the Cartesian servo
+    speed: float = DEFAULT_RELATIVE_SPEED  # relative speed of joint motions, or mm/s of the tool
+
+
+def overwritten(values: np.ndarray, words: list[str]) -> np.ndarray:
+    """Returns the values with the first ones replaced by the words' numbers; raises ValueError if a word is none."""
+    result = values.copy()
+    for k, word in enumerate(words[: len(values)]):
+        result[k] = java_text.number(word)
+    return result
+
+
+def finite(words: list[str]) -> np.ndarray:
+    """Returns the numbers of the words, shape (n,); raises ValueError unless all are finite."""
+    numbers = np.array([java_text.number(word) for word in words])
+    if not np.all(np.isfinite(numbers)):
+        raise ValueError(f"{words} are not all finite numbers")
+    return numbers
+
+
+def pose_from_frame(frame: np.ndarray) -> np.ndarray:
+    """Returns the pose, shape (4, 4) [m], of X, Y, Z [mm], A, B, C [rad], shape (6,); Unreachable if not finite."""
+    if not np.all(np.isfinite(frame)):
+        raise Unreachable(f"the pose {frame.tolist()} is not finite")
+    return pose(rotation_from_zyx(*frame[3:]), frame[:3] / MM_PER_M)
+
+
+def frame_from_pose(T: np.ndarray) -> np.ndarray:
+    """Returns X, Y, Z [mm], A, B, C [rad], shape (6,), of a pose, shape (4, 4) [m]."""
+    return np.array([*(MM_PER_M * T[:3, 3]), *zyx_from_rotation(T[:3, :3])])
+
 
 ARRIVED_JOINT_RAD = np.radians(0.1)
 ARRIVED_TOOL_M = 2e-4
 
 
 def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
-    """Plans the joint motion to the goal at the relative speed.
-
-    Raises:
-        Unreachable: the speed is not in (0, 1], or the goal is outside the joint range.
-    """
+    """Plans the joint motion to the goal at the relative speed."""
     if not 0.0 < goals.speed <= 1.0 or not arm.robot.within_range(goals.joints):
         raise Unreachable(f"the speed {goals.speed} or the goal {goals.joints.tolist()} is out of range")
     if np.array_equal(arm.q, goals.joints):
@@ -32,40 +80,24 @@ def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
 
 
 def line(arm: SimulatedArm, goals: Goals) -> PathMove | None:
-    """Plans a line of the tool to the target pose.
-
-    Raises:
-        Unreachable: see `paths.plan`.
-    """
+    """Plans a line of the tool to the target pose."""
     return _follow(arm, goals, Line(arm.tool, pose_from_frame(goals.target)))
 
 
 def relative_line(arm: SimulatedArm, goals: Goals, along_tool: bool) -> PathMove | None:
-    """Plans a line by the target's X, Y, Z along the axes of the tool or of the base.
-
-    Raises:
-        Unreachable: see `paths.plan`.
-    """
+    """Plans a line by the target's X, Y, Z along the axes of the tool or of the base."""
     return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool)))
 
 
 def circle(arm: SimulatedArm, goals: Goals) -> PathMove | None:
-    """Plans the arc of the tool through the via pose to the end pose.
-
-    Raises:
-        Unreachable: the three positions are collinear, or see `paths.plan`.
-    """
+    """Plans the arc of the tool through the via pose to the end pose."""
     return _follow(arm, goals, Circle(arm.tool, pose_from_frame(goals.via), pose_from_frame(goals.end)))
 
 
 def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
-    """Returns the condition that interrupts a guarded motion.
+    """Returns the condition that interrupts a guarded motion; raises ValueError for an unknown joint.
 
-    Args:
-        ranges: rows of joint index from 0, lowest, highest external torque, shape (n, 3) [Nm].
-
-    Raises:
-        ValueError: there is no such joint.
+    `ranges`: rows of joint index from 0, lowest, highest external torque, shape (n, 3) [Nm].
     """
     joints, low, high = ranges[:, 0].astype(int), ranges[:, 1], ranges[:, 2]
     if np.any((joints < 0) | (joints > 6)):

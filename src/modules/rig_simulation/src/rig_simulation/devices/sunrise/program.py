@@ -21,12 +21,11 @@ from rig_simulation.command_line import (
 )
 from rig_simulation.devices.sunrise.application import VERSIONS
 from rig_simulation.devices.sunrise.arm import ArmEnvironment, ArmSettings, SimulatedArm
-from rig_simulation.devices.sunrise.description import FLANGES, ROBOTS, read_urdf
-from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.robot import LAWS, Robot
 from rig_simulation.devices.sunrise.server import AT_ONCE_S, ServerSettings, SunriseServer
-from rig_simulation.devices.sunrise.servo import LAWS
 from rig_simulation.faults.arm import ARM_FAULTS
 from rig_simulation.faults.injection import add_option, switch_all
+from rig_simulation.files import FLANGES, ROBOTS, read_urdf
 
 NAME = "sunrise_controller"
 
@@ -53,26 +52,13 @@ def make_server(
     clock: Callable[[], float] = time.monotonic,
     at_once: float = AT_ONCE_S,
 ) -> SunriseServer:
-    """Returns the server that the options of `add_options` describe, with an arm of its own.
+    """Returns the server that the options of `add_options` describe, with an arm of its own; see SunriseServer.
 
-    Args:
-        options: of the command line.
-        environment: the arm's, or None.
-        clock: the arm's time [s].
-        at_once: see SunriseServer.
-
-    Raises:
-        DeviceError: a port is taken.
-        FileNotFoundError: the description of the robot is missing.
+    Raises DeviceError if a port is taken, FileNotFoundError if the robot's description is missing.
     """
     arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
-    settings = ServerSettings(
-        options.wiped_window,
-        options.wait_for_client,
-        options.deaf_after_lost_client,
-        options.end_exits,
-        options.toolbox_version,
-    )
+    lost_client = options.wait_for_client, options.deaf_after_lost_client, options.end_exits
+    settings = ServerSettings(options.wiped_window, *lost_client, options.toolbox_version)
     arm = SimulatedArm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, environment)
     return SunriseServer(arm, settings, options.host, options.port, options.control_port, _log, clock, at_once)
 

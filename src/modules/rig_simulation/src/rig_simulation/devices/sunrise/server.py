@@ -10,20 +10,19 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from common.errors import DeviceError
-from rig_simulation.control_port import ControlPort, listen
+from rig_simulation.control_port import ControlPort, listen, within
 from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.java_text import JavaLineSplitter
 from rig_simulation.faults.arm import ARM_FAULTS, ArmAnswers, Encoders
 from rig_simulation.faults.injection import Faults
 
-BACKLOG = 50
 MOVING_TICK_S = 0.002
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
@@ -52,11 +51,7 @@ class SunriseServer:
     """Serves the arm until `stop` is called or the settings end it.
 
     Args:
-        arm: the arm.
-        settings: switches.
-        host: a loopback address.
-        port: of the toolbox server; 0 takes any free port, see the attribute `port`.
-        control_port: likewise.
+        port, control_port: 0 takes any free port; see the attributes.
         log: takes one sentence about each change of state.
         clock: the arm's time [s]; it may run faster, slower or in steps.
         at_once: longest time that the arm advances in one go [s]; infinite for a clock that waits for the arm.
@@ -92,27 +87,31 @@ class SunriseServer:
         self._lines = JavaLineSplitter()
         self._deaf = False
         self._selector = selectors.DefaultSelector()
-        self._listener: socket.socket | None = listen(host, port, "the toolbox port", BACKLOG)
+        self._listener: socket.socket | None = listen(host, port, "the toolbox port")
         self._listener.setblocking(False)
         self.host, self.port = self._listener.getsockname()[:2]
         self._start_application()
+        requests: dict[str, Callable[..., Any]] = {
+            "state": self._state,
+            "release": self._release,
+            "back_off": self._back_off,
+            "set_external_torque": lambda value: arm.set_external_torque(_numbers(value, 7)),
+            "set_tcp_force": lambda value: arm.set_tool_force(_numbers(value, 3)),
+        }
+        handlers = {name: within(self.up_to_date, request) for name, request in requests.items()}
         try:
-            self._control = ControlPort(self._requests, host, control_port)
+            self._control = ControlPort({**handlers, **self.faults.requests}, host, control_port)
         except DeviceError:
             self._listener.close()
             raise
         self.control_port = self._control.port
 
-    @property
-    def _requests(self) -> dict[str, Callable[..., Any]]:
-        return {
-            "state": self._state,
-            "release": self._release,
-            "back_off": self._back_off,
-            "set_external_torque": self._set_external_torque,
-            "set_tcp_force": self._set_tcp_force,
-            **self.faults.requests,
-        }
+    @contextlib.contextmanager
+    def up_to_date(self) -> Iterator[None]:
+        """Holds the lock, with the arm and its environment at the clock's time."""
+        with self.lock:
+            self._advance()
+            yield
 
     def run(self) -> None:
         """Serves until `stop`; then closes everything."""
@@ -146,9 +145,8 @@ class SunriseServer:
 
     def _start_application(self) -> None:
         assert self._listener is not None  # an application starts only while the port is open
-        self._application = Application(
-            self._arm, self._io, self._settings.wiped_window, self._encoders.read, self._settings.version
-        )
+        settings, read = self._settings, self._encoders.read
+        self._application = Application(self._arm, self._io, settings.wiped_window, read, settings.version)
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._waiting_since = time.monotonic()
 
@@ -194,7 +192,9 @@ class SunriseServer:
                 self._take_line(line)
                 self._send()
                 if self._application.ended:
-                    self._end()
+                    self._log("the client ended the application")
+                    self._reset_waiting_clients()
+                    self._close_client()
             if self._client is None:
                 return
 
@@ -223,26 +223,18 @@ class SunriseServer:
             if self._client is not None and cut:
                 self._client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
             self._lose_client("its connection is cut" if cut else "the application stops")
-        if restarted:
-            self._close_port()
-        elif self._listener is None:
-            self._open_port()
-        elif cut:
+        if restarted and self._listener is not None:
+            self._application.abandon()
+            if self._listener in self._selector.get_map():
+                self._selector.unregister(self._listener)
+            self._listener.close()
+            self._listener, self._deaf = None, False
+        elif not restarted and self._listener is None:
+            with contextlib.suppress(DeviceError):  # another program may have taken the port for a moment
+                self._listener = listen(self.host, self.port, "the toolbox port")
+                self._listener.setblocking(False)
+        elif cut and not restarted:
             self._reset_waiting_clients()
-
-    def _close_port(self) -> None:
-        if self._listener is None:
-            return
-        self._application.abandon()
-        if self._listener in self._selector.get_map():
-            self._selector.unregister(self._listener)
-        self._listener.close()
-        self._listener, self._deaf = None, False
-
-    def _open_port(self) -> None:
-        with contextlib.suppress(DeviceError):  # another program may have taken the port for a moment
-            self._listener = listen(self.host, self.port, "the toolbox port", BACKLOG)
-            self._listener.setblocking(False)
 
     def _close_client(self) -> None:
         self._answers.drop()
@@ -262,11 +254,6 @@ class SunriseServer:
         with self.lock:
             self._application.abandon()
         self._log(f"lost the client: {reason}; the arm stops")
-
-    def _end(self) -> None:
-        self._log("the client ended the application")
-        self._reset_waiting_clients()
-        self._close_client()
 
     def _reset_waiting_clients(self) -> None:
         assert self._listener is not None  # it is closed only while there is no client
@@ -290,47 +277,31 @@ class SunriseServer:
             self._start_application()
 
     def _state(self) -> dict[str, Any]:
-        with self.lock:
-            self._advance()
-            arm = self._arm
-            assert arm.time is not None  # it has just advanced
-            return {
-                "time": arm.time,
-                "age": self._clock() - arm.time,
-                "joints": arm.q.tolist(),
-                "velocities": arm.v.tolist(),
-                "flange": arm.robot.flange(arm.q).tolist(),
-                "tcp_speed": arm.tool_speed,
-                "max_tcp_speed": arm.max_tool_speed,
-                "mode": self._application.mode,
-                "safety_stop": arm.safety_stop,
-                "stops": arm.stops,
-                "goals": self._io.goals,
-                "connected": self._client is not None,
-                "outputs": dict(self._io.outputs),
-            }
+        arm = self._arm
+        assert arm.time is not None  # it has just advanced
+        return {
+            "time": arm.time,
+            "age": self._clock() - arm.time,
+            "joints": arm.q.tolist(),
+            "velocities": arm.v.tolist(),
+            "flange": arm.robot.flange(arm.q).tolist(),
+            "tcp_speed": arm.tool_speed,
+            "max_tcp_speed": arm.max_tool_speed,
+            "mode": self._application.mode,
+            "safety_stop": arm.safety_stop,
+            "stops": arm.stops,
+            "goals": self._io.goals,
+            "connected": self._client is not None,
+            "outputs": dict(self._io.outputs),
+        }
 
     def _release(self) -> None:
-        with self.lock:
-            self._advance()
-            self._arm.release()
-            self._log("released")
+        self._arm.release()
+        self._log("released")
 
     def _back_off(self) -> None:
-        with self.lock:
-            self._advance()
-            self._arm.back_off()
-            self._log("the arm backs off")
-
-    def _set_external_torque(self, value: list[float]) -> None:
-        with self.lock:
-            self._advance()
-            self._arm.set_external_torque(_numbers(value, 7))
-
-    def _set_tcp_force(self, value: list[float]) -> None:
-        with self.lock:
-            self._advance()
-            self._arm.set_tool_force(_numbers(value, 3))
+        self._arm.back_off()
+        self._log("the arm backs off")
 
     def _next_time(self) -> float:
         """Returns the time to advance to: the clock's, or `at_once` further where the arm lags more."""
@@ -348,11 +319,7 @@ class SunriseServer:
 
 
 def _numbers(value: Any, count: int) -> np.ndarray:
-    """Returns a list of finite numbers from a request as an array.
-
-    Raises:
-        ValueError: it is not such a list.
-    """
+    """Returns a list of finite numbers from a request as an array; raises ValueError if it is none."""
     numbers = isinstance(value, list) and all(
         isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
     )

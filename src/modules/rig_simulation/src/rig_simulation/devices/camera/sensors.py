@@ -1,17 +1,137 @@
-"""The depth image of a structured-light sensor, from the true depth.
+"""The lenses of the camera, and its colour and depth sensors.
 
-It is computed in inverse depth w = 1/z, in which planes are linear in the pixel, and in disparity d = f b w, in which
-the sensor measures: noise, unit errors and quantisation are added there.
+The renderer has pinhole cameras only. A lens defines the pinhole window that contains the camera's view, and for each
+pixel of the camera its position in that window. Windows come from OpenGL: their rows run from the bottom up.
+
+Depth is computed in inverse depth w = 1/z, in which planes are linear in the pixel, and in disparity d = f b w, in
+which the sensor measures: noise, unit errors and quantisation are added there.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
-from rig_simulation.devices.camera.config import DepthConfig
-from rig_simulation.devices.camera.lens import CameraLens
-from rig_simulation.devices.camera.noise import NoiseField
+from common.camera_model import CameraModel
+from rig_simulation.node_parameters import ColourConfig, DepthConfig
+
+MARGIN_PX = 4
+"""Margin of the window around the camera's view, for interpolation and for the jitter of edges."""
+
+
+@dataclass(frozen=True)
+class PixelWindow:
+    """A pinhole image plane."""
+
+    width: int  # of the image [px]
+    height: int  # of the image [px]
+    # Its borders in the plane one metre in front of the camera, y up [m]
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+
+class CameraLens:
+    """Maps the window's image to the camera's.
+
+    `sample_offset`: position of the window's samples in their pixels, right and up from the centre [px].
+    """
+
+    def __init__(self, camera: CameraModel, sample_offset: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.camera = camera
+        focal, centre = np.diag(camera.K)[:2], camera.K[:2, 2]
+        u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        # On the camera's own pixel grid: no interpolation without distortion.
+        straight = camera.rays(np.stack((u, v), axis=-1))[..., :2] * focal + centre
+        low = np.floor(straight.min(axis=(0, 1))) - MARGIN_PX
+        high = np.ceil(straight.max(axis=(0, 1))) + MARGIN_PX
+        width, height = (high - low + 1.0).astype(int)
+        left, top = (low - 0.5 - centre) / focal
+        right, bottom = (high + 0.5 - centre) / focal
+        self.window = PixelWindow(int(width), int(height), left, right, -bottom, -top)
+        columns = straight[..., 0] - low[0] - sample_offset[0]
+        rows = high[1] - straight[..., 1] - sample_offset[1]
+        self._smooth = cv2.convertMaps(columns.astype(np.float32), rows.astype(np.float32), cv2.CV_16SC2)
+        self._nearest = np.stack((np.rint(columns), np.rint(rows)), axis=-1).astype(np.int16)
+
+    def distort(self, image: np.ndarray) -> np.ndarray:
+        """Returns the camera's image, interpolated from the window's, shape (window.height, window.width[, 3])."""
+        positions, fractions = self._smooth
+        return cv2.remap(image, positions, fractions, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+    def distort_nearest(self, image: np.ndarray, shift: np.ndarray | np.int16) -> np.ndarray:
+        """Returns the camera's image of the window's nearest pixels, each `shift` beside its own position.
+
+        `shift`: to the right and up, shape (height, width, 2) or one number for all, int16 [px].
+        """
+        nothing = np.empty(0, np.uint16)
+        return cv2.remap(image, self._nearest + shift, nothing, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+
+
+SPARE_PX = 1024
+"""Excess of the large field over a cut, in both directions."""
+
+
+class NoiseField:
+    """Noise of mean 0 and standard deviation 1 at the cost of a copy an image: random cuts from one large field.
+
+    Two cuts share values, but rarely at the same pixel, so a pixel's values in successive images are independent.
+
+    Args:
+        height, width: of a cut [px].
+        channels: 1 to 4.
+        correlation: standard deviation of the Gaussian that the white noise is smoothed with [px]; 0 = none.
+    """
+
+    def __init__(self, height: int, width: int, channels: int, correlation: float, rng: np.random.Generator) -> None:
+        field: np.ndarray = rng.standard_normal((height + SPARE_PX, width + SPARE_PX, channels), dtype=np.float32)
+        if correlation > 0.0:
+            field = cv2.GaussianBlur(field, (0, 0), correlation)
+        field = field.reshape(height + SPARE_PX, width + SPARE_PX, channels)
+        self._field = (field - field.mean()) / field.std()
+        self._size = (height, width)
+        self._rng = rng
+
+    def scaled(self, sigma: float, kind: type) -> NoiseField:
+        """Returns the field with standard deviation `sigma`, rounded for an integer `kind`."""
+        other = object.__new__(NoiseField)
+        field = self._field * sigma
+        other._field = np.rint(field).astype(kind) if np.issubdtype(kind, np.integer) else field.astype(kind)
+        other._size, other._rng = self._size, self._rng
+        return other
+
+    def cut(self) -> np.ndarray:
+        """Returns the next cut, shape (height, width) or (height, width, channels); a read-only view."""
+        row, column = self._rng.integers(0, SPARE_PX, 2)
+        cut = self._field[row : row + self._size[0], column : column + self._size[1]]
+        return cut[..., 0] if cut.shape[2] == 1 else cut
+
+
+class ColourSensor:
+    """Takes colour images."""
+
+    def __init__(self, lens: CameraLens, config: ColourConfig, rng: np.random.Generator) -> None:
+        self._lens = lens
+        self._config = config
+        self._noise = None
+        if config.noise > 0.0:
+            field = NoiseField(lens.camera.height, lens.camera.width, 3, 0.0, rng)
+            self._noise = field.scaled(config.noise, np.int8)
+
+    def take(self, rendered: np.ndarray) -> np.ndarray:
+        """Returns the camera's image, shape (height, width, 3), uint8, red first, of the window, rows bottom up."""
+        image = self._lens.distort(rendered)
+        if self._config.exposure != 1.0:
+            image = cv2.convertScaleAbs(image, alpha=self._config.exposure)
+        if self._config.blur > 0.0:
+            image = cv2.GaussianBlur(image, (0, 0), self._config.blur)
+        if self._noise is not None:
+            image = cv2.add(image, self._noise.cut(), dtype=cv2.CV_8U)
+        return image
+
 
 MILLIMETRES = 1000.0
 EDGE = 0.01
@@ -33,8 +153,7 @@ def axial_sigma(z: float | np.ndarray) -> float | np.ndarray:
 def steep_sigma(angle: float | np.ndarray) -> np.ndarray:
     """Returns the standard deviation added by a steep surface, times sqrt(z) [m sqrt(m)] (the same paper).
 
-    Args:
-        angle: between the surface's normal and the line of sight [rad].
+    `angle`: between the surface's normal and the line of sight [rad].
     """
     angle = np.minimum(angle, np.radians(85.0))
     return np.where(angle > STEEP, 0.0001 * angle**2 / (np.pi / 2.0 - angle) ** 2, 0.0)
@@ -63,8 +182,6 @@ class DepthSensor:
     """Takes depth images.
 
     Args:
-        lens: of the camera of the image.
-        config: effects of the sensor.
         rng: source of the unit's errors, drawn first, and of the noise.
         infrared_offset: of the infrared camera to the right of the lens [m]: 0 for its own image, the negative
             distance between the cameras for depth registered to the colour image.
@@ -94,7 +211,11 @@ class DepthSensor:
         self._sight = (self._u / camera.K[0, 0]) ** 2 + (self._v / camera.K[1, 1]) ** 2 + 1.0
         angles = np.arccos(np.linspace(0.0, 1.0, ANGLE_STEPS + 1))
         self._steep = (self._fb * steep_sigma(angles)).astype(np.float32)
-        self._millimetres = self._table()
+        self._millimetres = None
+        if config.quantisation > 0.0:
+            # The depth of each disparity step [mm]; 0 for the first and last, which include all beyond
+            last = int(self._fb / (config.min_range * config.quantisation)) + 2
+            self._millimetres = self._depth(np.arange(last + 1) * config.quantisation)
 
     def take(self, inverse_depth: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         """Returns the sensor's image, shape (height, width), uint16 [mm], 0 = no depth.
@@ -112,7 +233,12 @@ class DepthSensor:
                 lost |= hidden(w, fb)
         if config.min_signal > 0.0:
             lost |= self._signal(w, cosine, brightness) < config.min_signal
-        depth = self._to_millimetres(self._disparity(w, cosine))
+        depth = self._disparity(w, cosine)
+        if self._millimetres is None:
+            depth = self._depth(depth)
+        else:
+            steps = np.rint(depth * np.float32(1.0 / config.quantisation)).astype(np.int32)
+            depth = self._millimetres.take(steps, mode="clip")
         depth[lost] = 0
         return depth
 
@@ -154,21 +280,8 @@ class DepthSensor:
             disparity += np.sqrt(np.maximum(sigma * sigma - rounding, 0.0)) * self._noise.cut()
         return disparity
 
-    def _to_millimetres(self, disparity: np.ndarray) -> np.ndarray:
-        if self._millimetres is not None:
-            steps = np.rint(disparity * np.float32(1.0 / self._config.quantisation)).astype(np.int32)
-            return self._millimetres.take(steps, mode="clip")
-        return self._in_range(self._fb / np.maximum(disparity, 1e-6)).astype(np.uint16)
-
-    def _table(self) -> np.ndarray | None:
-        """Returns the depth of each disparity step [mm]; 0 for the first and last, which include all beyond."""
-        if self._config.quantisation == 0.0:
-            return None
-        last = int(self._fb / (self._config.min_range * self._config.quantisation)) + 2
-        disparity = np.arange(last + 1) * self._config.quantisation
-        return self._in_range(self._fb / np.maximum(disparity, 1e-6)).astype(np.uint16)
-
-    def _in_range(self, z: np.ndarray) -> np.ndarray:
+    def _depth(self, disparity: np.ndarray) -> np.ndarray:
         """Returns the depth in whole millimetres, 0 where out of range."""
+        z = self._fb / np.maximum(disparity, 1e-6)
         inside = (z >= self._config.min_range) & (z <= self._config.max_range)
-        return np.where(inside, np.rint(z * MILLIMETRES), 0.0)
+        return np.where(inside, np.rint(z * MILLIMETRES), 0.0).astype(np.uint16)

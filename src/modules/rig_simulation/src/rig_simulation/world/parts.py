@@ -1,8 +1,12 @@
-"""The ReFlex hand in the world: its servos pull the tendons of the physics, its sensors measure them.
+"""The arm and the ReFlex hand as parts of the world. Lengths in m, angles in rad, forces in N.
 
-Wire and control requests are those of the simulated hand; here its moving parts have masses and contacts. Lengths in m,
-angles in rad, forces in N.
-"""
+The simulated controller has the motor-side angles of the arm, the physics the link-side angles. Between them is the
+elasticity of the gears: `tau = K (q - q_physics) + D (v - v_physics)`, added to the torques of gravity and of the
+planned motion. So the arm does not sink, follows exactly in free space, and is stopped by a table; the torque of the
+springs is what the joint torque sensors of the real arm measure.
+
+The hand's servos pull the tendons of the physics, and its sensors measure them. Wire and control requests are those of
+the simulated hand; here its moving parts have masses and contacts."""
 
 from __future__ import annotations
 
@@ -12,37 +16,91 @@ import mujoco
 import numpy as np
 
 from rig_simulation.devices.reflex.hand import SimulatedHand
-from rig_simulation.devices.reflex.mechanics import FINGERS, TAXELS
-from rig_simulation.devices.reflex.servo import MAX_EFFORT, MAX_TORQUE_NM
+from rig_simulation.devices.reflex.mechanics import FINGERS, MAX_EFFORT, MAX_TORQUE_NM, TAXELS, Mechanics
+from rig_simulation.devices.sunrise.robot import JOINTS
 from rig_simulation.world.hand_model import PARTS, pad_name, tendon_name
+from rig_simulation.world.mjcf import ARM_DAMPING, ARM_STIFFNESS
 from rig_simulation.world.physics import Part, World
+
+OBSERVER_TIME_S = 0.01
+"""Time constant of the filter with which the controller estimates external torques from measured ones."""
+
+
+class ArmJoints(Part):
+    """The link side of the arm; the environment of the controller's arm.
+
+    It steps the world with each step of the arm, so both share one time.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._timestep = world.timestep
+        self._stiffness, self._damping = np.array(ARM_STIFFNESS), np.array(ARM_DAMPING)
+        self._q = self._v = self._v_next = np.zeros(7)
+        self._torque = np.zeros(7)
+        self._observer_gain = self._timestep / (OBSERVER_TIME_S + self._timestep)
+        world.add(self)
+
+    def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
+        """Steps the world once, to the end angles q and speeds v of the drives; see ArmEnvironment.
+
+        Raises ValueError if dt differs from the world's time step.
+        """
+        if abs(dt - self._timestep) > 1e-9:
+            raise ValueError(f"The arm steps by {dt} s, but the world by {self._timestep} s.")
+        self._v_next = v
+        self._world.step()
+        self._q, self._v = q, v
+        torque = -self._spring() - self._damping * (v - self._joint_v)
+        self._torque = self._torque + self._observer_gain * (torque - self._torque)
+        return self._torque
+
+    def bind(self, world: World) -> None:
+        """Takes model and state of the world."""
+        model, data = world.model, world.data
+        joints = [model.joint(name) for name in JOINTS]
+        qpos, dofs = (_run([j.qposadr[0] for j in joints]), _run([j.dofadr[0] for j in joints]))
+        self._strongest = model.jnt_actfrcrange[[joint.id for joint in joints], 1]
+        # Views of the state, to read and write it.
+        self._joint_q, self._joint_v = data.qpos[qpos], data.qvel[dofs]
+        self._bias, self._applied = data.qfrc_bias[dofs], data.qfrc_applied[dofs]
+        self._all_a, self._all_efforts = np.zeros(model.nv), np.zeros(model.nv)
+        self._a, self._efforts = self._all_a[dofs], self._all_efforts[dofs]
+
+    def before_step(self) -> None:
+        """Writes the efforts of the drives; the damping acts in the physics, at the speed after the step."""
+        self._a[:] = (self._v_next - self._v) / self._timestep
+        mujoco.mj_mulM(self._world.model, self._world.data, self._all_efforts, self._all_a)
+        self._applied[:] = self._efforts + self._bias + self._spring() + self._damping * self._v_next
+
+    def _spring(self) -> np.ndarray:
+        torque = self._stiffness * (self._q - self._joint_q)
+        return np.minimum(np.maximum(torque, -self._strongest), self._strongest)
+
+
+def _run(addresses: list[int]) -> slice:
+    """Returns consecutive addresses as a slice."""
+    return slice(int(addresses[0]), int(addresses[-1]) + 1)
+
 
 EFFORT_PER_NM = MAX_EFFORT / MAX_TORQUE_NM
 FINGER_RATIO, SWIVEL_RATIO = 1.42, 1.5
 """Turns of a motor for one turn of its spool."""
-
 COUNTS_PER_N = 25.0
 """For a force in the middle of a taxel. An assumption: the vendor counts 20 as a touch and shows at most 80."""
 TAXEL_REACH_M = 0.005
 """Standard deviation of the sensitivity beside a taxel; it falls to one half at 5.9 mm."""
-
 _TIP_TILT_RAD = np.radians(30.0)
 _TAXEL_POSITIONS = {
     "proximal": [(x, 0.0, 0.0154) for x in (0.0189, 0.0268, 0.0347, 0.0426, 0.0506)],
     "distal": [(0.0114, 0.0, 0.0129), (0.0193, 0.0, 0.0129), (0.0272, 0.0, 0.0129), (0.0375, 0.0, 0.0073)],
 }
 _UP = (0.0, 0.0, 1.0)
-_TAXEL_NORMALS = {
-    "proximal": [_UP] * 5,
-    "distal": [_UP] * 3 + [(np.sin(_TIP_TILT_RAD), 0.0, np.cos(_TIP_TILT_RAD))],
-}
+_TAXEL_NORMALS = {"proximal": [_UP] * 5, "distal": [_UP] * 3 + [(np.sin(_TIP_TILT_RAD), 0.0, np.cos(_TIP_TILT_RAD))]}
 
 
-class PhysicalMechanics:
-    """The moving parts of the hand in a MuJoCo model; see `rig_simulation.devices.reflex.mechanics`."""
-
-    def __init__(self) -> None:
-        self._ends: list[float | None] = [None] * FINGERS
+class PhysicalMechanics(Mechanics):
+    """The moving parts of the hand in a MuJoCo model."""
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Takes model and state; obstacles remain."""
@@ -117,14 +175,7 @@ class PhysicalMechanics:
 
 
 class HandPart(Part):
-    """The hand as a part of the world.
-
-    Args:
-        seed: of the hand's individual values and noise.
-
-    Attributes:
-        simulated: the hand with its electronics, for its wire and its control port.
-    """
+    """The hand as a part of the world; `simulated`: with its electronics, for its wire and its control port."""
 
     def __init__(self, seed: int = 0) -> None:
         self._mechanics = PhysicalMechanics()

@@ -1,0 +1,273 @@
+"""Nodes that reach the simulated devices through their control ports: monitors of their truth, the fault service.
+
+The arm, node simulation_monitor: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status`
+(stops, goals, mode, speed of the tool: now, highest since the last status, highest since the start) [m/s]. Services:
+`simulation/release`, the run key after a safety stop; `simulation/back_off`, the jog keys, which move a pressing arm
+back along its path.
+The world, node world_monitor: `simulation/object_states` in kuka/base_frame; on /diagnostics the real-time factor of
+the world. Services: `simulation/reset` puts the objects back to their poses of the scene, `simulation/set_scene` loads
+another scene; arm and hand keep their state.
+The camera, node camera_truth: its true pose, the result of a perfect calibration.
+The service `simulation/fault`, node simulation_faults: switches the faults of all simulated devices.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+
+from common.errors import DeviceError
+from common.frames import BASE, CAMERA_LINK
+from common.poses import inverse, pose
+from common.ros.conversions import stamped_transform
+from common.ros.diagnostics import Diagnostics
+from common.ros.params import private_config
+from common.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_zyx
+from rig_msgs.msg import ObjectState, ObjectStates
+from rig_msgs.srv import (
+    SetScene,
+    SetSceneRequest,
+    SetSceneResponse,
+    SimulationFault,
+    SimulationFaultRequest,
+    SimulationFaultResponse,
+)
+from rig_simulation.control_port import ControlClient
+from rig_simulation.node_parameters import FaultServiceConfig, MonitorConfig, WorldConfig, WorldMonitorConfig
+from rig_simulation.world.clock import Pace
+from rig_simulation.world.model import camera_link_pose
+from rig_simulation.world.scene import scene_from
+
+RETRY_PERIOD_S = 0.5
+REMIND_S = 10.0
+TIMEOUT_S = 2.0
+START_S = 5.0
+"""Time in which a device may start or restart without a warning."""
+
+
+def poll(publish: Callable[[], None], period: float) -> None:
+    """Calls `publish` until ROS shuts down, every `period` [s] while it answers.
+
+    `publish` asks the device and publishes its answer; it raises DeviceError while the device does not answer.
+    """
+    due = answered = time.monotonic()
+    while not rospy.is_shutdown():
+        try:
+            publish()
+        except DeviceError as error:
+            if time.monotonic() - answered > START_S:
+                rospy.logwarn_throttle(REMIND_S, "%s", error)
+            due = time.monotonic() + RETRY_PERIOD_S
+        else:
+            answered = time.monotonic()
+            due = max(due + period, answered)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def trigger(client: ControlClient, request: str, done: str) -> Callable[[TriggerRequest], TriggerResponse]:
+    """Returns the handler of a Trigger service that sends a request; its reply is `done`, or the refusal."""
+
+    def handle(_: TriggerRequest) -> TriggerResponse:
+        try:
+            client.ask(request)
+        except DeviceError as error:
+            return TriggerResponse(False, str(error))
+        return TriggerResponse(True, done)
+
+    return handle
+
+
+FLANGE_PERIOD_S, STATUS_PERIOD_S = 0.01, 0.1
+SHOWN = ("mode", "tcp_speed", "max_tcp_speed", "stops", "goals", "safety_stop", "connected")
+
+
+class ArmMonitor:
+    """Polls the control port of the simulated controller and publishes its state."""
+
+    def __init__(self, config: MonitorConfig) -> None:
+        self._client = ControlClient(config.host, config.port, 1.0)
+        self._flange = rospy.Publisher("simulation/flange", PoseStamped, queue_size=10)
+        self._status = rospy.Publisher("simulation/status", DiagnosticStatus, queue_size=10)
+        self._next_status = 0.0
+        self._peak_speed = 0.0
+        released = "The safety stop is released; the arm resumes."
+        rospy.Service("simulation/release", Trigger, trigger(self._client, "release", released))
+        rospy.Service("simulation/back_off", Trigger, trigger(self._client, "back_off", "The arm backs off."))
+
+    def publish(self) -> None:
+        """Publishes the present state; raises DeviceError if the controller does not answer."""
+        try:
+            state = self._client.ask("state")
+        except DeviceError as error:
+            self._publish_status(DiagnosticStatus.ERROR, str(error), {})
+            raise
+        flange = np.array(state["flange"])
+        message = PoseStamped()
+        message.header.frame_id = BASE
+        message.header.stamp = rospy.Time.now() - rospy.Duration.from_sec(state["age"])
+        message.pose = Pose(Point(*flange[:3, 3]), Quaternion(*quaternion_from_rotation(flange[:3, :3])))
+        self._flange.publish(message)
+        self._peak_speed = max(self._peak_speed, state["tcp_speed"])
+        if time.monotonic() >= self._next_status:
+            self._next_status = time.monotonic() + STATUS_PERIOD_S
+            stop = state["safety_stop"]
+            values = {**{name: state[name] for name in SHOWN}, "peak_tcp_speed": self._peak_speed}
+            level = DiagnosticStatus.WARN if stop else DiagnosticStatus.OK
+            self._publish_status(level, stop or "The arm is ready.", values)
+            self._peak_speed = 0.0
+
+    def _publish_status(self, level: int, message: str, values: dict) -> None:
+        texts = [KeyValue(name, "" if value is None else str(value)) for name, value in values.items()]
+        self._status.publish(DiagnosticStatus(level=level, name="simulation", message=message, values=texts))
+
+
+def arm_monitor() -> None:
+    """Runs the node simulation_monitor with its private parameters."""
+    poll(ArmMonitor(private_config(MonitorConfig)).publish, FLANGE_PERIOD_S)
+
+
+STATE_PERIOD_S = 0.5
+SLOW = 0.95
+"""Fraction of the desired speed below which the world counts as slow."""
+
+
+class WorldMonitor:
+    """Polls the control port of the simulated world and publishes its state."""
+
+    def __init__(self, config: WorldMonitorConfig) -> None:
+        self._client = ControlClient(config.host, config.port, TIMEOUT_S)
+        self._pace, self._next_state = Pace(), 0.0
+        self._state: dict | None = None
+        self._trouble = f"The simulated world at {config.host}:{config.port} has not answered yet."
+        self._objects = rospy.Publisher("simulation/object_states", ObjectStates, queue_size=10)
+        reset = trigger(self._client, "reset", "The objects are back in their poses of the scene.")
+        rospy.Service("simulation/reset", Trigger, reset)
+        rospy.Service("simulation/set_scene", SetScene, self._set_scene)
+        Diagnostics("simulated_world", self._diagnose)
+
+    def publish(self) -> None:
+        """Publishes the present state; raises DeviceError if the world does not answer."""
+        try:
+            answer = self._client.ask("objects")
+            self._take_state()
+        except DeviceError as error:
+            self._trouble = str(error)
+            raise
+        self._trouble = ""
+        roll, pitch, yaw = np.radians(answer["mounting"])
+        R_base_world = rotation_from_zyx(yaw, pitch, roll).T
+        message = ObjectStates()
+        message.header.frame_id = BASE
+        message.header.stamp = rospy.Time.now()
+        for name, state in answer["objects"].items():
+            R = R_base_world @ rotation_from_quaternion(state["quaternion"])
+            place = Pose(Point(*(R_base_world @ state["position"])), Quaternion(*quaternion_from_rotation(R)))
+            message.objects.append(ObjectState(name, place, state["clearance"], state["speed"], state["touches"]))
+        self._objects.publish(message)
+
+    def _take_state(self) -> None:
+        now = time.monotonic()
+        if now < self._next_state:
+            return
+        self._next_state = now + STATE_PERIOD_S
+        state = self._client.ask("state")
+        now = time.monotonic()
+        self._pace.add(state["time"], now)
+        self._state = {"world_s": state["time"], "wall_s": now, "speed": state["speed"], "contacts": state["contacts"]}
+
+    def _diagnose(self) -> tuple[int, str, dict[str, object]]:
+        state, factor = self._state, self._pace.factor
+        if self._trouble or state is None:
+            return DiagnosticStatus.ERROR, self._trouble, {}
+        values = {name: "" if value is None else value for name, value in state.items()}
+        values["real_time_factor"] = "" if factor is None else f"{factor:.3f}"
+        if factor is not None and state["speed"] is not None and factor < SLOW * state["speed"]:
+            slow = f"Too slow: {factor:.2f} s of the world in a second; close other programs."
+            return DiagnosticStatus.WARN, slow, values
+        return DiagnosticStatus.OK, "The world runs in real time.", values
+
+    def _set_scene(self, request: SetSceneRequest) -> SetSceneResponse:
+        try:
+            self._client.ask("set_scene", scene=request.scene)
+        except DeviceError as error:
+            return SetSceneResponse(False, str(error))
+        return SetSceneResponse(True, f"The scene is {request.scene}.")
+
+
+def world_monitor() -> None:
+    """Runs the node world_monitor with its private parameters."""
+    config = private_config(WorldMonitorConfig)
+    poll(WorldMonitor(config).publish, 1.0 / config.rate)
+
+
+def camera_in_base(fields: dict) -> np.ndarray:
+    """Returns the pose of camera_link in the arm's base, shape (4, 4), from the world's answer to `scene`."""
+    roll, pitch, yaw = np.radians(fields["mounting"])
+    return inverse(pose(rotation_from_zyx(yaw, pitch, roll))) @ camera_link_pose(scene_from(fields["scene"]).camera)
+
+
+def camera_truth() -> None:
+    """Runs the node camera_truth with its private parameters: publishes the true pose of the camera, static.
+
+    It does so at the start and after each change of the scene. The node replaces camera_place, which publishes the same
+    transform kuka/base_frame -> camera_link from a calibration; start only one of the two.
+    """
+    config = private_config(WorldConfig)
+    client = ControlClient(config.host, config.port, TIMEOUT_S)
+    broadcaster = tf2_ros.StaticTransformBroadcaster()
+    published: np.ndarray | None = None
+
+    def publish() -> None:
+        nonlocal published
+        T_base_camera = camera_in_base(client.ask("scene"))
+        if published is None or not np.array_equal(published, T_base_camera):
+            published = T_base_camera
+            broadcaster.sendTransform(stamped_transform(T_base_camera, BASE, CAMERA_LINK, rospy.Time.now()))
+
+    poll(publish, 1.0)
+
+
+class FaultService:
+    """Offers the service, which passes a request to the control port of the device: it knows its own faults."""
+
+    def __init__(self, config: FaultServiceConfig) -> None:
+        ports = {name: getattr(config, f"{name}_port") for name in ("arm", "leap", "hand", "camera")}
+        self._devices = {name: ControlClient(config.host, port, TIMEOUT_S) for name, port in ports.items()}
+        rospy.Service("simulation/fault", SimulationFault, self._switch)
+
+    def _switch(self, request: SimulationFaultRequest) -> SimulationFaultResponse:
+        if request.device not in self._devices:
+            known = ", ".join(self._devices)
+            return SimulationFaultResponse(False, f"Unknown device {request.device!r}; the devices are {known}.")
+        for name in ("value", "duration"):
+            if not math.isfinite(getattr(request, name)):
+                return SimulationFaultResponse(False, f"The {name} {getattr(request, name)} is not a finite number.")
+        try:
+            message = self._ask(self._devices[request.device], request)
+        except DeviceError as error:
+            return SimulationFaultResponse(False, str(error))
+        rospy.loginfo("Faults of the simulated %s: %s", request.device, message)
+        return SimulationFaultResponse(True, message)
+
+    @staticmethod
+    def _ask(device: ControlClient, request: SimulationFaultRequest) -> str:
+        if not request.fault:
+            listed = device.ask("faults")["faults"]
+            return " ".join(f"{fault['name']}: {fault['doc']}{' (on)' if fault['on'] else ''}." for fault in listed)
+        numbers = {"value": request.value or None, "duration": request.duration or None}
+        active = device.ask("fault", name=request.fault, on=request.on, **numbers)["active"]
+        return f"on: {', '.join(active)}." if active else "no fault is on."
+
+
+def fault_service() -> None:
+    """Runs the node simulation_faults with its private parameters."""
+    FaultService(private_config(FaultServiceConfig))
+    rospy.spin()

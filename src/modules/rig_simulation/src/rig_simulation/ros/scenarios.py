@@ -1,0 +1,266 @@
+"""The scenarios of the simulated operator on the running rig: its observations, actions and progress.
+
+Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
+are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up.
+assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from common.config import parse
+from common.errors import RigError
+from common.mounting import ToolConfig
+from common.ros.conversions import array, pose_from_message
+from common.ros.service_calls import ServiceFailed, call
+from common.rotations import rotation_from_quaternion
+from grasp_msgs.msg import GraspList, GraspOutcome
+from rig_simulation.control_port import ControlClient
+from rig_simulation.operator import assisted_grasp as assisted
+from rig_simulation.operator.pick_and_place import PickAndPlace, PickStep, PickView, Plan, heading, turn_to
+from rig_simulation.world.scene import scene_from
+
+PERIOD_S = 0.1
+GRIP_OFFSET = (-0.0152, 0.0, 0.0)
+"""From the tool point to the middle between fingers and thumb, in the flange's axes [m]: the hand's x axis is reversed
+there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
+AT_HOME, FOLLOWING = "home", "servo"
+LOST_S, AWAY_S, MOST_VISITS = 2.0, 2.0, 3
+"""After a lost stream: delay until the operator reacts, time of the hand out of view, and most entries into view."""
+FRESH_S = 2.0
+"""Proposals of an older image are ignored."""
+SERVICE_TIMEOUT_S = 10.0
+HOLD_S = 2.0
+NETWORK_START_S = 180.0
+"""On a busy machine, the libraries of the network take more than a minute to load."""
+
+
+class Scenario:
+    """A scenario: it observes the rig, moves the operator's hand, and publishes the progress when it changes.
+
+    Args:
+        name: of the scenario.
+        leapd: control port of the simulated Leap service, which must run guided.
+        world: control port of the simulated world.
+
+    Raises:
+        RigError: the arm is not upright.
+    """
+
+    def __init__(self, name: str, leapd: ControlClient, world: ControlClient) -> None:
+        self._name, self._leapd, self._world = name, leapd, world
+        kuka = rospy.get_param("kuka")
+        if any(kuka.get("mounting", [0.0])):
+            raise RigError(f"The scenario {name} needs an upright arm; kuka/mounting is {kuka['mounting']}.")
+        self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
+        self._center_line = np.asarray(kuka["center_line"], dtype=float)
+        self._shapes = scene_from(world.ask("scene")["scene"]).objects
+        # Orientation of the tool and its gripping point in the base; None before the first message
+        self._R: np.ndarray | None = None
+        self._grip: np.ndarray | None = None
+        self._mode = ""
+        self._published: dict[str, str] = {}
+        self._publisher = rospy.Publisher("simulation/scenario", DiagnosticStatus, queue_size=10, latch=True)
+        rospy.Subscriber("simulation/flange", PoseStamped, self._take_flange, queue_size=1)
+        rospy.Subscriber("kuka/mode", String, self._take_mode, queue_size=10)
+
+    def run(self) -> None:
+        """Runs until the scenario is over or ROS shuts down, then takes the hand away; DeviceError if devices fail."""
+        self._start()
+        while not rospy.is_shutdown():
+            time.sleep(PERIOD_S)
+            if self._grip is None:
+                continue
+            result = self._step(time.monotonic())
+            if result.move is not None:
+                self._leapd.ask("reach", **result.move.fields)
+            self._publish(result)
+            if result.over:
+                break
+        self._leapd.ask(assisted.HIDE)
+
+    def _start(self) -> None:
+        """Prepares the first step."""
+
+    def _step(self, now: float) -> PickStep:
+        """Advances the operator."""
+        raise NotImplementedError
+
+    def _publish(self, result: PickStep, **more: str) -> None:
+        step, failure = result.step, result.failure
+        values = {"scenario": self._name, "step": step, "failure": failure, **more}
+        if values == self._published:
+            return
+        if failure:
+            rospy.logerr("The scenario %s failed: %s.", self._name, failure)
+        elif step != self._published.get("step"):
+            rospy.loginfo("Scenario %s: %s", self._name, step)
+        self._published = values
+        level = DiagnosticStatus.ERROR if failure else DiagnosticStatus.OK
+        status = DiagnosticStatus(level=level, name="scenario", message=failure or step)
+        status.values = [KeyValue(key, value) for key, value in values.items()]
+        self._publisher.publish(status)
+
+    def _objects(self) -> dict[str, dict]:
+        """Returns the states of the objects, with `top`, the centre of the upper side, shape (3,) [m]."""
+        found = self._world.ask("objects")["objects"]
+        for name, seen in found.items():
+            seen["top"] = np.add(seen["position"], (0.0, 0.0, self._shapes[name].height / 2.0))
+        return found
+
+    def _take_flange(self, message: PoseStamped) -> None:
+        T_base_flange = pose_from_message(message.pose)
+        T_base_tool = T_base_flange @ self._T_flange_tool
+        self._R = T_base_tool[:3, :3]
+        self._grip = T_base_tool[:3, 3] + T_base_flange[:3, :3] @ GRIP_OFFSET
+
+    def _take_mode(self, message: String) -> None:
+        self._mode = message.data
+
+
+class PickScenario(Scenario):
+    """Picks the object `thing` up and puts it down; raises RigError if the scene has no such object."""
+
+    def __init__(self, name: str, thing: str, leapd: ControlClient, world: ControlClient) -> None:
+        super().__init__(name, leapd, world)
+        self._thing, self._visits = thing, 0
+        if thing not in self._shapes:
+            raise RigError(f"The scenario {name} needs an object {thing!r}; the scene has {sorted(self._shapes)}.")
+
+    def _start(self) -> None:
+        self._leapd.ask(assisted.SHOW)
+        self._operator, self._followed = PickAndPlace(Plan(), self._center_line), None
+        self._visits += 1
+
+    def _step(self, now: float) -> PickStep:
+        seen = self._objects()[self._thing]
+        view = PickView(self._grip, seen["top"], seen["clearance"], self._mode == FOLLOWING)
+        if view.following:
+            self._followed = now
+        elif self._followed is not None and now - self._followed > LOST_S and self._visits < MOST_VISITS:
+            rospy.logwarn("The arm stopped following: the hand leaves the view, comes in again, and starts over.")
+            self._leapd.ask(assisted.HIDE)
+            time.sleep(AWAY_S)
+            self._start()
+            return PickStep("wait")
+        return self._operator.step(view, now)
+
+
+class AssistedScenario(Scenario):
+    """Executes proposed grasps, and corrects them by hand; `rounds`: number of grasps."""
+
+    def __init__(self, name: str, rounds: int, leapd: ControlClient, world: ControlClient) -> None:
+        super().__init__(name, leapd, world)
+        self._operator = assisted.AssistedGrasp(assisted.OperatorHabits(rounds), Plan(hold=HOLD_S), self._center_line)
+        self._streams = False
+        self._grasps: GraspList | None = None
+        self._execution: dict[str, str] = {}
+        self._outcome: assisted.GraspReport | None = None
+        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=10)
+        rospy.Subscriber("ggcnn/out/grasps", GraspList, self._take_grasps, queue_size=1)
+        rospy.Subscriber("grasping/state", DiagnosticStatus, self._take_execution, queue_size=10)
+        rospy.Subscriber("grasping/outcome", GraspOutcome, self._take_outcome, queue_size=10)
+
+    def _start(self) -> None:
+        """Waits for the first list of grasps; without one, the operator reports why it gives up."""
+        deadline = time.monotonic() + NETWORK_START_S
+        while not rospy.is_shutdown() and self._grasps is None and time.monotonic() < deadline:
+            self._publish(PickStep("network starts"))
+            time.sleep(PERIOD_S)
+
+    def _step(self, now: float) -> assisted.AssistedStep:
+        result = self._operator.step(self._view(), now)
+        if result.request in (assisted.SHOW, assisted.HIDE):
+            self._leapd.ask(result.request)
+        elif result.request:
+            try:
+                answer = call(f"grasping/{result.request}", Trigger, timeout=SERVICE_TIMEOUT_S, wait=SERVICE_TIMEOUT_S)
+                success, message = answer.success, answer.message
+            except ServiceFailed as error:
+                success, message = False, str(error)
+            rospy.loginfo("grasping/%s: %s", result.request, message)
+            if result.request == assisted.EXECUTE:
+                self._operator.answer(success, message, time.monotonic())
+        return result
+
+    def _publish(self, result: PickStep, **more: str) -> None:
+        super()._publish(result, **(round_values(result.round) if isinstance(result, assisted.AssistedStep) else more))
+
+    def _view(self) -> assisted.AssistedView:
+        fingers = heading(self._R)
+        objects = {}
+        for name, seen in self._objects().items():
+            turn = turn_to(self._shapes[name], rotation_from_quaternion(seen["quaternion"]), fingers)
+            objects[name] = assisted.ObservedObject(seen["top"], seen["clearance"], turn)
+        proposal, complaint = self._best()
+        return assisted.AssistedView(
+            grip=self._grip,
+            heading=fingers,
+            following=self._streams and self._mode == FOLLOWING,
+            at_home=self._mode == AT_HOME,
+            objects=objects,
+            proposal=proposal,
+            complaint=complaint,
+            execution=self._execution.get("state", assisted.IDLE),
+            reason=self._execution.get("reason", ""),
+            outcome=self._outcome,
+        )
+
+    def _best(self) -> tuple[assisted.ProposedGrasp | None, str]:
+        """Returns the best reachable grasp of a fresh image, or None and the reason."""
+        grasps = self._grasps
+        if grasps is None:
+            return None, "no list of grasps has arrived yet"
+        age = (rospy.Time.now() - grasps.header.stamp).to_sec()
+        if age > FRESH_S:
+            return None, f"the newest image is {age:.1f} s old"
+        for grasp in grasps.grasps:
+            if grasp.reachable and grasp.pose_base.header.frame_id:
+                return assisted.ProposedGrasp(grasp.id, array(grasp.pose_base.pose.position)), ""
+        return None, grasps.grasps[0].reason if grasps.grasps else grasps.reason
+
+    def _take_stream(self, message: DiagnosticStatus) -> None:
+        self._streams = message.level == DiagnosticStatus.OK
+
+    def _take_grasps(self, message: GraspList) -> None:
+        self._grasps = message
+
+    def _take_execution(self, message: DiagnosticStatus) -> None:
+        self._execution = {value.key: value.value for value in message.values}
+
+    def _take_outcome(self, message: GraspOutcome) -> None:
+        self._outcome = assisted.GraspReport(message.episode, message.held, message.reason)
+
+
+def round_values(grasp: assisted.Round) -> dict[str, str]:
+    """Returns the published values of a grasp."""
+    return {
+        "round": str(grasp.number),
+        "object": grasp.object,
+        "proposals": str(grasp.proposals),
+        "executed": str(grasp.executed),
+        "refused": _sentences(grasp.refused),
+        "failed": _sentences(grasp.failed),
+        "correction_m": _number(grasp.correction),
+        "correction_rad": _number(grasp.turn),
+        "lifted_m": _number(grasp.lifted),
+        "held": "" if grasp.held is None else str(grasp.held).lower(),
+        "outcome": grasp.reason,
+    }
+
+
+def _sentences(reasons: tuple[str, ...]) -> str:
+    """Returns each different sentence once."""
+    return "; ".join(dict.fromkeys(sentence.rstrip(".") for sentence in reasons))
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.5f}"
