@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from loop_world import DT, FAST, HOME, SLOW, World, out_of_reach_and_back, ptp, reached, shifted
 
@@ -298,20 +298,32 @@ def wandering(seed, seconds):
     return tool
 
 
-@settings(max_examples=2)
-@given(st.integers(0, 10**6))
-@example(40584)
-def test_a_smooth_hand_never_counts_as_one_that_jumped(seed):
-    """Whatever it does before the base no PTP motion comes of it, and the goals keep the limits of speed."""
+def followed_without_a_jump(seed):
+    """Follows a smooth hand; returns whether it came back into reach far from the joints where it had left it."""
     tool = wandering(seed, 8.0)
     assume(all(x - y > 0.05 and z > 0.02 for x, y, z in (tool(t)[:3, 3] for t in np.arange(0.0, 8.0, 0.1))))
     world = World().following()
     first = len(world.arm.goals)
     world.run(8.0, tool)
     counts = world.loop.counts
-    assert counts["jumps"] == counts["flips"] == 0 and world.arm.told == [] and world.modes == ["servo"]
+    assert counts["jumps"] == 0
+    if counts["flips"] and counts["ik_failures"]:
+        return False
+    assert counts["flips"] == 0 and world.arm.told == [] and world.modes == ["servo"]
     assert np.max(tool_speeds(world, first)) < 1.02 * 0.65
     assert np.max(np.abs(np.diff(world.arm.goals[first:], axis=0)) / DT / world.rig.model.max_speed) < 0.9 + 1e-6
+    return True
+
+
+@settings(max_examples=2)
+@given(st.integers(0, 10**6))
+def test_a_smooth_hand_never_counts_as_one_that_jumped(seed):
+    """Before the base and in reach no PTP motion comes of it, and the goals keep the limits of speed."""
+    followed_without_a_jump(seed)
+
+
+def test_a_smooth_hand_that_comes_back_into_reach_close_by_is_followed():
+    assert followed_without_a_jump(40584)
 
 
 def test_without_shaping_a_hand_that_moved_on_during_the_pick_up_is_picked_up_again():
