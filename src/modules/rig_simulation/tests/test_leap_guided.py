@@ -57,9 +57,9 @@ def test_the_hand_reaches_where_it_was_sent_without_a_step(right, up, back, curl
     guided = GuidedOperator(ScriptedOperator(Script()))
     playback = Playback(guided)
     guided.show()
-    hands(playback, 0.5)
+    start = hands(playback, 0.5)[-1]
     guided.reach(right=right, up=up, back=back, curl=curl, seconds=seconds)
-    way = hands(playback, seconds + 0.2)
+    way = [start, *hands(playback, seconds + 0.2)]
     assert None not in way and len({hand.id for hand in way}) == 1
     palms = np.array([hand.palm for hand in way])
     target = np.array([right, up, back])
