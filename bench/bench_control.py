@@ -8,14 +8,14 @@ import yaml
 from bench.measure import SRC, Row, row, timed
 from common.config import parse
 from common.poses import pose, read_only
-from kuka_control.loop import assembly
+from kuka_control.loop import algorithms
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import Inputs, Servo
 from kuka_control.loop.controller import Controller
-from kuka_control.loop.switches import SwitchState
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
+from kuka_control.model.switches import SwitchState
 
 CLOCK_S = 1.7e9
 GOAL_S = 1.0 / 250.0
@@ -55,9 +55,6 @@ class IdealArm(Arm):
     def close(self) -> None:
         """Has nothing to close."""
 
-    def abort(self) -> None:
-        """Has nothing to drop."""
-
     def _be_at(self, q: np.ndarray) -> None:
         self.state = ArmState(joints=read_only(q))
 
@@ -83,7 +80,7 @@ def rows(quick: bool) -> list[Row]:
     times, targets = timed(resolve, [(T,) for T in circle])
     table = [row("kuka_control: target chain", times, "us", f"scaling, workspace, IK; {settings}")]
 
-    limits = assembly.motion_limits(config, rig)
+    limits = algorithms.motion_limits(config, rig)
     limits.reset(rig.home.q)
     times, _ = timed(lambda q: limits.step(q, limits.goal, FRAME_S), [(target.q,) for target in targets])
     table.append(row("kuka_control: motion limits", times, "us", settings))
@@ -91,7 +88,7 @@ def rows(quick: bool) -> list[Row]:
 
 
 def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings: str) -> list[Row]:
-    controller = Controller(IdealArm(rig.home.q), assembly.real_time_loop(config, rig))
+    controller = Controller(IdealArm(rig.home.q), algorithms.real_time_loop(config, rig))
     inputs = []
     for i in range(GOALS_PER_FRAME * len(circle)):
         now = 100.0 + i * GOAL_S

@@ -10,7 +10,7 @@ from bench.solvers import ITERATIONS, TOLERANCE, DampedLeastSquares, Kdl, arm_mo
 from common.config import parse
 from common.poses import translation
 from iiwa_kinematics import ROBOTS, Kinematics, kinematics_of, robot_model
-from kuka_control.model.calibration_file import DhDeviations
+from kuka_control.model.config import DhDeviations
 
 FLANGE = "MF_elektrisch"
 NEAR_RAD = np.radians(2.0)

@@ -11,15 +11,14 @@ import yaml
 from bench.measure import SRC
 from common.config import parse
 from common.poses import read_only
-from kuka_control.loop import assembly
+from kuka_control.loop import algorithms
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Inputs, Servo
 from kuka_control.loop.controller import Controller
-from kuka_control.loop.switches import SwitchState
-from kuka_control.model.calibration_file import DhDeviations
-from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.config import DhDeviations, RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
+from kuka_control.model.switches import SwitchState
 from rig_simulation.devices.sunrise.arm import ArmSettings
 from rig_simulation.devices.sunrise.arm import SimulatedArm as Joints
 from rig_simulation.devices.sunrise.robot import CYCLE_S, Robot
@@ -71,9 +70,6 @@ class SimulatedArm(Arm):
     def close(self) -> None:
         """Has nothing to close."""
 
-    def abort(self) -> None:
-        """Has nothing to drop."""
-
 
 class SimulatedRig:
     """A controller on a simulated arm, and a hand.
@@ -100,7 +96,7 @@ class SimulatedRig:
         self.joints = Joints(robot, ArmSettings(servo_law=server_law))
         self.joints.attach(self.rig.T_flange_tool)
         self.arm = SimulatedArm(self.joints)
-        self.loop = assembly.real_time_loop(self.config, self.rig)
+        self.loop = algorithms.real_time_loop(self.config, self.rig)
         self.controller = Controller(self.arm, self.loop)
         self.now = 100.0
         self.newest: DesiredFrame | None = None

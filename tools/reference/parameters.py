@@ -50,7 +50,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "kuka_control/config/ceiling.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
     "kuka_control/config/marker_ring.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
     "kuka_control/config/wall.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
-    "kuka_control/config/dh_parameters_example.yaml": (Part("kuka_control.model.calibration_file:DhDeviations"),),
+    "kuka_control/config/dh_parameters_example.yaml": (Part("kuka_control.model.config:DhDeviations"),),
     "leap_kuka/config/leap_params.yaml": (Part("leap_kuka.config:LeapConfig"),),
     "grasping/config/collection.yaml": (
         Part("grasping.lab.ros.collection_setup:CollectionConfig", above=True),

@@ -13,7 +13,7 @@ import time
 
 import rospy
 
-from kuka_control.loop.switches import Switches
+from kuka_control.model.switches import Switches
 from kuka_control.ros.services import Services
 from rig_msgs.msg import KukaStatus
 
@@ -46,7 +46,7 @@ def main() -> None:
     services = Services(switches)
     publisher = rospy.Publisher("kuka/status", KukaStatus, queue_size=10, latch=True)
     while not rospy.is_shutdown():
-        now = switches.read()
+        now = switches.now
         status = KukaStatus(
             host=arguments.host, pid=arguments.pid, control_on=now.control_on, gripper_on=now.gripper_on,
             scaling_factor=now.scale, mode="home", reason="The arm is at home.",

@@ -12,15 +12,15 @@ from common.config import parse
 from common.poses import read_only
 from common.rotations import rotation_about
 from kst import MotionRefused
-from kuka_control.loop import assembly
+from kuka_control.loop import algorithms
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Inputs
 from kuka_control.loop.controller import Controller
-from kuka_control.loop.switches import SwitchState
 from kuka_control.loop.transitions import State, transitions_among
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
+from kuka_control.model.switches import SwitchState
 
 CONFIG = Path(__file__).parents[1] / "config"
 CLOCK = 1.7e9
@@ -103,9 +103,6 @@ class FakeArm(Arm):
     def close(self):
         self.mode = "closed"
 
-    def abort(self):
-        self.mode = "closed"
-
     def _refuse(self, what):
         if self.refuse == what:
             self.mode = self.mode if what == "read" else "idle"
@@ -121,7 +118,7 @@ class World:
 
     def __init__(self, schema=RealTimeConfig, **changes):
         settings, self.rig = rig(schema, **changes)
-        make = assembly.real_time_loop if schema is RealTimeConfig else assembly.ptp_loop
+        make = algorithms.real_time_loop if schema is RealTimeConfig else algorithms.ptp_loop
         self.arm = FakeArm()
         self.loop = make(settings, self.rig)
         self.controller = Controller(self.arm, self.loop)

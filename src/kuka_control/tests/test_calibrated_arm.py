@@ -13,7 +13,7 @@ from common.config import parse
 from common.poses import pose
 from common.rotations import rotation_about
 from iiwa_kinematics import nominal_parameters, robot_model
-from kuka_control.model.calibration_file import DhDeviations
+from kuka_control.model.config import DhDeviations
 from rig_simulation.devices.sunrise.robot import Robot
 
 EXAMPLE = Path(__file__).parents[1] / "config" / "dh_parameters_example.yaml"

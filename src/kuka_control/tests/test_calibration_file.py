@@ -10,7 +10,7 @@ import yaml
 
 from common.config import parse
 from common.errors import ConfigError
-from kuka_control.model.calibration_file import DhDeviations
+from kuka_control.model.config import DhDeviations
 
 EXAMPLE = Path(__file__).parents[1] / "config" / "dh_parameters_example.yaml"
 

@@ -12,8 +12,7 @@ import yaml
 from common.config import keys, parse
 from common.errors import ConfigError, RigError
 from common.poses import translation
-from kuka_control.model.calibration_file import DhDeviations
-from kuka_control.model.config import PtpConfig, RealTimeConfig, neighbours
+from kuka_control.model.config import DhDeviations, PtpConfig, RealTimeConfig, neighbours
 from kuka_control.model.rig import Rig
 
 CONFIG = Path(__file__).parents[1] / "config"

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from kuka_control.ros import controller_process as processes_of_controllers
+from kuka_control.ros import emergency as processes_of_controllers
 
 SLEEP = "import time; print('ready', flush=True); time.sleep(60)"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.model.frame_sources import HANDOVER_S, FrameSources
+from kuka_control.model.desired_frame import HANDOVER_S, FrameSources
 
 BASE, LEAP, TOOL = "kuka/base_frame", "leap_motion/virtual_frame", "kuka/tool_frame/desired"
 

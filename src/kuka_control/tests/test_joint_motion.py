@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from common.poses import translation
 from iiwa_kinematics import forward
 from iiwa_kinematics.robot_model import robot_model
-from kuka_control.limits.joint_motion import ARRIVED_DEG, JointMotion
+from kuka_control.model.joint_configurations import ARRIVED_DEG, JointMotion
 
 MODEL = robot_model("LBR7R800", "MF_elektrisch")
 TOOL = translation(0.0, 0.0, 0.106)

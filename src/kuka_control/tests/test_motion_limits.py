@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kuka_control.limits.jump import LOST_S, TOLERANCE_RAD, is_jump
 from kuka_control.limits.motion_limits import (
     ARM_S,
     LEAD_RAD,
@@ -17,6 +16,7 @@ from kuka_control.limits.motion_limits import (
     SpeedLimits,
     Unlimited,
 )
+from kuka_control.loop.goal_stream import LOST_S, TOLERANCE_RAD, is_jump
 
 SPEEDS = np.radians([98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0])
 ACCELERATION = 12.0 * SPEEDS / SPEEDS[0]

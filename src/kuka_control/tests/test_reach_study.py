@@ -12,9 +12,8 @@ from common.poses import translation
 from iiwa_kinematics import IkFailure, Kinematics
 from iiwa_kinematics.robot_model import robot_model
 from kuka_control.model.home_pose import home_pose
-from kuka_control.model.reach_study import ReachStudy, study_reach, tool_rotation
 from kuka_control.model.workspace import Workspace
-from kuka_control.model.workspace_samples import volume_samples
+from kuka_control.model.workspace_study import ReachStudy, study_reach, tool_rotation, volume_samples
 
 MODEL = robot_model("LBR7R800", "MF_elektrisch")
 TOOL_M = 0.106

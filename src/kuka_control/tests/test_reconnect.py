@@ -9,9 +9,9 @@ import pytest
 
 from kst import ConnectionLost, NoServer, UnexpectedReply
 from kuka_control.loop.commands import Inputs, Observation, StartPtp, Step, Wait
-from kuka_control.loop.reconnect import LONGEST_PAUSE_S, REMIND_S, ReconnectSupervisor
-from kuka_control.loop.switches import SwitchState
+from kuka_control.loop.controller import LONGEST_PAUSE_S, REMIND_S, ReconnectSupervisor
 from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.switches import SwitchState
 
 LOST = ConnectionLost("the link to the controller broke")
 OLD = DesiredFrame(np.eye(4), 1.0)

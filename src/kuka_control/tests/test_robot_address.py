@@ -9,7 +9,7 @@ import yaml
 from common.errors import ConfigError
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from kuka_control.model.robot_address import OPTIONS, robot_address
+from kuka_control.model.config import OPTIONS, robot_address
 
 CONFIG = Path(__file__).parents[1] / "config"
 

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from kuka_control.model.scaling import check_scaling_factor, scaled
+from kuka_control.model.switches import check_scaling_factor
+from kuka_control.model.target import scaled
 
 positions = st_numpy.arrays(float, 3, elements=st.floats(-2.0, 2.0))
 factors = st.floats(0.1, 1.5)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kuka_control.loop.servo_law import lts
-from kuka_control.loop.servo_law_identification import TURN_RAD, ServoLawIdentification, ServoLawResult, verdict
+from kuka_control.loop.servo_law import TURN_RAD, ServoLawIdentification, ServoLawResult, lts, verdict
 
 HOME = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
 DT = 0.004

@@ -22,7 +22,7 @@ from kuka_control.loop.transitions import (
     transitions_among,
 )
 from kuka_control.model.config import PtpConfig, RealTimeConfig
-from kuka_control.model.mode import Mode
+from kuka_control.model.switches import Mode
 
 STATES = {RealTimeConfig: REAL_TIME_STATES, PtpConfig: PTP_STATES}
 INFEASIBLE = pose(HOME.T_base_tool[:3, :3], (-0.3, 0.3, 0.4))

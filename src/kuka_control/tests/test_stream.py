@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from common.poses import pose
-from kuka_control.loop.stream import DesiredStream
-from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
 
 CLOCK = 1.7e9
 

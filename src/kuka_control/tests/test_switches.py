@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.loop.switches import Switches
+from kuka_control.model.switches import Switches
 
 
 def switches(mode="home", stopped=None):
@@ -17,15 +17,15 @@ def switches(mode="home", stopped=None):
 
 
 def test_everything_is_off_at_the_start():
-    now = Switches().read()
+    now = Switches().now
     assert (now.control_on, now.gripper_on, now.scale, now.exit_requested) == (False, False, 1.0, False)
 
 
 def test_control_goes_on_and_off():
     s = switches()
-    assert s.set_control(True).success and s.read().control_on
+    assert s.set_control(True).success and s.now.control_on
     assert s.set_control(True).message == "Control is on already."
-    assert s.set_control(False).success and not s.read().control_on
+    assert s.set_control(False).success and not s.now.control_on
     assert s.set_control(False).message == "Control is off already."
 
 
@@ -33,7 +33,7 @@ def test_each_engagement_counts():
     s = switches()
     for on in (True, True, False, True, False, False, True):
         s.set_control(on)
-    assert s.read().enable_count == 3
+    assert s.now.enable_count == 3
 
 
 def test_before_home_control_says_that_the_arm_goes_there_first():
@@ -54,14 +54,14 @@ def test_a_stopped_arm_wants_control_off_and_on_again():
 def test_scaling_within_its_range(factor):
     s = switches()
     assert s.set_scale(float(np.float32(factor))).success
-    assert s.read().scale == pytest.approx(factor, abs=1e-6)
+    assert s.now.scale == pytest.approx(factor, abs=1e-6)
 
 
 @pytest.mark.parametrize("factor", [0.0999, 1.5001, 0.0, -1.0, float("nan"), float("inf")])
 def test_scaling_outside_its_range_is_refused(factor):
     s = switches()
     answer = s.set_scale(factor)
-    assert not answer.success and "0.1 to 1.5" in answer.message and s.read().scale == 1.0
+    assert not answer.success and "0.1 to 1.5" in answer.message and s.now.scale == 1.0
 
 
 def test_scaling_is_refused_while_control_is_on():
@@ -78,7 +78,7 @@ def test_exit_switches_everything_off_for_good():
     s.set_control(True)
     s.set_gripper(True)
     assert s.request_exit().success
-    now = s.read()
+    now = s.now
     assert (now.control_on, now.gripper_on, now.exit_requested) == (False, False, True)
     assert not s.set_control(True).success and not s.set_gripper(True).success
     assert s.request_exit().success
@@ -88,12 +88,12 @@ def test_while_control_is_held_it_cannot_be_switched_on():
     switches = Switches()
     switches.set_control(True)
     switches.hold("the robot is out of reach")
-    assert not switches.read().control_on
+    assert not switches.now.control_on
     answer = switches.set_control(True)
     assert not answer.success and answer.message == "Control stays off: the robot is out of reach."
     assert switches.set_control(False).success
     switches.release()
-    assert switches.set_control(True).success and switches.read().enable_count == 2
+    assert switches.set_control(True).success and switches.now.enable_count == 2
 
 
 def test_a_controller_whose_control_is_held_says_that_it_leaves_the_arm():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.loop.target_motion import CONTINUED_S, FADE_S, TargetMotion
+from kuka_control.loop.goal_stream import CONTINUED_S, FADE_S, TargetMotion
 
 UPPER = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
 SKEW = 1.7e9

@@ -15,8 +15,7 @@ from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig
-from kuka_control.model.scaling import scaled, unscaled
-from kuka_control.model.tool_check import check_tool_pose, seed
+from kuka_control.model.target import check_tool_pose, scaled, seed, unscaled
 from kuka_control.model.workspace import Infeasible
 
 CONFIG = Path(__file__).parents[1] / "config" / "kuka_params_rt.yaml"

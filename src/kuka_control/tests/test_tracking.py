@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kuka_control.loop.ptp_supervision import PtpSupervision
-from kuka_control.loop.tracking import TrackingMonitor
+from kuka_control.loop.tracking import PtpSupervision, TrackingMonitor
 from rig_simulation.devices.sunrise.paths import JointMove
 
 DT = 0.004

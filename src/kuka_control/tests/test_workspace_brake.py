@@ -13,8 +13,7 @@ from bench.simulated import SimulatedRig
 from iiwa_kinematics import Kinematics
 from iiwa_kinematics.robot_model import robot_model
 from kuka_control.limits.motion_limits import MotionLimits, SpeedLimits
-from kuka_control.limits.speed_change import JointState, ShapeLimits, SpeedChange
-from kuka_control.limits.workspace_brake import SLACK_M, WorkspaceBrake
+from kuka_control.limits.speed_change import SLACK_M, JointState, ShapeLimits, SpeedChange, WorkspaceBrake
 from kuka_control.model.workspace import Workspace
 
 DT = 0.004

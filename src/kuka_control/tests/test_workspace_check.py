@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from common.errors import ConfigError
-from kuka_control.model.workspace_check import checked_rig
-from kuka_control.model.workspace_report import sentences, title
+from kuka_control.model.rig import checked_rig
+from kuka_control.model.workspace_study import sentences, title
 
 CONFIG = Path(__file__).parents[1] / "config"
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kuka_control.model.workspace import Bound, Workspace
-from kuka_control.model.workspace_samples import SEVERAL, UNCHANGED, constrained_samples, volume_samples
+from kuka_control.model.workspace_study import SEVERAL, UNCHANGED, constrained_samples, volume_samples
 
 COUNT = 400
 

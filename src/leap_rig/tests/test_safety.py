@@ -339,7 +339,7 @@ def test_a_node_that_is_killed_in_a_stream_sends_the_arm_home(rig):
 @pytest.mark.parametrize("stop", ["service", "button", "button, the controller hangs"])
 def test_an_emergency_stop_ends_the_controller_and_the_arm_stands(rig, stop):
     from common.ros.service_calls import ServiceClient
-    from kuka_control.ros import controller_process, emergency
+    from kuka_control.ros import emergency
     from kuka_msgs.srv import exitAppEmergency
 
     rig.follow(right=-0.06)
@@ -349,7 +349,7 @@ def test_an_emergency_stop_ends_the_controller_and_the_arm_stands(rig, stop):
     if stop == "service":
         assert rig.call("kuka/exit_app_emergency", exitAppEmergency).success
     else:
-        process = controller_process.find(rig.status.pid)
+        process = emergency.find(rig.status.pid)
         if "hangs" in stop:
             rig.suspend(CONTROLLER)
         client = ServiceClient(emergency.SERVICE, exitAppEmergency)

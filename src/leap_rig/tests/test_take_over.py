@@ -14,14 +14,14 @@ import yaml
 from common.config import parse
 from common.poses import read_only
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
-from kuka_control.loop import assembly
+from kuka_control.loop import algorithms
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import Inputs
 from kuka_control.loop.controller import Controller
-from kuka_control.loop.switches import SwitchState
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig as KukaRig
+from kuka_control.model.switches import SwitchState
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.tool_hold import HoldState
@@ -68,9 +68,6 @@ class StillArm(Arm):
     def close(self):
         pass
 
-    def abort(self):
-        pass
-
     def _tell(self, q):
         self.state = ArmState(read_only(q))
 
@@ -87,7 +84,7 @@ class Rig:
         leap = parse(LeapConfig, parameters("leap_kuka/config/leap_params.yaml"), "leap/")
         self.teleop = ArmTeleop(leap, parse(ArmPlacement, known, "kuka/"))
         self.arm = StillArm()
-        self.controller = Controller(self.arm, assembly.real_time_loop(config, self.rig))
+        self.controller = Controller(self.arm, algorithms.real_time_loop(config, self.rig))
         self.scale = 1.0
         self.control_on = False
         self.now = 100.0

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from common.poses import pose, translation
 from kst import codec
-from kst.codec import Feedback, KstLineSplitter, ReplyKind, ServerThread, ToolTransform, parse_reply
-from kst.poses import rotation_from_zyx
+from kst.codec import Feedback, KstLineSplitter, ReplyKind, ServerThread, ToolTransform, parse_reply, rotation_from_zyx
 
 doubles = st.floats(allow_nan=False, allow_infinity=False)
 angles = st.floats(-math.pi, math.pi)

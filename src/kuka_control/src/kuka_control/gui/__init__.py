@@ -1,1 +1,1 @@
-"""Windows without ROS: the control panel (`panel_state`, `panel`) and the drawings of the workspace (`plot`)."""
+"""Windows without ROS: the control panel (`panel_state`, `panel`), drawings of the workspace (`plot`, `plot_scene`)."""

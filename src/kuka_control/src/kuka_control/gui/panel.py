@@ -5,12 +5,15 @@ It holds no state: `show_state` sets what the widgets show, and signals carry th
 
 from __future__ import annotations
 
+import html
+
 from python_qt_binding.QtCore import Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
 from python_qt_binding.QtWidgets import (
     QGridLayout,
     QGroupBox,
     QHBoxLayout,
+    QLabel,
     QPushButton,
     QShortcut,
     QSizePolicy,
@@ -20,12 +23,126 @@ from python_qt_binding.QtWidgets import (
 )
 
 from kuka_control.gui.panel_state import PanelState, Tone
-from kuka_control.gui.sentence import Sentence, label
-from kuka_control.gui.style import STYLE
-from kuka_control.model.scaling import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
+from kuka_control.model.switches import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
 
-STEPS_PER_UNIT = 10
-"""The slider moves in tenths."""
+GREEN = "#2e9e44"
+RED = "#c62828"
+
+STYLE = f"""
+ControlPanel {{ background-color: #f4f6f8; }}
+ControlPanel QLabel {{ color: #1f2933; font-size: 11pt; }}
+ControlPanel QGroupBox {{
+  color: #52606d; font-size: 10pt; font-weight: bold;
+  background-color: #ffffff; border: 1px solid #cbd2d9; border-radius: 8px; margin-top: 22px; padding: 6px;
+}}
+ControlPanel QGroupBox::title {{ subcontrol-origin: margin; left: 4px; top: 2px; }}
+ControlPanel QPushButton {{
+  color: #1f2933; background-color: #e4e7eb; font-size: 11pt; font-weight: normal;
+  border: 2px solid #cbd2d9; border-radius: 6px; padding: 4px 10px;
+}}
+ControlPanel QPushButton:hover {{ background-color: #d8dde3; }}
+ControlPanel QPushButton:pressed {{ background-color: #cbd2d9; }}
+ControlPanel QPushButton:focus {{ border-color: #2563eb; }}
+ControlPanel QPushButton:disabled {{ color: #9aa5b1; background-color: #f1f3f5; border-color: #e4e7eb; }}
+ControlPanel QPushButton[checkable="true"] {{ font-size: 13pt; }}
+ControlPanel QPushButton:checked {{
+  color: white; background-color: {GREEN}; border-color: #23803a; font-weight: bold;
+}}
+ControlPanel QPushButton:checked:focus {{ border-color: #14532d; }}
+ControlPanel QPushButton#emergency {{
+  color: white; background-color: {RED}; border: 3px solid #8e1b1b; font-size: 15pt; font-weight: bold;
+}}
+ControlPanel QPushButton#emergency:focus {{ border-color: #1f2933; }}
+ControlPanel QPushButton#emergency:hover {{ background-color: #d63232; }}
+ControlPanel QPushButton#emergency:pressed {{ background-color: #8e1b1b; }}
+ControlPanel QSlider::groove:horizontal {{ height: 6px; border-radius: 3px; background-color: #cbd2d9; }}
+ControlPanel QSlider::sub-page:horizontal {{ border-radius: 3px; background-color: #2563eb; }}
+ControlPanel QSlider::handle:horizontal {{
+  width: 22px; height: 22px; margin: -10px 0; border: 2px solid #2563eb; border-radius: 12px; background-color: #ffffff;
+}}
+ControlPanel QSlider::handle:horizontal:focus {{ background-color: #bfd4fb; }}
+ControlPanel QSlider::sub-page:horizontal:disabled {{ background-color: #b4bec8; }}
+ControlPanel QSlider::handle:horizontal:disabled {{ border-color: #b4bec8; background-color: #f1f3f5; }}
+ControlPanel QLabel:disabled {{ color: #9aa5b1; }}
+ControlPanel QLabel#end {{ color: #7b8794; font-size: 9pt; }}
+ControlPanel QLabel[tone] {{
+  padding: 6px 10px; background-color: #ffffff; border: 1px solid #cbd2d9; border-radius: 6px;
+}}
+ControlPanel QLabel[tone="silent"] {{ background-color: transparent; border-color: transparent; }}
+ControlPanel QLabel[tone="warning"] {{ background-color: #fff3d6; border-color: #e0b64a; }}
+ControlPanel QLabel[tone="fault"] {{ background-color: #fde3e3; border-color: #d98282; }}
+"""
+
+
+FRAME_PX = 18  # height of frame and padding above and below the text
+UNBOUNDED_PX = 10_000
+STEPS_PER_UNIT = 10  # the slider moves in tenths
+EXIT_TIP = "The arm goes to the zero position, then the controller exits."
+LOCKED_TIP = "Switch ROS Control off to change the scaling factor."
+
+
+class Sentence(QLabel):
+    """A sentence in a frame with room for `lines` lines; a longer one is cut, and whole in `full` and the tool tip.
+
+    What a controller says is shown as it is, and never changes the panel's size.
+    """
+
+    def __init__(self, lines: int) -> None:
+        super().__init__()
+        self._lines = lines
+        self.setTextFormat(Qt.PlainText)
+        self.setWordWrap(True)
+        self.setAlignment(Qt.AlignTop | Qt.AlignLeft)
+        self.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Fixed)
+        self.full = ""
+        self.show_text("", Tone.NORMAL)
+
+    def show_text(self, text: str, tone: Tone) -> None:
+        """Shows the text in the colour of its tone."""
+        shown = tone.value if text else "silent"
+        if self.property("tone") != shown:
+            self.setProperty("tone", shown)
+            self.style().unpolish(self)  # Qt looks at properties only then
+            self.style().polish(self)
+        if text != self.full:
+            self.full = text
+            self._fit()
+
+    def resizeEvent(self, event) -> None:
+        """Fits the text to the new size."""
+        super().resizeEvent(event)
+        self._fit()
+
+    def changeEvent(self, event) -> None:
+        """Makes room for the lines in a new font."""
+        super().changeEvent(event)
+        self.setFixedHeight(self._height_of("\n" * (self._lines - 1)) + FRAME_PX)
+
+    def _fit(self) -> None:
+        shown = self.full
+        while shown and not self._fits(shown):
+            shown = shown[: -2 - len(shown) // 20].rstrip() + "…"
+        self.setText(shown)
+        self.setToolTip("" if shown == self.full else f"<p>{html.escape(self.full)}</p>")
+
+    def _fits(self, text: str) -> bool:
+        return self._height_of(text) <= self._height_of("\n" * (self._lines - 1))
+
+    def _height_of(self, text: str) -> int:
+        """Returns the height of the text at the present width [px]; a word too long for a line counts as too high."""
+        width = self.contentsRect().width()
+        flags = int(Qt.TextWordWrap | Qt.AlignTop | Qt.AlignLeft)
+        needed = self.fontMetrics().boundingRect(0, 0, width, UNBOUNDED_PX, flags, text)
+        return needed.height() if needed.width() <= width else UNBOUNDED_PX
+
+
+def label(text: str = "", name: str = "") -> QLabel:
+    """Returns a label that shows its text as it is."""
+    widget = QLabel(text)
+    widget.setObjectName(name)
+    widget.setTextFormat(Qt.PlainText)
+    return widget
+
 
 EMERGENCY_TIP = (
     "Stops the controller at once, by force if it hangs. The arm holds its last goal;\n"
@@ -33,8 +150,6 @@ EMERGENCY_TIP = (
     "Keys, while this window has the keyboard: Esc always, the space bar unless Tab has moved the focus.\n"
     "This is no safety function: keep that button within reach."
 )
-EXIT_TIP = "The arm goes to the zero position, then the controller exits."
-LOCKED_TIP = "Switch ROS Control off to change the scaling factor."
 
 
 class ControlPanel(QWidget):
@@ -117,8 +232,8 @@ class ControlPanel(QWidget):
 
     def _connect(self) -> None:
         # clicked comes from the operator only; show_state never triggers it.
-        self.control.clicked.connect(self._ask_control)
-        self.gripper.clicked.connect(self._ask_gripper)
+        self.control.clicked.connect(lambda on: self._ask(self.control, self.control_requested, on))
+        self.gripper.clicked.connect(lambda on: self._ask(self.gripper, self.gripper_requested, on))
         self.scaling.sliderReleased.connect(self._ask_scaling)
         self.scaling.valueChanged.connect(self._scaling_moved)
         self.reset.clicked.connect(lambda: self.scaling_requested.emit(SCALING_DEFAULT))
@@ -130,13 +245,9 @@ class ControlPanel(QWidget):
         shortcut.setAutoRepeat(False)
         shortcut.activated.connect(lambda: self.emergency_requested.emit())
 
-    def _ask_control(self, on: bool) -> None:
-        self.control.setChecked(not on)  # it turns green when the controller says that it is on
-        self.control_requested.emit(on)
-
-    def _ask_gripper(self, on: bool) -> None:
-        self.gripper.setChecked(not on)
-        self.gripper_requested.emit(on)
+    def _ask(self, button: QPushButton, request: Signal, on: bool) -> None:
+        button.setChecked(not on)  # it turns green when the controller says that it is on
+        request.emit(on)
 
     def _scaling_moved(self, steps: int) -> None:
         self.scaling_label.setText(f"Scaling Factor: {steps / STEPS_PER_UNIT:.1f}")

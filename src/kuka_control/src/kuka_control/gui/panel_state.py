@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from kuka_control.model.scaling import SCALING_DEFAULT
+from kuka_control.model.switches import SCALING_DEFAULT
 
-ABSENT_S = 1.5
-"""Without a status for this long the controller counts as absent [s]."""
+ABSENT_S = 1.5  # without a status for this long the controller counts as absent [s]
 
 
 class Tone(Enum):
@@ -36,17 +35,11 @@ class ControllerStatus:
 
 @dataclass(frozen=True)
 class PanelContext:
-    """What the control panel knows besides the status.
+    """What the control panel knows besides the status."""
 
-    Attributes:
-        master: address of the ROS master.
-        master_lost: it does not answer.
-        runs: whether the controller's process runs, None if it is on another machine.
-    """
-
-    master: str = ""
-    master_lost: bool = False
-    runs: bool | None = None
+    master: str = ""  # address of the ROS master
+    master_lost: bool = False  # it does not answer
+    runs: bool | None = None  # whether the controller's process runs, None if it is on another machine
 
 
 @dataclass(frozen=True)
@@ -83,9 +76,8 @@ def panel_state(status: ControllerStatus | None, now: float, context: PanelConte
     if context.master_lost:
         line = f"{line}\nThe ROS master at {context.master} does not answer; this controller still does."
         tone = Tone.WARNING if tone is Tone.NORMAL else tone
-    return PanelState(
-        True, status.control_on, status.gripper_on, status.scaling_factor, not status.control_on, line, tone
-    )
+    on = status.control_on
+    return PanelState(True, on, status.gripper_on, status.scaling_factor, not on, line, tone)
 
 
 def _absent(scaling_factor: float, line: str, tone: Tone) -> PanelState:

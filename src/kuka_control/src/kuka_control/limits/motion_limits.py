@@ -20,36 +20,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.limits.speed_change import JointState, ShapeLimits, SpeedChange
-from kuka_control.limits.workspace_brake import WorkspaceBrake
+from kuka_control.limits.speed_change import JointState, ShapeLimits, SpeedChange, WorkspaceBrake
 
-GAIN_PER_S = 40.0
-"""Gain on a small distance between goal and target [1/s]."""
-
-LATE_S = 0.04
-"""If a velocity change takes longer than this, the limits of acceleration and jerk hold the goal back [s]."""
-
-BRAKING_FRACTION = 0.4
-"""Fraction of the acceleration limit with which braking is planned; the jerk limit costs the rest."""
-
-MAX_CYCLE_S = 0.012
-"""Upper bound of one cycle: after a stall of the loop the goal does not catch up the lost time [s]."""
-
-ARM_S = 0.03
-"""Expected lag of an arm whose drives have a time constant of 40 ms [s]."""
-
+GAIN_PER_S = 40.0  # gain on a small distance between goal and target [1/s]
+LATE_S = 0.04  # if a velocity change takes longer than this, the limits of acceleration and jerk hold the goal back [s]
+BRAKING_FRACTION = 0.4  # of the acceleration limit, with which braking is planned; the jerk limit costs the rest
+MAX_CYCLE_S = 0.012  # upper bound of one cycle: after a stall of the loop the goal does not catch up the lost time [s]
+ARM_S = 0.03  # expected lag of an arm whose drives have a time constant of 40 ms [s]
 LEAD_RAD = (0.035, 0.065)
 """Excess lag of the arm at which the goal begins to slow down, and at which it waits [rad].
 
 The toolbox's servo law hardly speeds up for a more distant goal (docs/handbook/wire-protocols.md, "Servo mode"), and an
 arm that catches up such a lag is too fast when its target slows down."""
 
-LOOK_AHEAD_S = 0.005
-"""The tool speed is averaged over this time [s]."""
-
+LOOK_AHEAD_S = 0.005  # the tool speed is averaged over this time [s]
 AT_REST_RAD = 1e-6
-AT_REST_RAD_S = 1e-4
-"""A goal this close to a resting target, and this slow, is set to the target."""
+AT_REST_RAD_S = 1e-4  # a goal this close to a resting target, and this slow, is set to the target
 
 
 @dataclass(frozen=True)
@@ -95,6 +81,7 @@ class MotionLimits:
         self._lower = lower
         self._upper = upper
         self._braking = BRAKING_FRACTION * shape.acceleration
+        self._linear = self._braking / GAIN_PER_S**2
         self._tool_position = tool_position
         self._brake = brake
         self._change = SpeedChange(shape, lower, upper)
@@ -134,7 +121,8 @@ class MotionLimits:
         if scale < 1.0:
             scale = min(1.0, max(scale, max(self._used(speed)) + 0.5 * scale))
         allowed, limited_by = self._allowed(desired, measured, scale)
-        within = np.clip(allowed, -self._speed_within(q - self._lower), self._speed_within(self._upper - q))
+        down, up = self._speed_within(np.array((q - self._lower, self._upper - q)))
+        within = np.clip(allowed, -down, up)
         if np.max(np.abs(within - allowed)) > AT_REST_RAD_S:
             limited_by = limited_by or "joint limit"
         if self._approach(within, dt):
@@ -143,11 +131,10 @@ class MotionLimits:
         return LimitedGoal(self._now.q, read_only(self._now.v), limited_by or held_by or late)
 
     def _speed_within(self, room: np.ndarray) -> np.ndarray:
-        """Returns the speeds from which the joints can brake within a distance, shape (7,) [rad]."""
+        """Returns the speeds from which the joints can brake within distances, shape (n, 7) [rad]."""
         room = np.maximum(room, 0.0)
-        linear = self._braking / GAIN_PER_S**2
-        fast = np.sqrt(2.0 * self._braking * np.maximum(room - 0.5 * linear, 0.0))
-        return np.where(room <= linear, GAIN_PER_S * room, fast)
+        fast = np.sqrt(2.0 * self._braking * np.maximum(room - 0.5 * self._linear, 0.0))
+        return np.where(room <= self._linear, GAIN_PER_S * room, fast)
 
     def _desired_velocity(self, error: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, str | None]:
         """Returns the desired velocity, and "joint acceleration" if braking before the target limits it."""

@@ -17,30 +17,22 @@ import numpy as np
 from common.poses import read_only
 from kst import Feedback, KstClient, ReplyTimeout, UnexpectedReply
 
-NO_READING = (ReplyTimeout, UnexpectedReply)
-"""Errors of one missing or unusable answer on a link that may be sound."""
+NO_READING = (ReplyTimeout, UnexpectedReply)  # errors of one missing or unusable answer on a link that may be sound
 
 
 @dataclass(frozen=True)
 class ArmState:
     """The newest reading of each kind, None before the first; each reading is a new array object."""
 
-    joints: np.ndarray | None = None
-    """Measured joints, shape (7,) [rad]."""
-    torques_external: np.ndarray | None = None
-    """Torques on the joints from outside, as the robot's controller estimates them, shape (7,) [Nm]."""
-    torques_measured: np.ndarray | None = None
-    """Torques at the joint sensors, shape (7,) [Nm]."""
-    T_base_tool: np.ndarray | None = None
-    """Tool point as the robot's controller reports it, shape (4, 4) [m]; None while it reports none."""
-    force: np.ndarray | None = None
-    """Force at the tool point, in its axes, shape (3,) [N]."""
-    moment: np.ndarray | None = None
-    """Moment at the tool point, in its axes, shape (3,) [Nm]."""
+    joints: np.ndarray | None = None  # measured joints, shape (7,) [rad]
+    torques_external: np.ndarray | None = None  # from outside, as the controller estimates them, shape (7,) [Nm]
+    torques_measured: np.ndarray | None = None  # torques at the joint sensors, shape (7,) [Nm]
+    T_base_tool: np.ndarray | None = None  # as the robot's controller reports it, shape (4, 4) [m]; or None
+    force: np.ndarray | None = None  # force at the tool point, in its axes, shape (3,) [N]
+    moment: np.ndarray | None = None  # moment at the tool point, in its axes, shape (3,) [Nm]
 
 
-QUICK_S = 1e-3
-"""After an answer that took longer than this, no further question delays the next goal [s]."""
+QUICK_S = 1e-3  # after an answer that took longer than this, no further question delays the next goal [s]
 
 FIELD = {
     Feedback.JOINTS: "joints",
@@ -61,10 +53,12 @@ _T = TypeVar("_T")
 
 
 class Arm(ABC):
-    """A seven-joint arm that moves point to point or follows a stream of servo goals."""
+    """A seven-joint arm that moves point to point or follows a stream of servo goals.
 
-    state: ArmState = ArmState()
-    """The newest readings."""
+    Motions and servo mode raise kst.MotionRefused if the robot's controller refuses or has aborted them.
+    """
+
+    state: ArmState = ArmState()  # the newest readings
 
     @property
     def measured_joints(self) -> np.ndarray:
@@ -92,19 +86,11 @@ class Arm(ABC):
 
     @abstractmethod
     def start_ptp(self, q: np.ndarray, velocity: float) -> None:
-        """Starts a motion to q at the fraction `velocity` of the full joint speed, (0, 1]; returns once it is accepted.
-
-        Raises:
-            kst.MotionRefused: the robot's controller refused it.
-        """
+        """Starts a motion to q at the fraction `velocity` of the full joint speed, (0, 1]; returns once accepted."""
 
     @abstractmethod
     def ptp_arrived(self) -> bool:
-        """Returns whether the motion has ended, without waiting.
-
-        Raises:
-            kst.MotionRefused: the robot's controller aborted the motion.
-        """
+        """Returns whether the motion has ended, without waiting."""
 
     @abstractmethod
     def start_servo(self) -> None:
@@ -112,27 +98,15 @@ class Arm(ABC):
 
     @abstractmethod
     def servo(self, q: np.ndarray) -> None:
-        """Sends a servo goal; updates the joints in `state` at each call, the other quantities in turn.
-
-        Raises:
-            kst.MotionRefused: the robot's controller has left servo mode.
-        """
+        """Sends a servo goal; updates the joints in `state` at each call, the other quantities in turn."""
 
     @abstractmethod
     def stop_servo(self) -> None:
-        """Leaves servo mode once the arm stands at its last goal.
-
-        Raises:
-            kst.MotionRefused: the robot's controller had left servo mode before.
-        """
+        """Leaves servo mode once the arm stands at its last goal."""
 
     @abstractmethod
     def close(self) -> None:
         """Leaves servo mode if it runs, and closes the connection; never raises."""
-
-    @abstractmethod
-    def abort(self) -> None:
-        """Drops the connection without a command to the robot."""
 
 
 def _second_try(call: Callable[[], _T]) -> _T:
@@ -246,9 +220,6 @@ class KstArm(Arm):
 
     def close(self) -> None:
         self._client.close()
-
-    def abort(self) -> None:
-        self._client.abort()
 
     def _probe(self, q: np.ndarray) -> None:
         """Finds out which feedback the server lacks, by servo goals at the joints q of the arm."""

@@ -7,10 +7,9 @@ from typing import Union
 
 import numpy as np
 
-from kuka_control.loop.switches import SwitchState
-from kuka_control.loop.transitions import State, Trigger
+from kuka_control.loop.transitions import Action, State, Trigger
 from kuka_control.model.desired_frame import DesiredFrame
-from kuka_control.model.mode import Mode
+from kuka_control.model.switches import Mode, SwitchState
 from kuka_control.model.target import Target
 
 
@@ -18,26 +17,19 @@ from kuka_control.model.target import Target
 class Inputs:
     """What comes from outside in a cycle."""
 
-    desired: DesiredFrame | None = None
-    """The newest desired tool frame."""
-    clock: float = 0.0
-    """ROS time [s], the clock of the stamps."""
-    switches: SwitchState = SwitchState()
-    """What the operator switched."""
+    desired: DesiredFrame | None = None  # the newest desired tool frame
+    clock: float = 0.0  # ROS time [s], the clock of the stamps
+    switches: SwitchState = SwitchState()  # what the operator switched
 
 
 @dataclass(frozen=True)
 class Observation:
     """What a control loop decides on in a cycle."""
 
-    joints: np.ndarray
-    """Measured joints."""
-    inputs: Inputs = Inputs()
-    """What comes from outside."""
-    arrived: bool = True
-    """Whether no PTP motion runs."""
-    refused: str | None = None
-    """Why the robot's controller refused the last command."""
+    joints: np.ndarray  # measured joints
+    inputs: Inputs = Inputs()  # what comes from outside
+    arrived: bool = True  # whether no PTP motion runs
+    refused: str | None = None  # why the robot's controller refused the last command
 
 
 @dataclass(frozen=True)
@@ -80,6 +72,13 @@ class End:
 
 Command = Union[Wait, StartPtp, StartServo, Servo, StopServo, End]
 
+COMMANDS: dict[Action, Command] = {
+    Action.NONE: Wait(),
+    Action.START_SERVO: StartServo(),
+    Action.STOP_SERVO: StopServo(),
+}
+"""The commands of the actions that need no data."""
+
 
 @dataclass(frozen=True)
 class Event:
@@ -93,17 +92,10 @@ class Event:
 class Step:
     """The result of a cycle."""
 
-    command: Command
-    """For the arm."""
-    mode: Mode
-    """The published mode."""
-    reason: str
-    """Why this mode, in sentences."""
-    events: tuple[Event, ...]
-    """What to log."""
-    target: Target | None = None
-    """Where the arm goes, or what it follows."""
-    limited_by: tuple[str, ...] = ()
-    """The workspace bounds and the motion limits that acted on the last command."""
-    transitions: tuple[tuple[State, Trigger], ...] = ()
-    """The transitions taken in this cycle."""
+    command: Command  # for the arm
+    mode: Mode  # the published mode
+    reason: str  # why this mode, in sentences
+    events: tuple[Event, ...]  # what to log
+    target: Target | None = None  # where the arm goes, or what it follows
+    limited_by: tuple[str, ...] = ()  # the workspace bounds and the motion limits that acted on the last command
+    transitions: tuple[tuple[State, Trigger], ...] = ()  # the transitions taken in this cycle

@@ -20,31 +20,16 @@ from typing import Any, Callable, Generic, TypeVar, Union
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.loop.commands import (
-    Command,
-    End,
-    Event,
-    Observation,
-    Servo,
-    StartPtp,
-    StartServo,
-    Step,
-    StopServo,
-    Wait,
-)
-from kuka_control.loop.ptp_supervision import PtpSupervision
-from kuka_control.loop.stream import DesiredStream
-from kuka_control.loop.switches import SwitchState
+from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
+from kuka_control.loop.tracking import PtpSupervision
 from kuka_control.loop.transitions import Action, State, Trigger, transitions_among
-from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
+from kuka_control.model.switches import SwitchState
 from kuka_control.model.target import Target, TargetChain
 from kuka_control.model.workspace import Infeasible
 
-Q_ZERO = read_only(np.zeros(7))
-"""The joints in which the arm is left behind [rad]."""
-
-EXIT_PATIENCE_S = 2.0
-"""On exit, wait at most this long for an arm that something holds [s]."""
+Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [rad]
+EXIT_PATIENCE_S = 2.0  # on exit, wait at most this long for an arm that something holds [s]
 
 COUNTED = (
     *("goals_sent", "limited_goals", "workspace_clips", "ik_failures", "refused_frames"),
@@ -52,36 +37,18 @@ COUNTED = (
 )
 """The names of the counters; all are there from the start."""
 
-MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.ZERO))
-"""The states in which a PTP motion runs."""
-
-
-WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED}
-"""The states that forget the target."""
-
-COMMANDS: dict[Action, Command] = {
-    Action.NONE: Wait(),
-    Action.START_SERVO: StartServo(),
-    Action.STOP_SERVO: StopServo(),
-}
-"""The commands of the actions that need no data."""
+MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.ZERO))  # the states in which a PTP motion runs
+WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED}  # the states that forget the target
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Settings of both loops.
+    """Settings of both loops."""
 
-    Attributes:
-        q_home: home position, shape (7,) [rad].
-        time_out: go home after this time without a new desired tool frame [s].
-        velocity_home: fraction of the full joint speed to home at the start and when control goes off, and to zero.
-        velocity_return: the same to home after a time-out, and to a pick-up pose.
-    """
-
-    q_home: np.ndarray
-    time_out: float
-    velocity_home: float
-    velocity_return: float
+    q_home: np.ndarray  # home position, shape (7,) [rad]
+    time_out: float  # go home after this time without a new desired tool frame [s]
+    velocity_home: float  # fraction of the full joint speed to home at the start and when control goes off, and to zero
+    velocity_return: float  # the same to home after a time-out, and to a pick-up pose
 
 
 @dataclass(frozen=True)
@@ -94,23 +61,14 @@ class Fired:
 
 @dataclass(frozen=True)
 class Active:
-    """The present state with the data that belongs to it; a transition replaces it as a whole.
+    """The present state with the data that belongs to it; a transition replaces it as a whole."""
 
-    Attributes:
-        state: the state.
-        trigger: what led to it.
-        because: why it began.
-        reason: the published reason.
-        enable_count: the count of enablings under which the arm left home or was stopped.
-        data: what the state works with: the supervision of its motion, the identification, the stream of goals.
-    """
-
-    state: State = State.STARTING
-    trigger: Trigger | None = None
-    because: str = ""
-    reason: str = State.STARTING.text
-    enable_count: int = 0
-    data: Any = None
+    state: State = State.STARTING  # the state
+    trigger: Trigger | None = None  # what led to it
+    because: str = ""  # why it began
+    reason: str = State.STARTING.text  # the published reason
+    enable_count: int = 0  # the count of enablings under which the arm left home or was stopped
+    data: Any = None  # what the state works with: supervision of its motion, identification, or stream of goals
 
 
 @dataclass(frozen=True)
@@ -140,11 +98,9 @@ class ControlLoop(ABC, Generic[Settings]):
         stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it.
     """
 
-    STATES: frozenset[State]
-    """The states of the algorithm; the rows of the table between them are its transitions."""
+    STATES: frozenset[State]  # of the algorithm; the rows of the table between them are its transitions
 
-    PICK_UP = ""
-    """What a motion to a target goes to, in words."""
+    PICK_UP = ""  # what a motion to a target goes to, in words
 
     def __init__(self, settings: Settings, chain: TargetChain) -> None:
         self.counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
@@ -172,12 +128,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._taken: list[tuple[State, Trigger]] = []
 
     def step(self, observation: Observation, now: float) -> Step:
-        """Returns the command of this cycle, with what there is to report.
-
-        Args:
-            observation: the inputs.
-            now: monotonic time [s].
-        """
+        """Returns the command of this cycle, with what there is to report; `now` is monotonic [s]."""
         self._events, self._limited_by, self._taken = [], (), []
         update = self._stream.take(observation.inputs.desired, observation.inputs.clock, now)
         if update.refused:

@@ -1,4 +1,4 @@
-"""The servo goals of one stay in servo mode: from joint targets to goals within the limits.
+"""The servo goals of one stay in servo mode: from joint targets between frames to goals within the limits.
 
 A target may be far from the one before. If the desired tool frame itself jumped, or the joints are too far off, the arm
 does not servo there; else it catches up slowly.
@@ -6,62 +6,175 @@ does not servo there; else it catches up slowly.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
-from kuka_control.limits.jump import FrameSteps, is_jump
-from kuka_control.limits.motion_limits import MotionLimits, Unlimited
+from common.poses import read_only
+from common.rotations import rotation_angle
+from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
 from kuka_control.loop.servo_law import LtsGoals
-from kuka_control.loop.target_motion import MovingTarget, TargetMotion
 from kuka_control.loop.tracking import TrackingMonitor
 from kuka_control.loop.transitions import Trigger
 from kuka_control.model.desired_frame import DesiredFrame
+
+TOLERANCE_RAD = float(np.radians(2.0))  # largest joint step servoed to from rest, and tolerance on the speed limits
+TOLERANCE_M = 0.017  # tolerance of the frame's step on top of the speed limits: 2 deg of a joint, half a metre away [m]
+LOST_S = 0.1  # after a longer gap than this the signal counts as lost and found again [s]
+CYCLE_S = 0.01  # time in which the arm has to cross such a gap: one cycle of the stream [s]
+SHORT_S = 0.006  # frames nearer in time than this give no speed [s]
+LONG_S = 0.024  # time of the second, longer average of the speed [s]
+CONTINUED_S = 0.03  # a frame is continued for 1.5 times the time between frames, but at most for this long [s]
+FADE_S = 0.02  # then the target slows down to rest in this time [s]
+COMPARED = 64  # number of recent frames among which the least delayed one is sought
+CATCH_UP_RAD = float(np.radians(60.0))  # joints that differ by more are caught up with by a pick-up motion
+
+
+def is_jump(q_before: np.ndarray, q_now: np.ndarray, dt: float, joint_speeds: np.ndarray) -> bool:
+    """Returns whether some joint moves more than 2 deg beyond what its speed limit allows in the time `dt` [s].
+
+    Joints before and now: shape (7,) [rad]; limits `joint_speeds`: shape (7,) [rad/s].
+    """
+    return bool(np.any(np.abs(q_now - q_before) > TOLERANCE_RAD + joint_speeds * _cycle(dt)))
+
+
+class FrameSteps:
+    """Watches the steps of the desired tool frame itself, also while the arm cannot follow it.
+
+    Joints may jump although the frame did not: it was out of reach for a while and returns elsewhere, or it passes a
+    position where a joint reaches the end of its range and the others have to compensate.
+
+    A frame that is faster than `tool_speed` [m/s] or `turn_speed` [rad/s] jumps. `jumped` is true if it has done so
+    since the arm last followed.
+    """
+
+    def __init__(self, tool_speed: float, turn_speed: float) -> None:
+        self._tool_speed = tool_speed
+        self._turn_speed = turn_speed
+        self._last: DesiredFrame | None = None
+        self.jumped = False
+
+    def take(self, frame: DesiredFrame) -> None:
+        """Takes a new frame in."""
+        last, self._last = self._last, frame
+        if last is None:
+            return
+        cycle = _cycle(frame.stamp - last.stamp)
+        distance = float(np.linalg.norm(frame.T_base_tool[:3, 3] - last.T_base_tool[:3, 3]))
+        turn = rotation_angle(last.T_base_tool[:3, :3].T @ frame.T_base_tool[:3, :3])
+        jump = distance > TOLERANCE_M + self._tool_speed * cycle or turn > TOLERANCE_RAD + self._turn_speed * cycle
+        self.jumped = self.jumped or jump
+
+    def followed(self) -> None:
+        """Reports that the arm follows the frame."""
+        self.jumped = False
+
+
+def _cycle(dt: float) -> float:
+    """Returns the time in which the arm has to make a step that took the stream `dt` [s]."""
+    return max(dt, 0.0) if dt <= LOST_S else CYCLE_S
+
+
+@dataclass(frozen=True)
+class MovingTarget:
+    """A moving joint target."""
+
+    q: np.ndarray  # joints, shape (7,) [rad]
+    v: np.ndarray  # their speeds, shape (7,) [rad/s]
+
+
+class TargetMotion:
+    """Continues joint targets between frames.
+
+    Frames come at 74 or 115 Hz and unevenly; goals leave at 250 Hz. After a frame the target continues at the speed
+    that the stamps show. So goals pass through the joints of each frame without lag, at any frame rate.
+
+    Two rules limit the extrapolation. The speed is the smaller of that over the last frame and that over the last few,
+    and zero where their signs differ, so that a hand that slows down or trembles is not extrapolated. And a frame is
+    continued for little longer than the time between frames; then the target comes to rest.
+
+    The clock of the stamps may differ from ours, and frames are delayed in transit. The least delayed of the recent
+    frames gives the difference of the clocks; every other frame counts as older by its additional delay.
+
+    Args:
+        lower, upper: joint ranges, shape (7,) [rad], that no extrapolation leaves.
+        q: joints at the start, shape (7,) [rad], where the target rests; as an attribute those of the last frame.
+    """
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, q: np.ndarray) -> None:
+        self._lower = lower
+        self._upper = upper
+        self.q = np.asarray(q, dtype=float)
+        self._v = np.zeros(7)
+        self._since = 0.0
+        self._horizon = CONTINUED_S
+        self._frames: deque[tuple[float, np.ndarray]] = deque(maxlen=COMPARED)
+        self._delays: deque[float] = deque(maxlen=COMPARED)
+
+    def take(self, q: np.ndarray, stamp: float, now: float) -> None:
+        """Takes the joints of a new frame, shape (7,) [rad], with its stamp by any clock; `now` is monotonic [s]."""
+        if self._frames and not 0.0 < stamp - self._frames[-1][0] <= LOST_S:
+            self._frames.clear()
+            self._delays.clear()
+        self._delays.append(now - stamp)
+        self._since = stamp + min(self._delays)
+        if self._frames:
+            self._horizon = min(1.5 * (stamp - self._frames[-1][0]), CONTINUED_S)
+        self.q = np.asarray(q, dtype=float)
+        self._v = self._speed(stamp)
+        self._frames.append((stamp, self.q))
+
+    def hold(self) -> None:
+        """Stops the target at the joints of the last frame, because the new frame cannot be reached."""
+        self._v = np.zeros(7)
+        self._frames.clear()
+
+    def at(self, now: float) -> MovingTarget:
+        """Returns the target at the monotonic time `now` [s]."""
+        age = max(now - self._since, 0.0)
+        faded = min(max(age - self._horizon, 0.0), FADE_S)
+        duration = min(age, self._horizon) + faded - faded * faded / (2.0 * FADE_S)
+        free = self.q + duration * self._v
+        q = np.clip(free, self._lower, self._upper)
+        return MovingTarget(read_only(q), read_only(np.where(q == free, (1.0 - faded / FADE_S) * self._v, 0.0)))
+
+    def _speed(self, stamp: float) -> np.ndarray:
+        short = self._mean_speed(stamp, SHORT_S)
+        long = self._mean_speed(stamp, LONG_S)
+        return np.where(short * long > 0.0, np.where(np.abs(short) < np.abs(long), short, long), 0.0)
+
+    def _mean_speed(self, stamp: float, least: float) -> np.ndarray:
+        """Returns the mean speed since the newest frame that is `least` seconds old, or since the oldest one."""
+        for time, q in reversed(self._frames):
+            if stamp - time >= least:
+                return (self.q - q) / (stamp - time)
+        if not self._frames or stamp - self._frames[0][0] < SHORT_S:
+            return np.zeros(7)
+        time, q = self._frames[0]
+        return (self.q - q) / (stamp - time)
+
 
 CATCH_UP_SCALE = 1.0 / 3.0
 """Fraction of the speed limits until the arm has caught up with a hand that moved on while the arm could not follow:
 while the pick-up motion ran, or out of reach."""
 
-CATCH_UP_RAD = float(np.radians(60.0))
-"""Joints that differ by more than this are not caught up with in servo mode but by a pick-up motion."""
-
 
 @dataclass(frozen=True)
 class GoalStreamSettings:
-    """Settings of the stream of goals.
+    """Settings of the stream of goals."""
 
-    Attributes:
-        joint_speeds: limits of the stream, shape (7,) [rad/s].
-        tool_speed: limit of the stream [m/s].
-        shaped: whether the stream is shaped; if not, every target is a goal as it is.
-        lower: least joint angles of a goal, shape (7,) [rad].
-        upper: greatest joint angles of a goal, shape (7,) [rad].
-    """
-
-    joint_speeds: np.ndarray
-    tool_speed: float
-    shaped: bool
-    lower: np.ndarray
-    upper: np.ndarray
-
-
-@dataclass(frozen=True)
-class Goal:
-    """A goal for the robot, shape (7,) [rad], and what limited it, None if nothing did."""
-
-    q: np.ndarray
-    limited_by: str | None
+    joint_speeds: np.ndarray  # limits of the stream, shape (7,) [rad/s]
+    tool_speed: float  # limit of the stream [m/s]
+    shaped: bool  # whether the stream is shaped; if not, every target is a goal as it is
+    lower: np.ndarray  # least joint angles of a goal, shape (7,) [rad]
+    upper: np.ndarray  # greatest joint angles of a goal, shape (7,) [rad]
 
 
 class GoalStream:
-    """Makes the goals of one stay in servo mode, which starts at rest.
+    """Makes the goals of one stay in servo mode, which starts at rest at the joints q, shape (7,) [rad].
 
-    Args:
-        settings: the settings.
-        limits: of the motion.
-        lts: whether goals are made for a server with the LTS law.
-        q: joints at the start, shape (7,) [rad].
-        now: monotonic time of the start [s].
+    `lts`: whether goals are made for a server with the LTS law; `now` is the monotonic time of the start [s].
     """
 
     def __init__(
@@ -90,11 +203,8 @@ class GoalStream:
     def take(self, frame: DesiredFrame, q: np.ndarray | None, measured: np.ndarray, now: float) -> Trigger | None:
         """Takes a new desired tool frame; returns why its joints are not to be servoed to, None if they are.
 
-        Args:
-            frame: the frame.
-            q: its joints, shape (7,) [rad]; None if there are none, then the arm keeps its joints.
-            measured: joints of the arm, shape (7,) [rad].
-            now: monotonic time [s].
+        Its joints q and the `measured` ones have shape (7,) [rad]; without q the arm keeps its joints. `now` is
+        monotonic [s].
         """
         self._frames.take(frame)
         if q is None:
@@ -107,16 +217,17 @@ class GoalStream:
             self._stamp = frame.stamp
         return trigger
 
-    def goal(self, measured: np.ndarray, now: float) -> Goal:
-        """Returns the goal of this cycle; `measured` are the joints of the arm, shape (7,) [rad]."""
+    def goal(self, measured: np.ndarray, now: float) -> LimitedGoal:
+        """Returns the goal of this cycle for the robot; `measured` are the joints of the arm, shape (7,) [rad]."""
         dt, self._time = now - self._time, now
         target = self._motion.at(now) if self._settings.shaped else MovingTarget(self._motion.q, np.zeros(7))
         scale = CATCH_UP_SCALE if self._catching_up else 1.0
         limited = self._limits.step(target.q, measured, dt, scale, target.v)
         if limited.limited_by is None and self._stamp is not None:
             self._catching_up = False
-        q = limited.q if self._lts is None else self._lts.step(limited.q, limited.v, measured, dt)
-        return Goal(q, limited.limited_by)
+        if self._lts is None:
+            return limited
+        return LimitedGoal(self._lts.step(limited.q, limited.v, measured, dt), limited.v, limited.limited_by)
 
     def _too_far(self, q: np.ndarray, stamp: float, measured: np.ndarray) -> Trigger | None:
         speeds, shaped = self._settings.joint_speeds, self._settings.shaped

@@ -1,34 +1,27 @@
-"""Whether the arm still follows its servo goals.
-
-The toolbox does not report that servo mode ended by itself or that a safety stop holds the arm: it still acknowledges
-goals. The measured joints show it: they stand still while the goal moves away, or they fall far behind.
-"""
+"""Whether the arm still follows its servo goals, and whether something holds it on a PTP motion."""
 
 from __future__ import annotations
 
 import numpy as np
 
-FAR_RAD = float(np.radians(20.0))
-"""Distance between goal and measured joint that is too far (full joint speed lags about half of it behind)."""
+from kst import PtpApproach
+from kuka_control.loop.commands import Event
 
-FAR_S = 0.1
-"""How long it may be too far [s]."""
-
-AWAY_RAD = float(np.radians(0.5))
-"""Distance between goal and measured joint that an arm in servo mode always works off."""
-
-STILL_RAD = float(np.radians(0.02))
-"""Joints that moved less than this stand still."""
-
-STILL_S = 0.3
-"""How long the arm may stand still away from its goal [s]; a safety stop is to be seen within half a second."""
-
-SAMPLES = 10
-"""A verdict needs more measurements than this, so that a stall of the loop is not blamed on the arm."""
+FAR_RAD = float(np.radians(20.0))  # goal and joint are too far apart (full speed lags about half of it behind)
+FAR_S = 0.1  # how long it may be too far [s]
+AWAY_RAD = float(np.radians(0.5))  # distance between goal and measured joint that an arm in servo mode always works off
+STILL_RAD = float(np.radians(0.02))  # joints that moved less than this stand still
+STILL_S = 0.3  # how long the arm may stand still away from its goal [s]; a safety stop shows within half a second
+SAMPLES = 10  # a verdict needs more measurements than this, so that a stall of the loop is not blamed on the arm
+HELD_S = 0.4  # an arm that came no nearer for this time is held; longer than in servo mode: reduced override [s]
 
 
 class TrackingMonitor:
-    """Compares servo goals with measured joints, shape (7,) [rad], cycle by cycle, from the start of servo mode."""
+    """Compares servo goals with measured joints, shape (7,) [rad], cycle by cycle, from the start of servo mode.
+
+    The toolbox does not report that servo mode ended by itself or that a safety stop holds the arm: it still
+    acknowledges goals. The measured joints show it: they stand still while the goal moves away, or fall far behind.
+    """
 
     def __init__(self) -> None:
         self._reference: np.ndarray | None = None
@@ -58,3 +51,54 @@ class TrackingMonitor:
         if now - self._far_since > FAR_S and self._far_samples > SAMPLES:
             return f"joint {joint + 1} is {degrees:.1f} deg behind its goal"
         return None
+
+
+HELD_AT_ENDS_S = 1.0
+"""The same before the arm has begun to move and in the last AWAY_RAD: the controller plans, opens the brakes, and
+starts and stops gently, the more so at a reduced override [s]."""
+
+
+class PtpSupervision:
+    """Watches one PTP motion by measured joints, cycle by cycle.
+
+    The toolbox does not report a safety stop: the end of the motion just does not come, and the joints come no nearer
+    to the goal. The duration of a motion says nothing, because the smartPad's speed override is not known.
+
+    Args:
+        name: the goal in words, such as "home".
+        q: the goal, shape (7,) [rad].
+
+    Attributes:
+        held: whether something holds the arm now.
+        was_held: whether something held it since the motion began.
+    """
+
+    def __init__(self, name: str, q: np.ndarray) -> None:
+        self.name = name
+        self.held = self.was_held = False
+        self._approach = PtpApproach(q)
+
+    @property
+    def still(self) -> float:
+        """Time since the arm came nearer to the goal [s]."""
+        return self._approach.still
+
+    def step(self, measured: np.ndarray, now: float) -> Event | None:
+        """Returns the event to report when something begins to hold the arm, and when the arm is free again.
+
+        `measured` are the newest joints, shape (7,) [rad], the same object until newer ones come; `now` is monotonic.
+        """
+        approach = self._approach
+        approach.observe(measured, now)
+        allowed = HELD_S if approach.begun and approach.remaining > AWAY_RAD else HELD_AT_ENDS_S
+        before, self.held = self.held, approach.still > allowed and approach.samples > SAMPLES
+        self.was_held |= self.held
+        if self.held == before:
+            return None
+        if self.held:
+            return Event(
+                "error",
+                f"The motion to {self.name} does not continue, {np.degrees(approach.remaining):.1f} deg are left; "
+                "if a safety stop holds the arm, free the arm and press run on the smartPad.",
+            )
+        return Event("info", f"The arm moves on to {self.name} and stays there until control goes off and on again.")

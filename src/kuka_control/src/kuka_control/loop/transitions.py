@@ -1,6 +1,6 @@
 """The states of a control loop and the one table of their transitions.
 
-A handler of the present state (control_loop.py, real_time_loop.py) names the trigger that ends the state. The table
+A handler of the present state (control_loop.py, algorithms.py) names the trigger that ends the state. The table
 names the next state, the command to the arm, and the reason. A pair of state and trigger that has no row is an error.
 docs/reference/control-loop.md is made from this table.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from kuka_control.model.mode import Mode
+from kuka_control.model.switches import Mode
 
 _MOVES = "{because} The arm moves to {name} at {velocity:g} of the full joint speed."
 _LEAVES = "{because} The arm leaves servo mode."
@@ -95,6 +95,10 @@ _TO_REST = (*_TO_HOME, _S.PICK_UP)
 _AWAY = (_S.PICK_UP, _S.AT_POSE, _S.SERVO_LEFT)
 _LEFT = (_S.AT_POSE, _S.SERVO_LEFT, _S.RETURN_PENDING)
 _OTHERS = (_S.HOME, *_LEFT, _S.IDENTIFYING, _S.IDENTIFIED, _S.SERVO, _S.RELEASING)
+_JOINTS_FAR = "The desired tool frame did not jump, but asks for joints far from those before."
+_MOVED_ON = "The desired tool frame moved on while the arm was on its way."
+_LAG = "The arm does not follow, perhaps because of a safety stop: {detail}."
+_HELD = "The arm cannot go to zero because its motion to {name} does not end."
 _SILENCE = "No new desired tool frame came for {detail} s."
 _REFUSED = "The robot's controller refused the motion to {name}: {detail}."
 
@@ -114,20 +118,8 @@ TRANSITIONS = (
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.AT_POSE, _A.NONE),
     Transition((_S.SERVO,), _T.JUMPED, _S.SERVO_LEFT, _A.STOP_SERVO, "The desired tool frame jumped."),
-    Transition(
-        (_S.SERVO,),
-        _T.JOINTS_JUMPED,
-        _S.SERVO_LEFT,
-        _A.STOP_SERVO,
-        "The desired tool frame did not jump, but asks for joints far from those before.",
-    ),
-    Transition(
-        (_S.SERVO,),
-        _T.MOVED_ON,
-        _S.SERVO_LEFT,
-        _A.STOP_SERVO,
-        "The desired tool frame moved on while the arm was on its way.",
-    ),
+    Transition((_S.SERVO,), _T.JOINTS_JUMPED, _S.SERVO_LEFT, _A.STOP_SERVO, _JOINTS_FAR),
+    Transition((_S.SERVO,), _T.MOVED_ON, _S.SERVO_LEFT, _A.STOP_SERVO, _MOVED_ON),
     # Back home, or to the zero position and the end.
     Transition((_S.SERVO,), _T.CONTROL_OFF, _S.RETURN_PENDING, _A.STOP_SERVO, "Control is off."),
     Transition((_S.SERVO,), _T.CONTROL_WAS_OFF, _S.RETURN_PENDING, _A.STOP_SERVO, "Control was off."),
@@ -141,26 +133,14 @@ TRANSITIONS = (
     Transition((_S.ZERO,), _T.ARRIVED, _S.ENDED, _A.END, "The controller has ended as it was asked to."),
     Transition((_S.ZERO,), _T.ARRIVED_AFTER_FAULT, _S.ENDED, _A.END, "{detail}"),
     # Faults.
-    Transition(
-        (_S.SERVO,),
-        _T.LAG,
-        _S.RELEASING,
-        _A.HOLD,
-        "The arm does not follow, perhaps because of a safety stop: {detail}.",
-    ),
+    Transition((_S.SERVO,), _T.LAG, _S.RELEASING, _A.HOLD, _LAG),
     Transition((_S.RELEASING,), _T.SERVO_ENDED, _S.STOPPED, _A.STOP_SERVO, "{because}"),
     Transition(_TO_REST, _T.ARRIVED_AFTER_HOLD, _S.STOPPED, _A.NONE, "Something held the arm on its way to {name}."),
     Transition(_TO_REST, _T.REFUSED, _S.STOPPED, _A.NONE, _REFUSED),
     Transition(_OTHERS, _T.REFUSED, _S.STOPPED, _A.NONE, "The robot's controller has ended servo mode: {detail}."),
     Transition((_S.STOPPED,), _T.ENABLED_AGAIN, _S.HOMING, _A.PTP, "Control was switched off and on again."),
     Transition((_S.ZERO,), _T.REFUSED, _S.ENDED, _A.END, _REFUSED),
-    Transition(
-        (*_TO_REST, _S.ZERO),
-        _T.EXIT_WHILE_HELD,
-        _S.ENDED,
-        _A.END,
-        "The arm cannot go to zero because its motion to {name} does not end.",
-    ),
+    Transition((*_TO_REST, _S.ZERO), _T.EXIT_WHILE_HELD, _S.ENDED, _A.END, _HELD),
 )
 """All transitions of both algorithms."""
 

@@ -1,7 +1,7 @@
-"""The parameters of the two controllers under `kuka/`, each with its unit and range.
+"""The parameters of the two controllers under `kuka/`, each with its unit and range, and the file of a calibrated arm.
 
-Angles in the files are in degrees; properties give them in radians. Whether the home position can be reached is
-checked where it is calculated: home_pose.py.
+Angles in the files are in degrees. Whether the home position can be reached is checked where it is calculated:
+home_pose.py.
 """
 
 from __future__ import annotations
@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from common.config import choice, flag, integer, number, path, text, vector
+from common.config import choice, flag, integer, number, parse, path, text, vector
 from common.mounting import ToolConfig, mounting_field
-from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, robot_model
+from iiwa_kinematics import FLANGE_HEIGHTS, ROBOTS, DhParameters, robot_model
 from kuka_control.model.workspace import workspace_faults
 
-UPLOADED = ("ws_center", "joints_home")
-"""Keys under `kuka/` that the controller itself writes."""
+UPLOADED = ("ws_center", "joints_home")  # keys under `kuka/` that the controller itself writes
+MAX_LENGTH_MM = 5.0  # a larger deviation is a wrong measurement, or the file has another unit or convention
+MAX_ANGLE_DEG = 1.0  # likewise
+OPTIONS = ("robot", "flange", "ip", "port", "tool_length")  # keys that may be given as options too
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,6 @@ class ControllerConfig(RobotAddress):
             robot_model(read["robot"], read["flange"]).base_shoulder if mounted else None,
         )
 
-    @property
-    def opening_angle_rad(self) -> float:
-        """The opening angle [rad]."""
-        return float(np.radians(self.opening_angle))
-
 
 @dataclass(frozen=True)
 class RealTimeConfig(ControllerConfig):
@@ -103,11 +100,6 @@ class PtpConfig(ControllerConfig):
     velocity_ptp: float = number(above=0.0, below=1.0, doc="fraction of the full joint speed of every motion")
     joints_thresh: float = number("deg", low=0.0, doc="smaller joint steps are not executed")
 
-    @property
-    def joints_thresh_rad(self) -> float:
-        """The smallest joint step that is executed [rad]."""
-        return float(np.radians(self.joints_thresh))
-
 
 def neighbours(schema: type[ControllerConfig]) -> tuple[str, ...]:
     """Returns the keys that may stand beside `schema`'s own: the controller's uploads, and the other controller's keys
@@ -115,3 +107,38 @@ def neighbours(schema: type[ControllerConfig]) -> tuple[str, ...]:
     own = {f.name for f in fields(schema)}
     both = (f.name for other in (RealTimeConfig, PtpConfig) for f in fields(other))
     return UPLOADED + tuple(name for name in both if name not in own)
+
+
+@dataclass(frozen=True)
+class DhDeviations:
+    """The file of a calibrated arm: calibrated less nominal parameters of joints 1 to 7, each of shape (7,)."""
+
+    robot: str = choice(*ROBOTS, doc="the arm that was measured")
+    serial: str = text(doc="its serial number")
+    date: str = text(doc="when it was measured, in quotes")
+    delta_a: np.ndarray = vector(7, "mm", low=-MAX_LENGTH_MM, high=MAX_LENGTH_MM, doc="along the axis x")
+    delta_alpha: np.ndarray = vector(7, "deg", low=-MAX_ANGLE_DEG, high=MAX_ANGLE_DEG, doc="about the axis x")
+    delta_d: np.ndarray = vector(7, "mm", low=-MAX_LENGTH_MM, high=MAX_LENGTH_MM, doc="along the joint's axis z")
+    delta_theta: np.ndarray = vector(7, "deg", low=-MAX_ANGLE_DEG, high=MAX_ANGLE_DEG, doc="zero of the joint")
+
+    @property
+    def parameters(self) -> DhParameters:
+        """The deviations in m and rad."""
+        alpha, theta = np.radians(self.delta_alpha), np.radians(self.delta_theta)
+        return DhParameters(1e-3 * self.delta_a, alpha, 1e-3 * self.delta_d, theta)
+
+
+def robot_address(values: object, given: Mapping, prefix: str = "") -> RobotAddress:
+    """Returns the robot that the parameters of either controller describe; ConfigError: with all faults.
+
+    Keys that do not belong to an address are ignored. Options are `given` by their keys, None: not given; they override
+    the parameters, and a given tool_length is the whole tool. In messages `prefix` stands before each key, such as
+    "kuka/".
+    """
+    changes = {key: value for key, value in given.items() if value is not None}
+    if "tool_length" in changes:
+        changes["use_tool_transform"] = False
+    merged: Any = {**values, **changes} if isinstance(values, Mapping) else values
+    controllers = (ControllerConfig, RealTimeConfig, PtpConfig)
+    others = {field.name for schema in controllers for field in fields(schema)} | set(neighbours(ControllerConfig))
+    return parse(RobotAddress, merged, prefix, others=others - {field.name for field in fields(RobotAddress)})

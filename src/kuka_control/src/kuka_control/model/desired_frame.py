@@ -1,4 +1,8 @@
-"""A desired tool frame, and whether a pose can be one."""
+"""The desired tool frame: whether a pose can be one, which nodes publish it, and which of its stamps counts as new.
+
+Times are of two clocks: stamps and `clock` are ROS time; `now` is monotonic, so that setting the wall clock does not
+look like a time-out.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +12,19 @@ import numpy as np
 
 from common.poses import check_pose
 
-MAX_DISTANCE_M = 5.0
-"""A tool further from the base than this was not meant in metres [m]."""
+MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
+HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
+MAX_SKEW_S = 0.5  # how far a stamp may be from the clock [s]
+REFUSING_S = 0.5  # frames count as refused until this long after the last refused one [s]
 
 
 @dataclass(frozen=True)
 class DesiredFrame:
     """A desired tool frame."""
 
-    T_base_tool: np.ndarray
-    """Shape (4, 4) [m]."""
-    stamp: float
-    """ROS time [s]."""
-    conflict: str | None = None
-    """Why the controller must not follow it, a sentence, if that is known on arrival."""
+    T_base_tool: np.ndarray  # shape (4, 4) [m]
+    stamp: float  # ROS time [s]
+    conflict: str | None = None  # why the controller must not follow it, a sentence, if that is known on arrival
 
 
 def rejection_reason(T_base_tool: np.ndarray) -> str | None:
@@ -32,3 +35,100 @@ def rejection_reason(T_base_tool: np.ndarray) -> str | None:
         return f"{error}."
     distance = np.linalg.norm(T_base_tool[:3, 3])
     return f"it is {distance:.4g} m from the base; is it in metres?" if distance > MAX_DISTANCE_M else None
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """A frame that several nodes published, the last time at `when`."""
+
+    frame: str
+    nodes: tuple[str, ...]
+    when: float
+
+    def __str__(self) -> str:
+        return f"{' and '.join(self.nodes)} both publish {self.frame}; end one of them"
+
+
+class FrameSources:
+    """Knows who published which frame lately, and in which other frame it stands."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, dict[str, float]] = {}
+        self._parents: dict[str, str] = {}
+        self._conflicts: dict[str, Conflict] = {}
+
+    def heard(self, frame: str, parent: str, node: str, now: float) -> bool:
+        """Takes note of who published a frame; returns whether nobody else did lately."""
+        self._parents[frame] = parent
+        times = {name: then for name, then in self._heard.get(frame, {}).items() if now - then < HANDOVER_S}
+        times[node] = now
+        self._heard[frame] = times
+        if len(times) > 1:
+            self._conflicts[frame] = Conflict(frame, tuple(sorted(times)), now)
+        return len(times) == 1
+
+    def conflict(self, frame: str, now: float) -> Conflict | None:
+        """Returns the conflict about `frame` or about one of those that it stands in, directly or not; else None."""
+        passed = set()
+        while frame not in passed:
+            found = self._conflicts.get(frame)
+            if found is not None and now - found.when < HANDOVER_S:
+                return found
+            passed.add(frame)
+            frame = self._parents.get(frame, frame)
+        return None
+
+
+@dataclass(frozen=True)
+class StreamUpdate:
+    """The verdict on the newest desired tool frame."""
+
+    fresh: DesiredFrame | None = None  # the frame, if it is new and accepted
+    refused: str | None = None  # why it is refused, a sentence, for the first refused frame in a row
+
+
+class DesiredStream:
+    """Watches the newest desired tool frame."""
+
+    def __init__(self) -> None:
+        self._last_stamp: float | None = None
+        self._last_good: float | None = None
+        self._refusing = False
+        self._refusal: tuple[str, float] | None = None
+
+    def take(self, newest: DesiredFrame | None, clock: float, now: float) -> StreamUpdate:
+        """Checks the newest frame; `clock` is ROS time, `now` monotonic [s]. New is one with another stamp."""
+        if newest is None or newest.stamp == self._last_stamp:
+            return StreamUpdate()
+        self._last_stamp = newest.stamp
+        fault = _fault(newest, clock)
+        if fault is None:
+            self._refusing = False
+            self._refusal = None
+            self._last_good = now
+            return StreamUpdate(newest)
+        reported, self._refusing = self._refusing, True
+        self._refusal = (fault, now)
+        return StreamUpdate(refused=None if reported else fault)
+
+    def refusal(self, now: float) -> str | None:
+        """Returns why incoming frames are refused, a sentence; None if they are accepted, or none come."""
+        return self._refusal[0] if self._refusal and now - self._refusal[1] <= REFUSING_S else None
+
+    def silent_for(self, now: float) -> float:
+        """Returns the time since the last accepted frame [s]; infinite before the first."""
+        return float("inf") if self._last_good is None else now - self._last_good
+
+
+def _fault(desired: DesiredFrame, clock: float) -> str | None:
+    if desired.conflict is not None:
+        return desired.conflict
+    skew = desired.stamp - clock
+    if abs(skew) > MAX_SKEW_S:
+        side = "ahead of" if skew > 0.0 else "behind"
+        return (
+            f"The desired tool frame is refused: its stamp is {abs(skew):.3f} s {side} this machine's clock, more than "
+            f"{MAX_SKEW_S:g} s; it is old, or the clocks of the machines differ."
+        )
+    reason = rejection_reason(desired.T_base_tool)
+    return None if reason is None else f"The desired tool frame is refused: {reason}"

@@ -27,9 +27,7 @@ from iiwa_kinematics import Kinematics
 from iiwa_kinematics.robot_model import RobotModel
 from kuka_control.model.workspace import Infeasible, Workspace
 
-ROUNDING_RAD = 1e-12
-"""A joint closer to zero than this counts as zero."""
-
+ROUNDING_RAD = 1e-12  # a joint closer to zero than this counts as zero
 UPRIGHT_COSINE = 1.0 - 1e-6
 """An arm counts as upright if the cosine of the angle between its z axis and the vertical exceeds this."""
 
@@ -45,17 +43,13 @@ class Home:
     q: np.ndarray
     T_base_tool: np.ndarray
     T_base_flange: np.ndarray
-    centre: np.ndarray
-    """Workspace centre, about which motions are scaled, shape (3,) [m]."""
+    centre: np.ndarray  # workspace centre, about which motions are scaled, shape (3,) [m]
 
 
 def home_pose(kinematics: Kinematics, workspace: Workspace, mounting: MountingFrame | None = None) -> Home:
     """Returns the home position above the workspace's center_line.
 
-    Args:
-        kinematics: of the arm with its tool.
-        workspace: of the tool.
-        mounting: the operator's directions; None: the arm stands upright.
+    `mounting` are the operator's directions; None: the arm stands upright.
 
     Raises:
         HomeError: the workspace centre is out of reach or a joint would be out of its range.

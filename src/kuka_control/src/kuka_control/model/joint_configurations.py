@@ -1,10 +1,10 @@
-"""Joint configurations by name or by seven angles, and whether the arm can take them; [deg] outside, [rad] inside."""
+"""Joint configurations by name or by seven angles, and the motion to one before it starts; [rad], but [deg] outside."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import make_dataclass
+from dataclasses import dataclass, make_dataclass
 from typing import Any
 
 import numpy as np
@@ -12,21 +12,17 @@ import numpy as np
 from common.config import parse, vector
 from common.errors import ConfigError
 from common.poses import read_only
+from iiwa_kinematics import jacobian
 from iiwa_kinematics.robot_model import RobotModel
+from kst import PtpLimits
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
+STEPS = 101  # number of points of the path at which the speed of the tool is calculated
+ARRIVED_DEG = float(np.degrees(PtpLimits.arrived))  # at a configuration no joint is further off [deg]
 
 
 def named_configurations(values: object, model: RobotModel) -> dict[str, np.ndarray]:
-    """Returns the joints [rad], shape (7,), of each name.
-
-    Args:
-        values: what the yaml holds: a mapping of names to seven angles [deg].
-        model: the arm that they are for.
-
-    Raises:
-        ConfigError: with all faults.
-    """
+    """Returns the joints [rad], shape (7,), of each name with its seven angles [deg]; ConfigError: with all faults."""
     if not isinstance(values, Mapping) or not values:
         raise ConfigError([f"The joint configurations are {values!r}, but must be a mapping of names to seven angles."])
     faults = [f"{name!r} is no name of a joint configuration." for name in values if not _is_name(name)]
@@ -44,15 +40,9 @@ def named_configurations(values: object, model: RobotModel) -> dict[str, np.ndar
 def chosen_configuration(
     words: Sequence[str], named: Mapping[str, np.ndarray], model: RobotModel
 ) -> tuple[str, np.ndarray]:
-    """Returns the chosen configuration, as a text and as joints [rad], shape (7,).
+    """Returns the configuration of a name or of seven angles [deg], as a text and as joints [rad], shape (7,).
 
-    Args:
-        words: a name, or seven angles [deg].
-        named: the configurations that have a name.
-        model: the arm.
-
-    Raises:
-        ConfigError: it is neither, or out of the joints' ranges: every such joint is named.
+    It raises ConfigError if it is neither, or out of the joints' ranges: every such joint is named.
     """
     if len(words) == 1 and words[0] in named:
         return words[0], named[words[0]]
@@ -83,3 +73,49 @@ def range_faults(model: RobotModel, q: np.ndarray, prefix: str = "") -> list[str
 
 def _is_name(name: object) -> bool:
     return isinstance(name, str) and NAME.fullmatch(name) is not None
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """A motion from the joints `start` to the joints `target`, shape (7,) each [rad]."""
+
+    start: np.ndarray
+    target: np.ndarray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", read_only(self.start))
+        object.__setattr__(self, "target", read_only(self.target))
+
+    @property
+    def largest(self) -> tuple[int, float]:
+        """The joint that turns furthest, 1 to 7, and by how much [deg], with its sign."""
+        difference = self.target - self.start
+        joint = int(np.argmax(np.abs(difference)))
+        return joint + 1, float(np.degrees(difference[joint]))
+
+    @property
+    def needed(self) -> bool:
+        """Whether the arm is anywhere else than at the target."""
+        return abs(self.largest[1]) > ARRIVED_DEG
+
+    def greatest_tool_speed(self, model: RobotModel, T_flange_tool: np.ndarray, velocity: float) -> float:
+        """Returns the greatest speed of the tool point on the path [m/s]; all joints start and arrive together.
+
+        `velocity` is the fraction of full joint speed, above 0.
+        """
+        duration = self.least_duration(velocity * model.max_speed)
+        if duration == 0.0:
+            return 0.0
+        speeds = (self.target - self.start) / duration
+        path = (self.start + part * (self.target - self.start) for part in np.linspace(0.0, 1.0, STEPS))
+        return max(float(np.linalg.norm(jacobian(model, q, T_flange_tool)[:3] @ speeds)) for q in path)
+
+    def least_duration(self, speeds: np.ndarray) -> float:
+        """Returns how long it takes at the joint speeds, shape (7,) [rad/s], without the time to speed up [s]."""
+        return float(np.max(np.abs(self.target - self.start) / speeds))
+
+    def table(self) -> list[str]:
+        """Returns lines that show the present joints, the target and the steps between them."""
+        rows = zip(*(np.degrees(joints).round(1) + 0.0 for joints in (self.start, self.target)))
+        lines = ["joint   now [deg]   target [deg]   step [deg]"]
+        return lines + [f"{i + 1:5d}{a:12.1f}{b:15.1f}{b - a:+13.1f}" for i, (a, b) in enumerate(rows)]

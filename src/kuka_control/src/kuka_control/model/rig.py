@@ -2,49 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from common.config import parse
+from common.errors import ConfigError
 from common.mounting import MountingFrame, mounting_frame
 from common.poses import inverse
 from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, robot_model
-from kuka_control.model.calibration_file import DhDeviations
-from kuka_control.model.config import ControllerConfig
-from kuka_control.model.home_pose import Home, custom_home, home_pose
+from kuka_control.model.config import ControllerConfig, DhDeviations, neighbours
+from kuka_control.model.home_pose import Home, HomeError, custom_home, home_pose
 from kuka_control.model.target import TargetChain
 from kuka_control.model.workspace import Workspace
+
+RCOND = 0.02  # singular values of the Jacobian below this fraction of the greatest say nothing about the wrench
 
 
 @dataclass(frozen=True)
 class Rig:
-    """The arm with its tool, where it may go and where its home is; built before anything moves.
+    """The arm with its tool, where it may go and where its home is; built before anything moves."""
 
-    Attributes:
-        model: the arm.
-        T_flange_tool: the tool, shape (4, 4) [m].
-        mounting: the operator's directions in the base frame.
-        kinematics: of the arm with its tool.
-        workspace: of the tool point.
-        home: the home position.
-        chain: from the desired tool frame to joints.
-    """
-
-    model: RobotModel
-    T_flange_tool: np.ndarray
-    mounting: MountingFrame
-    kinematics: Kinematics
-    workspace: Workspace
-    home: Home
-    chain: TargetChain
+    model: RobotModel  # the arm
+    T_flange_tool: np.ndarray  # the tool, shape (4, 4) [m]
+    mounting: MountingFrame  # the operator's directions in the base frame
+    kinematics: Kinematics  # of the arm with its tool
+    workspace: Workspace  # of the tool point
+    home: Home  # the home position
+    chain: TargetChain  # from the desired tool frame to joints
 
     @classmethod
     def of(cls, config: ControllerConfig, dh: DhDeviations | None = None) -> Rig:
-        """Returns the rig that a configuration describes.
-
-        Args:
-            config: the parameters.
-            dh: what the file says that the parameter dh_parameters names; None if it names none.
+        """Returns the rig that a configuration describes; `dh` is what the file holds that dh_parameters names.
 
         Raises:
             ValueError: a file is named, but not handed in.
@@ -59,7 +49,7 @@ class Rig:
         kinematics = kinematics_of(model, T_flange_tool, deviations, float(np.radians(config.elbow_preference)))
         workspace = Workspace(
             center_line=config.center_line,
-            opening_angle=config.opening_angle_rad,
+            opening_angle=float(np.radians(config.opening_angle)),
             z_lower=config.z_lower_limit,
             z_upper=config.z_upper_limit,
             inner_sphere=config.inner_sphere_limit,
@@ -76,3 +66,31 @@ class Rig:
     def T_base_flange(self, T_base_tool: np.ndarray) -> np.ndarray:
         """Returns the flange, shape (4, 4) [m], of a tool frame."""
         return T_base_tool @ inverse(self.T_flange_tool)
+
+
+def checked_rig(
+    values: Mapping, prefix: str = "", read_dh: Callable[[ControllerConfig], DhDeviations | None] = lambda config: None
+) -> tuple[ControllerConfig, Rig]:
+    """Returns the parameters of either controller, and the arm with workspace and home that they describe.
+
+    In messages `prefix` stands before each key, such as "kuka/"; `read_dh` reads the file that dh_parameters names.
+
+    Raises:
+        ConfigError: with all faults, one sentence each.
+    """
+    config = parse(ControllerConfig, values, prefix, others=neighbours(ControllerConfig))
+    try:
+        return config, Rig.of(config, read_dh(config))
+    except HomeError as error:
+        raise ConfigError([str(error)]) from error
+
+
+def wrench_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns force [N] and moment [Nm], shape (3,) each, along and about the tool's axes, that fit the torques best.
+
+    For servo mode, in which the toolbox cannot tell the moment, and before May 2019 not the force either. Least squares
+    of J^T w = torques at the joints q, shape (7,) [rad], with external joint torques, shape (7,) [Nm].
+    """
+    wrench = np.linalg.lstsq(kinematics.jacobian(q).T, torques, rcond=RCOND)[0]
+    R_tool_base = kinematics.forward(q)[:3, :3].T
+    return R_tool_base @ wrench[:3], R_tool_base @ wrench[3:]

@@ -17,8 +17,7 @@ import numpy as np
 from common.errors import ConfigError
 from common.poses import read_only
 
-ON_BOUND = 1e-12
-"""A position beyond a bound by at most this counts as on it [m]; so constraining twice changes nothing."""
+ON_BOUND = 1e-12  # a position beyond a bound by at most this counts as on it [m]; so constraining twice changes nothing
 
 
 class Bound(str, Enum):
@@ -45,10 +44,8 @@ class Infeasibility(str, Enum):
 class Constrained:
     """A position within the workspace."""
 
-    position: np.ndarray
-    """Shape (3,) [m]; the desired position itself if no bound was active."""
-    bounds: tuple[Bound, ...]
-    """The active bounds, in the order of their application."""
+    position: np.ndarray  # shape (3,) [m]; the desired position itself if no bound was active
+    bounds: tuple[Bound, ...]  # the active bounds, in the order of their application
 
 
 @dataclass(frozen=True)
@@ -72,10 +69,7 @@ def workspace_faults(
     outer_sphere: float | None,
     joint_2_height: float | None,
 ) -> list[str]:
-    """Returns the faults of these settings, one sentence each; arguments as in `Workspace`.
-
-    None means unknown; the other settings are still checked.
-    """
+    """Returns the faults of these settings of a `Workspace`, one sentence each; None: not known, not checked."""
     faults = []
     if center_line is not None:
         faults += _direction_faults(np.asarray(center_line, dtype=float))
@@ -122,37 +116,20 @@ def _direction_faults(center_line: np.ndarray) -> list[str]:
 class Workspace:
     """The settings of a workspace; constrains positions to it.
 
-    Args:
-        center_line: horizontal direction from the base axis to the middle, shape (3,); its length does not matter.
-        opening_angle: between the two side planes, which are vertical and contain the base axis [rad].
-        z_lower: lowest height [m].
-        z_upper: greatest height [m].
-        inner_sphere: least distance from the origin of joint 2 [m].
-        outer_sphere: greatest distance from the origin of joint 2 [m].
-        joint_2_height: height of the origin of joint 2 (RobotModel.base_shoulder) [m].
-
     Raises:
         ConfigError: the settings describe no workspace; it lists every fault.
     """
 
-    center_line: np.ndarray
-    opening_angle: float
-    z_lower: float
-    z_upper: float
-    inner_sphere: float
-    outer_sphere: float
-    joint_2_height: float
+    center_line: np.ndarray  # horizontal, from the base axis to the middle, shape (3,); its length does not matter
+    opening_angle: float  # between the two side planes, which are vertical and contain the base axis [rad]
+    z_lower: float  # lowest height [m]
+    z_upper: float  # greatest height [m]
+    inner_sphere: float  # least distance from the origin of joint 2 [m]
+    outer_sphere: float  # greatest distance from the origin of joint 2 [m]
+    joint_2_height: float  # height of the origin of joint 2 (RobotModel.base_shoulder) [m]
 
     def __post_init__(self) -> None:
-        faults = workspace_faults(
-            self.center_line,
-            self.opening_angle,
-            self.z_lower,
-            self.z_upper,
-            self.inner_sphere,
-            self.outer_sphere,
-            self.joint_2_height,
-        )
+        faults = workspace_faults(**vars(self))
         if faults:
             raise ConfigError(faults)
         object.__setattr__(self, "center_line", read_only(self.center_line))
@@ -180,11 +157,7 @@ class Workspace:
         return isinstance(result, Constrained) and not result.bounds
 
     def rooms(self, position: np.ndarray) -> tuple[float, ...]:
-        """Returns the distance to each bound [m], negative beyond it: two side planes, two z limits, two spheres.
-
-        Args:
-            position: shape (3,) [m].
-        """
+        """Returns the distances [m] of a position to two side planes, two z limits, two spheres, negative beyond."""
         x, y, z = position.tolist()
         (a, b, _), (c, d, _) = self._side_normals
         r = math.hypot(x, y, z - self.joint_2_height)
@@ -194,8 +167,7 @@ class Workspace:
     def outward(self, position: np.ndarray) -> np.ndarray:
         """Returns the outward unit normals of the bounds, in the order of `rooms`, shape (6, 3).
 
-        Args:
-            position: shape (3,) [m], not the origin of joint 2.
+        The position, shape (3,) [m], is not the origin of joint 2.
         """
         radial = position - np.array([0.0, 0.0, self.joint_2_height])
         radial /= np.linalg.norm(radial)
@@ -207,10 +179,7 @@ class Workspace:
         return tuple((math.cos(turn), math.sin(turn), 0.0) for turn in turns)
 
     def constrain(self, position: np.ndarray) -> Constrained | Infeasible:
-        """Returns the position constrained to the workspace, or that it is infeasible.
-
-        Args:
-            position: shape (3,) [m].
+        """Returns the position, shape (3,) [m], constrained to the workspace, or that it is infeasible.
 
         Raises:
             ValueError: the position is not three finite numbers.
@@ -248,16 +217,12 @@ class Workspace:
         return Constrained(read_only([c * along - s * left, s * along + c * left, z]), tuple(bounds))
 
 
-def boundary_lines(workspace: Workspace, heights: int = 5, headings: int = 5, points: int = 33) -> list[np.ndarray]:
+def boundary_lines(workspace: Workspace, heights: int = 5, headings: int = 5) -> list[np.ndarray]:
     """Returns polylines on the border of the workspace for drawing, each of shape (n, 3) [m].
 
-    Args:
-        workspace: the workspace.
-        heights: number of heights at which the inner and the outer arc are drawn.
-        headings: number of vertical sections that are outlined.
-        points: number of points on an arc.
+    Inner and outer arc are drawn at so many `heights`, and so many vertical sections (`headings`) are outlined.
     """
-    half = workspace.opening_angle / 2.0
+    half, points = workspace.opening_angle / 2.0, 33
     turns = workspace.heading + np.linspace(-half, half, points)
     lines = []
     for z in np.linspace(workspace.z_lower, workspace.z_upper, heights):

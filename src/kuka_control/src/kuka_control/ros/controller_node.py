@@ -15,42 +15,98 @@ from common.errors import DeviceError, RigError
 from common.ros import node
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.params import wait_for_config
-from kst import KstError
-from kuka_control.loop import assembly
+from kst import KstClient, KstError, NoServer
+from kuka_control.loop import algorithms
+from kuka_control.loop.arm import KstArm
 from kuka_control.loop.commands import End, Event, Inputs, Servo, Step
 from kuka_control.loop.control_loop import ControlLoop
-from kuka_control.loop.controller import Controller
-from kuka_control.loop.reconnect import ReconnectSupervisor
-from kuka_control.loop.switches import Switches
+from kuka_control.loop.controller import Controller, ReconnectSupervisor
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig, neighbours
-from kuka_control.model.mode import Mode
-from kuka_control.model.rig import Rig
+from kuka_control.model.rig import Rig, wrench_at_tool
+from kuka_control.model.switches import Mode, Switches
 from kuka_control.ros.desired_tool import DesiredTool
-from kuka_control.ros.dh_file import dh_deviations
-from kuka_control.ros.robot_link import RobotLink, ends_soon
-from kuka_control.ros.services import Services
-from kuka_control.ros.state_publisher import Snapshot, StatePublisher
-from kuka_control.ros.tool_check_service import ToolCheckService
-from kuka_control.ros.workspace_markers import publish_workspace
+from kuka_control.ros.parameter_server import dh_deviations
+from kuka_control.ros.services import Services, offer_tool_check
+from kuka_control.ros.state_publisher import Snapshot, StatePublisher, publish_workspace
 
-PARAMETERS_S = 15.0
-"""If only some parameters are set, such as those for leap_kuka alone, wait this long for the others [s]."""
+PARAMETERS_S = 15.0  # if only some parameters are set, such as those for leap_kuka, wait this long for the others [s]
+RETRY_POLL_S = 0.05  # polling interval of the switches while the robot is out of reach [s]
+SWITCH_INTERVAL_S = 5e-4  # the control loop waits at most this long for another thread of this process [s]
+PATIENCE_S = 20.0  # how long a server that does not run yet is tried again at the start [s]
+RETRY_S = 0.5
+TIMEOUT_S = 5.0
+AGAIN_TIMEOUT_S = 2.0  # how long a try to connect again waits for the connection, and again for the first answer [s]
+SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within this time [s]
 
-RETRY_POLL_S = 0.05
-"""Polling interval of the switches while the robot is out of reach [s]."""
 
-SWITCH_INTERVAL_S = 5e-4
-"""The control loop waits at most this long for another thread of this process [s]."""
+class RobotLink:
+    """Holds the connection to the robot, `arm`: made at the start, made again after it was lost, closed at the end.
+
+    A server that is not there yet at the start, because it is started at the same time, is tried again for a while.
+
+    Raises:
+        DeviceError: there is no connection.
+    """
+
+    def __init__(self, config: ControllerConfig, rig: Rig) -> None:
+        self._config, self._rig = config, rig
+        rospy.loginfo("Connecting to the robot at %s:%d.", config.ip, config.port)
+        self.arm = self._first()
+
+    def close(self) -> None:
+        """Leaves servo mode and closes the connection; never raises."""
+        self.arm.close()
+
+    def again(self) -> None:
+        """Tries once to connect, or raises KstError; `arm` is another one then."""
+        self.arm = self._connected(AGAIN_TIMEOUT_S)
+
+    def _first(self) -> KstArm:
+        config, waiting = self._config, False
+        deadline = time.monotonic() + PATIENCE_S
+        while not rospy.is_shutdown():
+            try:
+                return self._connected(TIMEOUT_S)
+            except KstError as error:
+                if not isinstance(error, NoServer) or time.monotonic() > deadline:
+                    if ends_soon():
+                        break
+                    sentence = f"There is no connection to the robot at {config.ip}:{config.port}: {error}."
+                    raise DeviceError(sentence) from error
+                if not waiting:
+                    rospy.logwarn("%s. Trying for %g s.", error, PATIENCE_S)
+                waiting = True
+                time.sleep(RETRY_S)
+        raise rospy.ROSInterruptException("shut down while connecting")
+
+    def _connected(self, timeout: float) -> KstArm:
+        config, rig = self._config, self._rig
+        client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool, timeout=timeout)
+        try:
+            return KstArm(client, partial(wrench_at_tool, rig.kinematics))
+        except KstError:
+            client.close()
+            raise
+
+
+def ends_soon() -> bool:
+    """Returns whether ROS shuts down: when all is ended at once, the robot's controller may be gone a moment before."""
+    deadline = time.monotonic() + SHUTDOWN_S
+    while not rospy.core.is_shutdown_requested() and not rospy.is_shutdown():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
 
 
 def real_time_main() -> None:
     """The node kuka_real_time_node."""
-    node.run("kuka_real_time_node", lambda: _run(RealTimeConfig, assembly.real_time_loop))
+    node.run("kuka_real_time_node", lambda: _run(RealTimeConfig, algorithms.real_time_loop))
 
 
 def ptp_main() -> None:
     """The node kuka_ptp_node."""
-    node.run("kuka_ptp_node", lambda: _run(PtpConfig, assembly.ptp_loop))
+    node.run("kuka_ptp_node", lambda: _run(PtpConfig, algorithms.ptp_loop))
 
 
 def _run(schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
@@ -86,14 +142,10 @@ class _Node:
         self._desired = DesiredTool()
         self._step = None
         self._services = Services(self._switches)
-        self._tool_check = ToolCheckService(rig, self._for_tool_check)
+        offer_tool_check(rig, self._for_tool_check)
 
     def spin(self) -> None:
-        """Runs the control loop until it completes or ROS shuts down; waits for a lost robot.
-
-        Raises:
-            RigError: the controller ended because of a fault.
-        """
+        """Runs the control loop until it completes or ROS shuts down; waits for a lost robot. RigError: a fault."""
         self._state.start()
         Diagnostics("kuka_control", self._diagnosis)
         try:
@@ -114,10 +166,16 @@ class _Node:
         while not rospy.is_shutdown():
             desired = self._desired.wait(deadline)
             started = time.monotonic()
-            self._cycle(desired)
+            step = self._controller.cycle(Inputs(desired, rospy.get_time(), self._switches.now), time.monotonic())
+            if isinstance(step.command, Servo) and step.command.stamp is not None:
+                self._stages.done(self._desired.stamp)
+            self._show(step)
+            self._say(step.events)
             deadline = started + (self._servo_period if self._controller.in_servo else self._rest_period)
-            if isinstance(self._step.command, End):
-                return self._end(self._step.command)
+            if isinstance(step.command, End):
+                if step.command.fault is not None:
+                    raise RigError(step.command.fault)
+                return
 
     def _stand_by(self, error: KstError) -> bool:
         """Waits until the robot is connected again; False: this controller is to end before.
@@ -129,14 +187,14 @@ class _Node:
         if ends_soon():
             rospy.loginfo("The robot's controller ended while this controller shut down: %s.", error)
             return False
-        if self._switches.read().exit_requested:
+        if self._switches.now.exit_requested:
             raise DeviceError(f"The robot is out of reach: {error}. The arm is not at its zero position.") from error
         supervisor = self._loop = ReconnectSupervisor(error, self._loop.counts, self._make_loop, time.monotonic())
         self._controller.restart(self._link.arm, supervisor)
         rospy.logerr(supervisor.reason)
         self._show(supervisor.waiting())
         self._link.close()
-        while not self._switches.read().exit_requested:
+        while not self._switches.now.exit_requested:
             if rospy.is_shutdown():
                 return False
             if time.monotonic() < supervisor.next_try:
@@ -156,32 +214,14 @@ class _Node:
 
     def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, float]:
         step = self._step
-        return Mode.STARTING if step is None else step.mode, self._link.arm.state.joints, self._switches.read().scale
-
-    def _end(self, command: End) -> None:
-        if command.fault is not None:
-            raise RigError(command.fault)
-
-    def _cycle(self, desired) -> None:
-        inputs = Inputs(desired, rospy.get_time(), self._switches.read())
-        step = self._controller.cycle(inputs, time.monotonic())
-        if isinstance(step.command, Servo) and step.command.stamp is not None:
-            self._stages.done(self._desired.stamp)
-        self._show(step)
-        self._say(step.events)
+        return Mode.STARTING if step is None else step.mode, self._link.arm.state.joints, self._switches.now.scale
 
     def _show(self, step: Step) -> None:
         self._step = step
         self._switches.report(step.mode, self._loop.stopped_because)
+        arm, controller = self._link.arm, self._controller
         self._state.show(
-            Snapshot(
-                self._link.arm.state,
-                step,
-                self._switches.read(),
-                self._controller.moving,
-                self._controller.in_servo,
-                self._link.arm.round_trip,
-            )
+            Snapshot(arm.state, step, self._switches.now, controller.moving, controller.in_servo, arm.round_trip)
         )
 
     @staticmethod

@@ -12,8 +12,7 @@ import tf2_ros
 
 from common.frames import BASE, TOOL_DESIRED
 from common.ros.conversions import pose_from_transform
-from kuka_control.model.desired_frame import DesiredFrame
-from kuka_control.model.frame_sources import Conflict, FrameSources
+from kuka_control.model.desired_frame import Conflict, DesiredFrame, FrameSources
 
 REMIND_S = 5.0
 
@@ -50,11 +49,7 @@ class DesiredTool(tf2_ros.TransformListener):
         self._arrived.set()
 
     def wait(self, deadline: float) -> DesiredFrame | None:
-        """Returns the newest desired tool frame as soon as a new one is there, at the latest at `deadline`.
-
-        Args:
-            deadline: monotonic time [s].
-        """
+        """Returns the newest desired tool frame as soon as a new one is there, or at the monotonic `deadline`."""
         while not self._look() and time.monotonic() < deadline:
             self._arrived.wait(max(deadline - time.monotonic(), 0.0))
             self._arrived.clear()

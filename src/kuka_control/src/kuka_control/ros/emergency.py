@@ -1,30 +1,85 @@
-"""The Emergency Stop of the control panel: asks the controller to exit at once, and kills its process if it hangs."""
+"""The Emergency Stop of the control panel: asks the controller to exit at once, and kills its process if it hangs.
+
+The process is found by the number that it reports. Numbers are used again, so what identifies it is its number together
+with its start time.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 import time
+from dataclasses import dataclass
+from pathlib import Path
 
 from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed
-from kuka_control.ros import controller_process
-from kuka_control.ros.controller_process import ControllerProcess
 
+PROGRAM = "controller"  # part of the file name of every program that may be ended
 SERVICE = "kuka/exit_app_emergency"
-PATIENCE_S = 0.5
-"""How long the controller may take to end by itself."""
+PATIENCE_S = 0.5  # how long the controller may take to end by itself
 KILL_S = 1.0
 POLL_S = 0.01
+SMARTPAD = "Press the red button of the smartPad."
+
+
+@dataclass(frozen=True)
+class ControllerProcess:
+    """A process of this machine; `start` is its start time in clock ticks since the machine started."""
+
+    pid: int
+    start: int
+
+
+def find(pid: int) -> ControllerProcess | None:
+    """Returns the running process `pid`, or None if it does not run or is not a controller."""
+    start = _start_of(pid)
+    if start is None or not _is_controller(pid):
+        return None
+    return ControllerProcess(pid, start)
+
+
+def runs(process: ControllerProcess) -> bool:
+    """Tells whether this very process still runs; one that is stopped or hangs does."""
+    return _start_of(process.pid) == process.start
+
+
+def kill(process: ControllerProcess) -> None:
+    """Kills the process unless it has exited; PermissionError: it belongs to another user."""
+    if runs(process):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process.pid, signal.SIGKILL)
+
+
+def _start_of(pid: int) -> int | None:
+    """Returns the start time of a process [clock ticks], None if it has ended (proc(5), field 22 of stat)."""
+    if pid <= 0:
+        return None
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(errors="replace")
+    except OSError:
+        return None
+    fields = stat[stat.rindex(")") + 1 :].split()  # the name before it may hold spaces and brackets
+    state, start = fields[0], fields[19]
+    return None if state in "ZX" else int(start)  # a zombie has ended, its parent has not looked yet
+
+
+def _is_controller(pid: int) -> bool:
+    try:
+        arguments = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+    except OSError:
+        return False
+    return any(PROGRAM in os.path.basename(os.fsdecode(argument)) for argument in arguments)
+
+
 LEFT_BEHIND = "the robot holds its last goal, a motion to a point runs to its end"
 """What becomes of the arm: the toolbox server has no watchdog, and no command that stops such a motion."""
-SMARTPAD = "Press the red button of the smartPad."
 
 
 def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str) -> tuple[bool, str]:
     """Stops the controller; returns within about half a second whether it is known to have exited, and a sentence.
 
-    Args:
-        call_exit: the client of the service.
-        process: the controller's process if it runs on this machine and was verified.
-        host: name of the machine on which it runs, empty if it was never heard of.
+    `process` is the controller's if it runs on this machine and was verified; `host` is empty if it was never heard of.
     """
     deadline = time.monotonic() + PATIENCE_S
     answer, failure = "", None
@@ -46,7 +101,7 @@ def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
     if _ended(process, deadline):
         return True, f"Emergency Stop: the controller has exited; {LEFT_BEHIND}."
     try:
-        controller_process.kill(process)
+        kill(process)
     except PermissionError:
         return False, f"Emergency Stop: process {process.pid} belongs to another user. {SMARTPAD}"
     if _ended(process, time.monotonic() + KILL_S):
@@ -56,7 +111,7 @@ def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
 
 def _ended(process: ControllerProcess, deadline: float) -> bool:
     """Waits until the process has ended, at most until the deadline."""
-    while controller_process.runs(process):
+    while runs(process):
         if time.monotonic() >= deadline:
             return False
         time.sleep(POLL_S)

@@ -6,7 +6,11 @@ request runs in one of its own. They leave what they know in attributes and in a
 
 from __future__ import annotations
 
+import argparse
+import os
+import signal
 import socket
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -14,26 +18,26 @@ from queue import SimpleQueue
 
 import rosgraph
 import rospy
-from python_qt_binding.QtCore import QObject, QTimer
+from python_qt_binding.QtCore import QObject, Qt, QTimer
+from python_qt_binding.QtWidgets import QApplication
 
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
 from kuka_control.gui.panel import ControlPanel
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
-from kuka_control.ros import controller_process, emergency
-from kuka_control.ros.controller_process import ControllerProcess
+from kuka_control.ros import emergency
+from kuka_control.ros.emergency import ControllerProcess
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
 from rig_msgs.msg import KukaStatus
 
 REFRESH_MS = 50
 WATCH_S = 1.0
 CALL_TIMEOUT_S = 3.0
-SETTLE_S = 1.0
-"""How long the slider waits for a status with the scaling factor that was accepted."""
-
+SETTLE_S = 1.0  # how long the slider waits for a status with the scaling factor that was accepted
 CONTROL, GRIPPER = "kuka/kuka_control", "kuka/gripper_control"
 SCALING, EXIT = "kuka/scaling_factor", "kuka/exit_app"
 KINDS = {CONTROL: setKukaControl, GRIPPER: setGripperControl, SCALING: setScalingFactor, EXIT: exitApp,
          emergency.SERVICE: exitAppEmergency}  # fmt: skip
+SHUTDOWN_S = 2.0  # how long saying goodbye to the ROS master may take
 
 
 class PanelLink(QObject):
@@ -73,7 +77,7 @@ class PanelLink(QObject):
         while not self._answers.empty():
             self._show_answer(*self._answers.get())
         status = self._status
-        runs = None if self._process is None else controller_process.runs(self._process)
+        runs = None if self._process is None else emergency.runs(self._process)
         context = PanelContext(rosgraph.get_master_uri(), self._master_lost, runs)
         self._panel.show_state(self._with_asked_scaling(panel_state(status, time.monotonic(), context)))
 
@@ -169,21 +173,59 @@ class PanelLink(QObject):
         return rospy.Subscriber("kuka/status", KukaStatus, self._take, queue_size=1)
 
     def _take(self, message: KukaStatus) -> None:
-        process = controller_process.find(message.pid) if message.host == socket.gethostname() else None
+        process = emergency.find(message.pid) if message.host == socket.gethostname() else None
         known = self._process
         if process is not None or known is None or known.pid != message.pid:  # else it has just exited
             self._process = process
         previous = self._status
+        m = message
         self._status = ControllerStatus(
-            time.monotonic(),
-            message.control_on,
-            message.gripper_on,
-            message.scaling_factor,
-            message.mode,
-            message.reason,
-            tuple(message.limited_by),
-            message.host,
-            message.pid,
+            *(time.monotonic(), m.control_on, m.gripper_on, m.scaling_factor, m.mode, m.reason),
+            *(tuple(m.limited_by), m.host, m.pid),
         )
         if previous is None or (previous.host, previous.pid) != (message.host, message.pid):
             self._wake.set()  # another controller has other addresses
+
+
+def main() -> None:
+    """Shows the panel until its window is closed, ROS shuts down, or the program is interrupted."""
+    parser = argparse.ArgumentParser(description="The control panel of the arm and the gripper.")
+    parser.add_argument("--on-top", action="store_true", help="keep the window above all others")
+    arguments = parser.parse_args(rospy.myargv()[1:])
+    if not any(name in os.environ for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")):
+        sys.exit("The control panel needs a screen: neither DISPLAY nor WAYLAND_DISPLAY is set.")
+    sys.exit(_show(arguments.on_top))
+
+
+def _show(on_top: bool) -> int:
+    application = QApplication(sys.argv[:1])
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: application.quit())
+    # Beside Qt, because it waits for the ROS master.
+    threading.Thread(target=_join_ros, name="join", daemon=True).start()
+    panel = ControlPanel()
+    panel.setWindowFlag(Qt.WindowStaysOnTopHint, on_top)
+    link = PanelLink(panel)
+    panel.resize(560, 460)
+    panel.show()
+    end = QTimer()
+    # Its time-outs also give Python the chance to see signals.
+    end.timeout.connect(lambda: application.quit() if rospy.is_shutdown() else None)
+    end.start(100)
+    code = application.exec_()
+    end.stop()
+    link.close()
+    # A master that hangs must not keep the program.
+    goodbye = threading.Thread(target=rospy.signal_shutdown, args=("the panel was closed",), daemon=True)
+    goodbye.start()
+    goodbye.join(SHUTDOWN_S)
+    if goodbye.is_alive():
+        os._exit(code)
+    return code
+
+
+def _join_ros() -> None:
+    try:
+        rospy.init_node("kuka_panel", disable_signals=True)
+    except rospy.exceptions.ROSInitException:
+        return  # the panel was closed before there was a master

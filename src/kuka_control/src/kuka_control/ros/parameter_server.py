@@ -1,4 +1,4 @@
-"""Parameters for programs that may also run without a ROS master: asked for once, never waited for."""
+"""Parameters and files for programs that may also run without a ROS master: asked for once, never waited for."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import rosgraph
 import rospkg
 import yaml
 
-from common.errors import RigError
+from common.config import parse
+from common.errors import ConfigError, RigError
 from common.ros.service_calls import listens
+from kuka_control.model.config import ControllerConfig, DhDeviations
 
 
 class NoMaster(RigError):
@@ -22,12 +24,7 @@ class NoParameters(RigError):
 
 
 def parameters(namespace: str) -> dict:
-    """Returns what the parameter server has under `namespace`.
-
-    Raises:
-        NoMaster: there is no master.
-        NoParameters: it has nothing there.
-    """
+    """Returns what the parameter server has under `namespace`; raises NoMaster or NoParameters."""
     master = master_of_this_graph()
     try:
         values = master.getParam(f"/{namespace}")
@@ -41,11 +38,7 @@ def parameters(namespace: str) -> dict:
 
 
 def master_of_this_graph() -> rosgraph.Master:
-    """Returns the master that ROS_MASTER_URI names, after a look whether somebody listens there.
-
-    Raises:
-        NoMaster: nobody does.
-    """
+    """Returns the master that ROS_MASTER_URI names if somebody listens there, else raises NoMaster."""
     uri = os.environ.get("ROS_MASTER_URI", "")
     if not listens(uri):
         raise NoMaster(f"There is no ROS master at {uri or 'ROS_MASTER_URI, which is not set'}.")
@@ -53,11 +46,7 @@ def master_of_this_graph() -> rosgraph.Master:
 
 
 def living_node(name: str) -> bool:
-    """Returns whether a node of this name is registered and listens, so a node that was killed does not count.
-
-    Raises:
-        NoMaster: there is no master.
-    """
+    """Returns whether a node of this name is registered and listens (a killed one does not); NoMaster: no master."""
     master = master_of_this_graph()
     try:
         return listens(master.lookupNode(f"/{name}"))
@@ -66,11 +55,7 @@ def living_node(name: str) -> bool:
 
 
 def read_yaml(path: Path) -> object:
-    """Returns what a yaml file holds.
-
-    Raises:
-        RigError: the file cannot be read, or is not yaml.
-    """
+    """Returns what a yaml file holds; RigError: the file cannot be read, or is not yaml."""
     try:
         return yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -82,3 +67,14 @@ def read_yaml(path: Path) -> object:
 def shipped(name: str) -> Path:
     """Returns the path of a file in this package's folder config."""
     return Path(rospkg.RosPack().get_path("kuka_control")) / "config" / name
+
+
+def dh_deviations(config: ControllerConfig) -> DhDeviations | None:
+    """Returns what the file of a calibrated arm holds; None if the parameter is empty; RigError: not plausible."""
+    if not config.dh_parameters:
+        return None
+    path = Path(config.dh_parameters)
+    found = parse(DhDeviations, read_yaml(path), f"{path}: ")
+    if found.robot != config.robot:
+        raise ConfigError([f"{path}: robot is {found.robot}, but the arm is a {config.robot}."])
+    return found

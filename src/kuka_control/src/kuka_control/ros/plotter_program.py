@@ -14,19 +14,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from common.errors import ConfigError, RigError
-from kuka_control.gui.plot.figure import SIZE_INCH, draw
-from kuka_control.gui.plot.picture import WorkspacePicture
-from kuka_control.model import workspace_report
-from kuka_control.model.reach_study import study_reach
-from kuka_control.model.workspace_check import checked_rig
-from kuka_control.model.workspace_samples import constrained_samples, volume_samples
-from kuka_control.ros.dh_file import dh_deviations
-from kuka_control.ros.parameter_server import NoMaster, NoParameters, parameters, read_yaml, shipped
+from kuka_control.gui.plot import SIZE_INCH, WorkspacePicture, draw
+from kuka_control.model.rig import checked_rig
+from kuka_control.model.workspace_study import constrained_samples, sentences, study_reach, title, volume_samples
+from kuka_control.ros.parameter_server import NoMaster, NoParameters, dh_deviations, parameters, read_yaml, shipped
 
 NAME = "workspace_plotter"
 DEFAULT_PARAMS = "kuka_params_rt.yaml"
-TOLERANCES_DEG = (25.0, 25.0, 25.0)
-"""Where neither an option nor the parameter server says otherwise [deg]."""
+TOLERANCES_DEG = (25.0, 25.0, 25.0)  # where neither an option nor the parameter server says otherwise [deg]
 
 
 def main() -> None:
@@ -54,15 +49,15 @@ def _run(options: argparse.Namespace) -> None:
     study = study_reach(
         rig.kinematics, rig.mounting, rig.home.q, positions, np.radians(tolerances), options.attitudes, random
     )
-    notes = workspace_report.sentences(config, rig, study, tolerances)
-    print(workspace_report.title(config))
+    notes = sentences(config, rig, study, tolerances)
+    print(title(config))
     print("\n".join(notes), flush=True)
     samples = constrained_samples(rig.workspace, options.constrained, random)
-    picture = WorkspacePicture(workspace_report.title(config), tuple(notes[:6]), rig, samples, study)
+    picture = WorkspacePicture(title(config), tuple(notes[:6]), rig, samples, study)
     if options.save is not None:
-        _save(picture, options.save)
-    else:
-        _show(picture)
+        return _save(picture, options.save)
+    draw(pyplot.figure(figsize=SIZE_INCH, num="Leap Rig: workspace"), picture)
+    pyplot.show()
 
 
 def _values(options: argparse.Namespace) -> tuple[dict, str]:
@@ -108,11 +103,6 @@ def _check_window() -> None:
         pyplot.switch_backend("QtAgg")
     except ImportError as error:
         raise RigError("There is no display to open a window on; use --save FILE.png.") from error
-
-
-def _show(picture: WorkspacePicture) -> None:
-    draw(pyplot.figure(figsize=SIZE_INCH, num="Leap Rig: workspace"), picture)
-    pyplot.show()
 
 
 def _parser() -> argparse.ArgumentParser:

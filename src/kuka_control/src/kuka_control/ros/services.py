@@ -1,24 +1,24 @@
-"""The five services of a controller."""
+"""The services of a controller: five for its switches, and the check of a tool pose."""
 
 from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
 
+import numpy as np
 import rospy
 
-from kuka_control.loop.switches import Switches, SwitchReply
-from kuka_msgs.srv import (
-    exitApp,
-    exitAppEmergency,
-    setGripperControl,
-    setKukaControl,
-    setScalingFactor,
-)
+from common.frames import BASE
+from common.ros.conversions import message_from_pose, pose_in
+from kuka_control.model.rig import Rig
+from kuka_control.model.switches import Mode, Switches, SwitchReply
+from kuka_control.model.target import check_tool_pose, seed
+from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
+from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
 
 EMERGENCY_EXIT_CODE = 2
-ANSWER_S = 0.05
-"""How long the process lives on after an emergency call, so that the answer gets out [s]."""
+ANSWER_S = 0.05  # how long the process lives on after an emergency call, so that the answer gets out [s]
 
 
 class Services:
@@ -55,3 +55,24 @@ class Services:
         timer.daemon = True
         timer.start()
         return True, "The controller exits at once; the robot holds its last goal or completes its PTP motion."
+
+
+def offer_tool_check(rig: Rig, read: Callable[[], tuple[Mode, np.ndarray | None, float]]) -> None:
+    """Answers kuka/check_tool_pose from the threads of its callers; it takes no lock of the control loop.
+
+    `read` returns the controller's mode, the measured joints, shape (7,) [rad] or None, and the scaling factor.
+    """
+
+    def answer(request: CheckToolPoseRequest) -> CheckToolPoseResponse:
+        try:
+            T_base_tool = pose_in(BASE, request.tool)
+        except ValueError as error:
+            return CheckToolPoseResponse(success=False, message=f"The tool pose is refused: {error}.")
+        mode, joints, scale = read()
+        check = check_tool_pose(rig.chain, T_base_tool, scale, seed(mode, joints, rig.home.q))
+        response = CheckToolPoseResponse(success=check.T_base_desired is not None, message=check.sentence)
+        if check.T_base_desired is not None:
+            response.desired = message_from_pose(check.T_base_desired)
+        return response
+
+    rospy.Service("kuka/check_tool_pose", CheckToolPose, answer)

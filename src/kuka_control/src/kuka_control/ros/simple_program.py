@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +16,8 @@ import rospy
 from common.errors import ConfigError, DeviceError, RigError
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 from kst import JointLimits, KstClient, KstError, PtpProgress, PtpState, ServerBusy, read_joints, run_ptp
-from kuka_control.limits.joint_motion import JointMotion
-from kuka_control.model.config import RobotAddress
-from kuka_control.model.joint_configurations import chosen_configuration, named_configurations
-from kuka_control.model.robot_address import OPTIONS, robot_address
+from kuka_control.model.config import OPTIONS, RobotAddress, robot_address
+from kuka_control.model.joint_configurations import JointMotion, chosen_configuration, named_configurations
 from kuka_control.ros.parameter_server import (
     NoMaster,
     NoParameters,
@@ -27,16 +27,68 @@ from kuka_control.ros.parameter_server import (
     read_yaml,
     shipped,
 )
-from kuka_control.ros.terminal import Interruption, ProgressLine, agrees
 
 NODE = "kuka_simple_node"
-CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", NODE)
-"""Nodes that hold the robot's only connection while they run."""
-
-STOP_M_PER_S = 0.8
-"""Above this speed of the tool point the robot's controller stops the arm [m/s]."""
-
+CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", NODE)  # nodes that hold the robot's only connection
+STOP_M_PER_S = 0.8  # above this speed of the tool point the robot's controller stops the arm [m/s]
 INTERRUPTED = 130
+BAR_CHARACTERS = 30
+
+
+@contextlib.contextmanager
+def noted_interruptions() -> Iterator[list[int]]:
+    """Within the context Ctrl-C and SIGTERM do not interrupt the program; their numbers are added to the list."""
+    noted: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda received, _: noted.append(received)) for number in numbers}
+    try:
+        yield noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class ProgressLine:
+    """One line that changes on a terminal; elsewhere a line for every tenth of the motion."""
+
+    def __init__(self) -> None:
+        self._live = sys.stdout.isatty()
+        self._open = False
+        self._tenths = -1
+
+    def show(self, progress: PtpProgress) -> None:
+        """Shows the progress."""
+        if self._live:
+            print(f"\r{progress_bar(progress)}", end="", flush=True)
+            self._open = True
+        elif int(10.0 * progress.fraction) > self._tenths:
+            self._tenths = int(10.0 * progress.fraction)
+            print(progress_bar(progress))
+
+    def end(self) -> None:
+        """Leaves the line as it is; what is printed next starts a new one."""
+        if self._open:
+            print()
+        self._open = False
+
+
+def progress_bar(progress: PtpProgress) -> str:
+    """Returns a line with a bar and the remaining step."""
+    filled = int(progress.fraction * BAR_CHARACTERS)
+    remaining = f"{math.degrees(progress.remaining):6.1f} deg left (joint {progress.joint})"
+    return f"[{'#' * filled}{'.' * (BAR_CHARACTERS - filled)}] {100.0 * progress.fraction:3.0f} %  {remaining}"
+
+
+def agrees(question: str) -> bool | None:
+    """Returns whether the operator agrees; None after Ctrl-C."""
+    try:
+        return input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
+    except EOFError:
+        print()
+        return False
+    except KeyboardInterrupt:
+        print()
+        return None
 
 
 def main() -> None:
@@ -65,7 +117,9 @@ def _run(options: argparse.Namespace) -> int:
     model = robot_model(address.robot, address.flange)
     named = named_configurations(read_yaml(options.configurations or shipped("joint_configurations.yaml")), model)
     if options.list:
-        print("\n".join(_listed(named)))
+        width = max(map(len, named))
+        for name, q in named.items():
+            print(f"{name:<{width}}  {', '.join(f'{angle:g}' for angle in np.degrees(q).round(6) + 0.0)} deg")
         return 0
     if not options.target:
         raise RigError("Say where to: a name (see --list) or seven angles in deg.")
@@ -74,7 +128,9 @@ def _run(options: argparse.Namespace) -> int:
         raise RigError("There is no terminal to ask on whether the arm may move; use --yes.")
     if from_server:
         _refuse_if_held()
-    _register()
+    with contextlib.suppress(NoMaster):  # becomes a node where there is a master: others see who has the robot
+        master_of_this_graph()
+        rospy.init_node(NODE, disable_signals=True)
     T_flange_tool = address.T_flange_tool
     client = _connect(address, model, T_flange_tool)
     try:
@@ -104,7 +160,12 @@ def _move(
         f"Largest step: joint {joint} by {step:+.1f} deg; at {options.velocity:g} of full speed about {seconds:.1f} s, "
         f"the tool at up to {tool_speed:.2f} m/s."
     )
-    _refuse_if_too_fast(tool_speed, options.velocity)
+    if tool_speed > STOP_M_PER_S:
+        slower = np.floor(100.0 * options.velocity * STOP_M_PER_S / tool_speed) / 100.0
+        raise RigError(
+            f"The tool would move at up to {tool_speed:.2f} m/s, and above {STOP_M_PER_S:g} m/s the robot's controller "
+            f"stops the arm; use --velocity {slower:g}."
+        )
     agreed = options.yes or agrees(f"Move the arm to {name}?")
     if not agreed:
         print("Nothing was moved.")
@@ -117,9 +178,9 @@ def _move(
             line.end()
             print("The arm does not move: look at the smartPad (enabling switch, safety stop, speed override).")
 
-    with Interruption() as interruption:
+    with noted_interruptions() as noted:
         try:
-            end = run_ptp(client, target, options.velocity, report=show, interrupted=lambda: interruption.asked)
+            end = run_ptp(client, target, options.velocity, report=show, interrupted=lambda: bool(noted))
         finally:
             line.end()
     if end.state is PtpState.INTERRUPTED:
@@ -131,15 +192,6 @@ def _move(
         return INTERRUPTED
     print(f"The arm is at {name}.")
     return 0
-
-
-def _refuse_if_too_fast(speed: float, velocity: float) -> None:
-    if speed > STOP_M_PER_S:
-        slower = np.floor(100.0 * velocity * STOP_M_PER_S / speed) / 100.0
-        raise RigError(
-            f"The tool would move at up to {speed:.2f} m/s, and above {STOP_M_PER_S:g} m/s the robot's controller "
-            f"stops the arm; use --velocity {slower:g}."
-        )
 
 
 def _address(options: argparse.Namespace) -> tuple[RobotAddress, bool]:
@@ -160,13 +212,6 @@ def _refuse_if_held() -> None:
             raise RigError(f"The node {name} is running and holds the robot's only connection; {cure}")
 
 
-def _register() -> None:
-    """Becomes a node where there is a master, so that others see who has the robot."""
-    with contextlib.suppress(NoMaster):
-        master_of_this_graph()
-        rospy.init_node(NODE, disable_signals=True)
-
-
 def _connect(address: RobotAddress, model: RobotModel, T_flange_tool: np.ndarray) -> KstClient:
     print(f"Connecting to the {address.robot} at {address.ip}:{address.port}.")
     limits = JointLimits(model.lower, model.upper)
@@ -179,12 +224,6 @@ def _connect(address: RobotAddress, model: RobotModel, T_flange_tool: np.ndarray
         ) from error
     except KstError as error:
         raise DeviceError(f"There is no connection to the robot: {error}.") from error
-
-
-def _listed(named: dict[str, np.ndarray]) -> list[str]:
-    width = max(map(len, named))
-    degrees = {name: ", ".join(f"{angle:g}" for angle in np.degrees(q).round(6) + 0.0) for name, q in named.items()}
-    return [f"{name:<{width}}  {angles} deg" for name, angles in degrees.items()]
 
 
 def _parser() -> argparse.ArgumentParser:

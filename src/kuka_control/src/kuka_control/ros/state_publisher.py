@@ -1,5 +1,5 @@
 """Publishes the state of the arm and its controller from a separate thread, so that a slow subscriber never delays the
-stream of servo goals."""
+stream of servo goals; and the workspace as markers for RViz."""
 
 from __future__ import annotations
 
@@ -12,20 +12,24 @@ from dataclasses import dataclass
 import numpy as np
 import rospy
 import tf2_ros
-from geometry_msgs.msg import Vector3, Vector3Stamped
+from geometry_msgs.msg import Point, Vector3, Vector3Stamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool, ColorRGBA, String
+from visualization_msgs.msg import Marker, MarkerArray
 
 from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, TOOL_COMMANDED, TOOL_HOME
 from common.ros.conversions import stamped_transform
 from kuka_control.loop.arm import ArmState
 from kuka_control.loop.commands import Step
-from kuka_control.loop.switches import SwitchState
 from kuka_control.model.rig import Rig
+from kuka_control.model.switches import SwitchState
+from kuka_control.model.workspace import Workspace, boundary_lines
 from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
 from rig_msgs.msg import KukaStatus
 
 JOINT_NAMES = [f"kuka/joint_{i}" for i in range(1, 8)]
+LINE_WIDTH_M = 0.003
+CENTRE_DIAMETER_M = 0.02
 
 
 @dataclass(frozen=True)
@@ -72,12 +76,8 @@ class StatePublisher:
     def start(self) -> None:
         """Publishes the home frames once and starts the publishing thread."""
         home, now = self._rig.home, rospy.Time.now()
-        self._static.sendTransform(
-            [
-                stamped_transform(home.T_base_flange, BASE, FLANGE_HOME, now),
-                stamped_transform(home.T_base_tool, BASE, TOOL_HOME, now),
-            ]
-        )
+        flange = stamped_transform(home.T_base_flange, BASE, FLANGE_HOME, now)
+        self._static.sendTransform([flange, stamped_transform(home.T_base_tool, BASE, TOOL_HOME, now)])
         self._thread.start()
 
     def show(self, snapshot: Snapshot) -> None:
@@ -170,17 +170,10 @@ class StatePublisher:
         self._gripper.publish(switched.gripper_on)
         self._moving_rt.publish(snapshot.moving_rt)
         self._moving_ptp.publish(snapshot.moving_ptp)
-        status = KukaStatus(
-            host=socket.gethostname(),
-            pid=os.getpid(),
-            control_on=switched.control_on,
-            gripper_on=switched.gripper_on,
-            scaling_factor=switched.scale,
-            mode=step.mode.value,
-            reason=step.reason,
-            limited_by=list(step.limited_by),
-            round_trip=snapshot.round_trip or 0.0,
-        )
+        status = KukaStatus(host=socket.gethostname(), pid=os.getpid(), control_on=switched.control_on)
+        status.gripper_on, status.scaling_factor = switched.gripper_on, switched.scale
+        status.mode, status.reason, status.limited_by = step.mode.value, step.reason, list(step.limited_by)
+        status.round_trip = snapshot.round_trip or 0.0
         status.header.stamp = rospy.Time.now()
         self._status.publish(status)
 
@@ -189,3 +182,24 @@ def _joints_message(kind, values: np.ndarray, stamp: rospy.Time):
     message = kind(None, *values.tolist())
     message.header = type(kind().header)(stamp=stamp, frame_id=BASE)
     return message
+
+
+def publish_workspace(workspace: Workspace, centre) -> rospy.Publisher:
+    """Publishes the boundary lines and the centre once, latched; the publisher is to be kept."""
+    publisher = rospy.Publisher("kuka/workspace", MarkerArray, queue_size=1, latch=True)
+    lines = [
+        _marker(i, Marker.LINE_STRIP, LINE_WIDTH_M, [Point(*p) for p in line])
+        for i, line in enumerate(boundary_lines(workspace))
+    ]
+    middle = _marker(len(lines), Marker.SPHERE_LIST, CENTRE_DIAMETER_M, [Point(*centre)])
+    publisher.publish(MarkerArray([*lines, middle]))
+    return publisher
+
+
+def _marker(number: int, kind: int, size: float, points: list) -> Marker:
+    marker = Marker(ns="workspace", id=number, type=kind, action=Marker.ADD, points=points, frame_locked=True)
+    marker.header.frame_id = BASE
+    marker.pose.orientation.w = 1.0
+    marker.scale = Vector3(size, size, size)
+    marker.color = ColorRGBA(0.2, 0.7, 1.0, 0.8)
+    return marker

@@ -3,27 +3,13 @@
 Start with `robot_model` and `Kinematics`. Where the elbow is chosen: `elbow_choice.py`. Needs numpy alone.
 """
 
-from iiwa_kinematics.calibrated import CalibratedKinematics, kinematics_of
+from iiwa_kinematics.calibrated import CalibratedKinematics, DhParameters, kinematics_of, nominal_parameters
 from iiwa_kinematics.chain import arm_points, forward, jacobian
-from iiwa_kinematics.dh import DhParameters, nominal_parameters
 from iiwa_kinematics.elbow_circle import Branch
 from iiwa_kinematics.inverse import IkFailure, IkResult, Kinematics
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 
 __all__ = [
-    "FLANGE_HEIGHTS",
-    "ROBOTS",
-    "Branch",
-    "CalibratedKinematics",
-    "DhParameters",
-    "IkFailure",
-    "IkResult",
-    "Kinematics",
-    "RobotModel",
-    "arm_points",
-    "forward",
-    "jacobian",
-    "kinematics_of",
-    "nominal_parameters",
-    "robot_model",
-]
+    "FLANGE_HEIGHTS", "ROBOTS", "Branch", "CalibratedKinematics", "DhParameters", "IkFailure", "IkResult", "Kinematics",
+    "RobotModel", "arm_points", "forward", "jacobian", "kinematics_of", "nominal_parameters", "robot_model",
+]  # fmt: skip

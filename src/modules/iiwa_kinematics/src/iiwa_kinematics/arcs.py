@@ -13,16 +13,11 @@ import math
 from typing import Tuple
 
 TURN = 2.0 * math.pi
-
-Sinusoid = Tuple[float, float, float]
-"""(a, b, c): the function a cos(angle) + b sin(angle) + c."""
-
+Sinusoid = Tuple[float, float, float]  # (a, b, c): the function a cos(angle) + b sin(angle) + c
 Arc = Tuple[float, float]
 Interval = Tuple[float, float]
-
 CIRCLE: Arc = (-math.pi, TURN)
-FLAT = 1e-12
-"""Sinusoids with a smaller amplitude do not depend on the angle."""
+FLAT = 1e-12  # sinusoids with a smaller amplitude do not depend on the angle
 
 
 def positive(a: float, b: float, c: float) -> Arc | None:

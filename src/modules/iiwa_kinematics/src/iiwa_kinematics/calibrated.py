@@ -9,37 +9,81 @@ remaining error. They have no component along the self-motion: the elbow stays w
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from iiwa_kinematics.dh import DhParameters, nominal_parameters
 from iiwa_kinematics.elbow_choice import CROSSING_RAD
 from iiwa_kinematics.elbow_circle import Branch
-from iiwa_kinematics.inverse import IkFailure, IkResult, Kinematics
-from iiwa_kinematics.poses import inverse_pose, read_only
-from iiwa_kinematics.robot_model import RobotModel
+from iiwa_kinematics.inverse import IkFailure, IkResult, Kinematics, inverse_pose
+from iiwa_kinematics.robot_model import RobotModel, read_only
 
-MAX_STEPS = 20
-"""Four steps are enough almost everywhere; where they are not, the arm is at the end of its reach."""
 
-REACHED = 1e-10
-"""A pose is reached when the errors of position [m] and rotation [rad] are at most this."""
+@dataclass(frozen=True, eq=False)
+class DhParameters:
+    """Denavit-Hartenberg parameters of joints 1 to 7, or their deviations from those of the data sheet.
 
-DAMPING = 1e-3
-"""Fraction of the error whose square damps a step; keeps steps short where the arm is outstretched."""
+    Joint i turns about the z axis of frame i - 1; from there to frame i:  Rz(q + theta) Tz(d) Tx(a) Rx(alpha)  (the
+    standard, distal convention). Frame 0 is the base, frame 7 the flange. Neighbouring axes of these arms cross at
+    right angles, so small errors of the arm are small changes of these parameters.
+
+    Source: the table of the KUKA Sunrise Toolbox, whose zero position and directions of rotation are those of the arm.
+    """
+
+    a: np.ndarray  # along x, shape (7,) [m]
+    alpha: np.ndarray  # about x, shape (7,) [rad]
+    d: np.ndarray  # along the joint's axis z, shape (7,) [m]
+    theta: np.ndarray  # about z, at joint zero, shape (7,) [rad]
+
+    @property
+    def any(self) -> bool:
+        """Whether a parameter is not zero."""
+        return any(np.any(values) for values in (self.a, self.alpha, self.d, self.theta))
+
+    def plus(self, deviations: DhParameters) -> DhParameters:
+        """Returns the parameters of an arm with these deviations."""
+        pairs = ((getattr(self, name), getattr(deviations, name)) for name in ("a", "alpha", "d", "theta"))
+        return DhParameters(*(read_only(nominal + deviation) for nominal, deviation in pairs))
+
+    def frames(self, q: np.ndarray) -> np.ndarray:
+        """Returns the poses of frames 0 to 7 in the base, shape (8, 4, 4) [m], at joints q, shape (7,) [rad]."""
+        angle = np.asarray(q, dtype=float) + self.theta
+        c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(self.alpha), np.sin(self.alpha)
+        zero, one = np.zeros(7), np.ones(7)
+        links = np.array([
+            [c, -s * ca, s * sa, self.a * c],
+            [s, c * ca, -c * sa, self.a * s],
+            [zero, sa, ca, self.d],
+            [zero, zero, zero, one],
+        ]).transpose(2, 0, 1)  # fmt: skip
+        frames = np.empty((8, 4, 4))
+        frames[0] = np.eye(4)
+        for i, link in enumerate(links):
+            frames[i + 1] = frames[i] @ link
+        return frames
+
+
+def nominal_parameters(model: RobotModel) -> DhParameters:
+    """Returns the parameters of an arm as in its data sheet, with its media flange."""
+    return DhParameters(
+        a=read_only(np.zeros(7)),
+        alpha=read_only(np.radians([-90.0, 90.0, 90.0, -90.0, -90.0, 90.0, 0.0])),
+        d=read_only([model.base_shoulder, 0.0, model.shoulder_elbow, 0.0, model.elbow_wrist, 0.0, model.wrist_flange]),
+        theta=read_only(np.zeros(7)),
+    )
+
+
+MAX_STEPS = 20  # four steps are enough almost everywhere; where they are not, the arm is at the end of its reach
+REACHED = 1e-10  # a pose is reached when the errors of position [m] and rotation [rad] are at most this
+DAMPING = 1e-3  # fraction of the error whose square damps a step; keeps steps short where the arm is outstretched
 
 
 def kinematics_of(
     model: RobotModel, T_flange_tool: np.ndarray, deviations: DhParameters | None, elbow_preference: float = 0.0
 ) -> Kinematics:
-    """Returns the kinematics of an arm with its tool.
+    """Returns the kinematics of an arm with its tool; arguments as in `Kinematics`.
 
-    Args:
-        model: the arm as in its data sheet.
-        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m].
-        deviations: calibrated less nominal parameters; None or all zero: the closed form alone.
-        elbow_preference: arm angle to which the elbow slowly returns [rad]; 0 is up.
+    `deviations` are calibrated less nominal parameters; None or all zero: the closed form alone.
     """
     if deviations is None or not deviations.any:
         return Kinematics(model, T_flange_tool, elbow_preference)
@@ -47,14 +91,7 @@ def kinematics_of(
 
 
 class CalibratedKinematics(Kinematics):
-    """An arm with calibrated parameters, and its tool.
-
-    Args:
-        model: the arm as in its data sheet; its joint ranges hold here too.
-        parameters: its calibrated parameters.
-        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m]; the flange itself if omitted.
-        elbow_preference: arm angle to which the elbow slowly returns [rad]; 0 is up.
-    """
+    """An arm with calibrated parameters, and its tool; the joint ranges are those of the data sheet."""
 
     calibrated = True
 

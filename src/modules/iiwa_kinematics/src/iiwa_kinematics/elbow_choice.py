@@ -20,54 +20,29 @@ from iiwa_kinematics.arcs import TURN, Interval, nearest
 from iiwa_kinematics.elbow_circle import BRANCHES, Branch, ElbowCircle, Limits, wrapped
 from iiwa_kinematics.robot_model import RobotModel
 
-JOINT_TOLERANCE_RAD = 1e-10
-"""A joint out of its range by at most this is a rounding error."""
-
-JOINT_3_WEIGHT = 10.0
-"""How much more a step of joint 3 costs than one of another joint."""
-
-RETURN_FRACTION = 0.25
-"""Fraction of the joint step that may be added for the return to the preferred arm angle."""
-
-MARGIN_RAD = radians(5.0)
-"""The arm angle is led away where a joint is nearer to its limit than this, or joint 2 or 6 nearer to zero."""
-
-NEARBY_RAD = radians(3.0)
-"""A solution with a joint step of at most this is taken without trying others."""
-
-CROSSING_RAD = radians(10.0)
-"""A joint goes through zero if it is nearer to zero than this before and after the step."""
-
+JOINT_TOLERANCE_RAD = 1e-10  # a joint out of its range by at most this is a rounding error
+JOINT_3_WEIGHT = 10.0  # how much more a step of joint 3 costs than one of another joint
+RETURN_FRACTION = 0.25  # fraction of the joint step that may be added for the return to the preferred arm angle
+MARGIN_RAD = radians(5.0)  # the arm angle is led away where a joint is nearer to its limit, or joint 2 or 6 to zero
+NEARBY_RAD = radians(3.0)  # a solution with a joint step of at most this is taken without trying others
+CROSSING_RAD = radians(10.0)  # a joint goes through zero if it is nearer to zero than this before and after the step
 WOUND = -0.5
 """Below this cosine of joint 3, the preferred arm angle would need joints 1 and 3 turned over: it is not used."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """Joints that reach the pose.
+    """Joints that reach the pose."""
 
-    Attributes:
-        cost: squared weighted joint step from the seed.
-        angle: of the elbow on its circle [rad].
-        q: joints, 7 angles [rad].
-        branch: signs of joints 2, 4 and 6.
-        interval: of the angles around `angle` at which all joints are in their ranges [rad].
-    """
-
-    cost: float
-    angle: float
-    q: list[float]
-    branch: Branch
-    interval: Interval
+    cost: float  # squared weighted joint step from the seed
+    angle: float  # of the elbow on its circle [rad]
+    q: list[float]  # joints, 7 angles [rad]
+    branch: Branch  # signs of joints 2, 4 and 6
+    interval: Interval  # of the angles around `angle` at which all joints are in their ranges [rad]
 
 
 class ElbowChoice:
-    """Chooses branch and arm angle.
-
-    Args:
-        model: the arm.
-        preference: arm angle to which the elbow slowly returns [rad]; 0 is up.
-    """
+    """Chooses branch and arm angle; the elbow slowly returns to the arm angle `preference` [rad]; 0 is up."""
 
     def __init__(self, model: RobotModel, preference: float) -> None:
         self._preference = preference
@@ -106,11 +81,7 @@ class ElbowChoice:
     def led_back(self, circle: ElbowCircle, found: Candidate, seed: list[float], zero: float) -> Candidate:
         """Returns `found`, led towards the preferred arm angle by a small part of its joint step.
 
-        Args:
-            circle: of the elbow.
-            found: joints that reach the pose.
-            seed: present joints [rad].
-            zero: arm angle at the circle's angle zero [rad].
+        `zero` is the arm angle at the circle's angle zero [rad].
         """
         goal = self._goal(circle, found, zero)
         fastest = max(1.0, max(map(abs, circle.self_motion(found.q))))

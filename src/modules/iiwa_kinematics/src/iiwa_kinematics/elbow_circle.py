@@ -23,8 +23,7 @@ import numpy as np
 from iiwa_kinematics.arcs import FLAT, TURN, Arc, Interval, intersection, positive, remaining
 from iiwa_kinematics.chain import Vector, combination, cross
 
-ALIGNED = 1e-10
-"""Below this sine of joint 2 (or 6) the axes of joints 1 and 3 (or 5 and 7) count as one, only their sum matters."""
+ALIGNED = 1e-10  # below this sine of joint 2 (or 6) only the sum of joints 1 and 3 (or 5 and 7) matters
 
 
 class Branch(NamedTuple):
@@ -92,11 +91,7 @@ class ElbowCircle:
     def joints(self, angle: float, branch: Branch, near: Sequence[float], limits: Limits) -> list[float]:
         """Returns the 7 joint angles [rad] at an angle on the circle [rad]; they may be out of range.
 
-        Args:
-            angle: on the circle [rad].
-            branch: signs of joints 2, 4 and 6.
-            near: 7 joint angles [rad], the choice where the axes of two joints coincide.
-            limits: joint ranges, likewise only for that choice.
+        `near`, 7 joint angles [rad], and the joint ranges decide only where the axes of two joints coincide.
         """
         c, s = cos(angle), sin(angle)
         sign = branch.elbow

@@ -15,15 +15,10 @@ import numpy as np
 from iiwa_kinematics.chain import Vector, combination, cross, forward, jacobian, zyz_axes
 from iiwa_kinematics.elbow_choice import ElbowChoice
 from iiwa_kinematics.elbow_circle import Branch, ElbowCircle, wrapped
-from iiwa_kinematics.poses import inverse_pose, read_only
-from iiwa_kinematics.robot_model import RobotModel
+from iiwa_kinematics.robot_model import RobotModel, read_only
 
-REACH_TOLERANCE_M = 1e-10
-"""A target beyond the outstretched arm by at most this is a rounding error."""
-
-RIGID_TOLERANCE = 1e-6
-"""How far the columns of a target's rotation may be from orthonormal."""
-
+REACH_TOLERANCE_M = 1e-10  # a target beyond the outstretched arm by at most this is a rounding error
+RIGID_TOLERANCE = 1e-6  # how far the columns of a target's rotation may be from orthonormal
 UPRIGHT = 1e-6
 """Below this sine of the angle between the line shoulder - wrist and the vertical, the arm angle counts from base x."""
 
@@ -45,26 +40,16 @@ class IkFailure(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class IkResult:
-    """Joints for a tool pose, or why there are none.
+    """Joints for a tool pose, or why there are none."""
 
-    Attributes:
-        q: joints, shape (7,) [rad]; None if there are none.
-        failure: None if there are joints.
-        arm_angle: about the line from shoulder to wrist, from the vertical plane above it to the elbow [rad].
-        branch: signs of joints 2, 4 and 6.
-    """
-
-    q: np.ndarray | None
-    failure: IkFailure | None = None
-    arm_angle: float | None = None
-    branch: Branch | None = None
+    q: np.ndarray | None  # joints, shape (7,) [rad]; None if there are none
+    failure: IkFailure | None = None  # None if there are joints
+    arm_angle: float | None = None  # about shoulder - wrist, from the vertical plane above it to the elbow [rad]
+    branch: Branch | None = None  # signs of joints 2, 4 and 6
 
 
 class Kinematics:
     """An arm with its tool, as in its data sheet.
-
-    Attributes:
-        calibrated: whether this arm differs from the one that the robot's own controller computes with.
 
     Args:
         model: the arm.
@@ -72,7 +57,7 @@ class Kinematics:
         elbow_preference: arm angle to which the elbow slowly returns [rad]; 0 is up.
     """
 
-    calibrated = False
+    calibrated = False  # whether this arm differs from the one that the robot's own controller computes with
 
     def __init__(
         self, model: RobotModel, T_flange_tool: np.ndarray | None = None, elbow_preference: float = 0.0
@@ -92,13 +77,9 @@ class Kinematics:
         return jacobian(self.model, q, self.T_flange_tool)
 
     def refined(self, q: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray | None:
-        """Returns joints near q that bring this arm to a pose to which q brings the arm of the data sheet.
+        """Returns joints near q, shape (7,) [rad], that bring this arm to a pose to which q brings the nominal arm.
 
-        Here the two arms are the same. A calibrated arm may not reach the pose: then None.
-
-        Args:
-            q: shape (7,) [rad].
-            T_base_tool: shape (4, 4) [m].
+        Here the two arms are the same. A calibrated arm may not reach the pose, shape (4, 4) [m]: then None.
         """
         return q
 
@@ -147,11 +128,7 @@ class Kinematics:
 
     @staticmethod
     def _checked(T_base_tool: np.ndarray, q_seed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Returns both as arrays.
-
-        Raises:
-            ValueError: wrong shape, or not finite.
-        """
+        """Returns both as arrays; ValueError: wrong shape, or not finite."""
         seed = np.asarray(q_seed, dtype=float)
         if seed.shape != (7,) or not all(map(isfinite, seed.tolist())):
             raise ValueError(f"the seed must be seven finite joint angles, not {seed.tolist()}")
@@ -162,12 +139,7 @@ class Kinematics:
 
 
 def _elbow_across(u: Vector, q: list[float]) -> Vector:
-    """Returns the unit vector across u to the elbow for which the axis of joint 4 changes least.
-
-    Args:
-        u: unit vector from shoulder to wrist.
-        q: present joints [rad].
-    """
+    """Returns the unit vector across u (shoulder to wrist) to the elbow for which the axis of joint 4 changes least."""
     axis = zyz_axes(q[0], q[1], q[2])[1]
     sign = Branch.of(q).elbow
     for h in ((sign * axis[0], sign * axis[1], sign * axis[2]), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)):
@@ -179,11 +151,7 @@ def _elbow_across(u: Vector, q: list[float]) -> Vector:
 
 
 def _axes_and_position(T: np.ndarray) -> tuple[tuple[Vector, Vector, Vector], Vector]:
-    """Returns the columns of a rigid pose.
-
-    Raises:
-        ValueError: the pose is not rigid.
-    """
+    """Returns the columns of a rigid pose; ValueError: it is not rigid."""
     x, y, z, p = map(tuple, T.T[:, :3].tolist())
     xy = cross(x, y)
     errors = (
@@ -203,3 +171,11 @@ def _arm_angle(u: Vector, e: Vector) -> float:
     if hypot(u[0], u[1]) < UPRIGHT:
         return atan2(e[1] * u[2], e[0])
     return atan2(e[0] * u[1] - e[1] * u[0], e[2])
+
+
+def inverse_pose(T: np.ndarray) -> np.ndarray:
+    """Returns the inverse of a rigid pose, shape (4, 4)."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse

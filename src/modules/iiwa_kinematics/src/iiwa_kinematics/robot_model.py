@@ -12,8 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-
-from iiwa_kinematics.poses import read_only
+from numpy.typing import ArrayLike
 
 FLANGE_HEIGHTS = {
     "MF_elektrisch": 0.035,
@@ -23,11 +22,8 @@ FLANGE_HEIGHTS = {
 }
 """Height of each media flange, from link 7 to the outer face [m]."""
 
-WRIST_LINK_7 = 0.126
-"""From the wrist, where the axes of joints 5, 6 and 7 meet, to the face of link 7 [m]."""
-
-JOINT_RANGES_DEG = (170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0)
-"""Each joint turns by so much either way [deg], in both arms."""
+WRIST_LINK_7 = 0.126  # from the wrist, where the axes of joints 5, 6 and 7 meet, to the face of link 7 [m]
+JOINT_RANGES_DEG = (170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0)  # either way [deg], in both arms
 
 # Lengths base - shoulder, shoulder - elbow, elbow - wrist [m]; joint speeds [deg/s].
 _ARMS = {
@@ -40,29 +36,24 @@ ROBOTS = tuple(_ARMS)
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """An arm with its media flange.
+    """An arm with its media flange."""
 
-    Attributes:
-        name: the arm, as in the parameter kuka/robot.
-        flange: the media flange, as in the parameter kuka/flange.
-        base_shoulder: height of the origin of joint 2 above the base [m].
-        shoulder_elbow: length of the upper arm [m].
-        elbow_wrist: length of the forearm [m].
-        wrist_flange: from the wrist to the outer face of the media flange [m].
-        lower: least joint angles, shape (7,) [rad].
-        upper: greatest joint angles, shape (7,) [rad].
-        max_speed: greatest joint speeds, shape (7,) [rad/s].
-    """
+    name: str  # the arm, as in the parameter kuka/robot
+    flange: str  # the media flange, as in the parameter kuka/flange
+    base_shoulder: float  # height of the origin of joint 2 above the base [m]
+    shoulder_elbow: float  # length of the upper arm [m]
+    elbow_wrist: float  # length of the forearm [m]
+    wrist_flange: float  # from the wrist to the outer face of the media flange [m]
+    lower: np.ndarray  # least joint angles, shape (7,) [rad]
+    upper: np.ndarray  # greatest joint angles, shape (7,) [rad]
+    max_speed: np.ndarray  # greatest joint speeds, shape (7,) [rad/s]
 
-    name: str
-    flange: str
-    base_shoulder: float
-    shoulder_elbow: float
-    elbow_wrist: float
-    wrist_flange: float
-    lower: np.ndarray
-    upper: np.ndarray
-    max_speed: np.ndarray
+
+def read_only(values: ArrayLike) -> np.ndarray:
+    """Returns a float copy of `values` that cannot be written to, for frozen records."""
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array
 
 
 def robot_model(robot: str, flange: str) -> RobotModel:
@@ -75,16 +66,7 @@ def robot_model(robot: str, flange: str) -> RobotModel:
         raise ValueError(f"there is no robot {robot!r}; choose one of {', '.join(_ARMS)}")
     if flange not in FLANGE_HEIGHTS:
         raise ValueError(f"there is no media flange {flange!r}; choose one of {', '.join(FLANGE_HEIGHTS)}")
-    (base_shoulder, shoulder_elbow, elbow_wrist), speeds = _ARMS[robot]
-    ranges = np.radians(JOINT_RANGES_DEG)
-    return RobotModel(
-        name=robot,
-        flange=flange,
-        base_shoulder=base_shoulder,
-        shoulder_elbow=shoulder_elbow,
-        elbow_wrist=elbow_wrist,
-        wrist_flange=WRIST_LINK_7 + FLANGE_HEIGHTS[flange],
-        lower=read_only(-ranges),
-        upper=read_only(ranges),
-        max_speed=read_only(np.radians(speeds)),
-    )
+    lengths, speeds = _ARMS[robot]
+    upper = read_only(np.radians(JOINT_RANGES_DEG))
+    wrist_flange = WRIST_LINK_7 + FLANGE_HEIGHTS[flange]
+    return RobotModel(robot, flange, *lengths, wrist_flange, read_only(-upper), upper, read_only(np.radians(speeds)))

@@ -29,7 +29,7 @@ from kst.errors import (
     WrongMode,
 )
 from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
-from kst.session import KstSession, KstTiming, LinkCounts
+from kst.session import KstSession, KstTiming
 from kst.transport import KstTransport
 
 
@@ -44,19 +44,23 @@ class KstMode(enum.Enum):
 class KstClient:
     """A connection to the server; `connect` makes it, `close` ends it. Also a context manager.
 
+    `mode` is what the server is busy with, as far as this client asked for it; `counts` are the events on the link.
     Every call that talks to the server may raise, besides what it lists:
         ConnectionLost: the link is gone, was aborted, or the server fell silent; all later calls raise it too.
         ReplyTimeout: this answer did not come; the next call restores the pairing of answers first.
         UnexpectedReply: the answer does not fit the command.
-        MotionRefused: the controller had left servo mode by itself and said `nak`.
+        MotionRefused: the controller refused with a `nak`, or had left servo mode by itself; the tool is attached
+            again.
         WrongMode: the server never answers the command in the present mode; nothing was sent.
+        BadJoints, BadVelocity, ValueError: a goal, velocity or pin out of range; nothing was sent.
     """
 
     def __init__(self, session: KstSession, tool: ToolTransform, limits: JointLimits) -> None:
         self._session = session
         self._tool = tool
         self._limits = limits
-        self._mode = KstMode.IDLE
+        self.mode = KstMode.IDLE
+        self.counts = session.counts
         self._goal: np.ndarray | None = None
 
     @classmethod
@@ -69,12 +73,9 @@ class KstClient:
         timeout: float = 5.0,
         timing: KstTiming | None = None,
     ) -> KstClient:
-        """Connects and attaches the tool.
+        """Connects and attaches the tool, T_flange_tool, shape (4, 4) [m]; None is the flange itself.
 
         Args:
-            host: address of the controller.
-            port: its port.
-            tool: T_flange_tool, shape (4, 4) [m]; None is the flange itself.
             limits: joint ranges that goals must keep to; None: those of the LBR iiwa.
             timeout: longest wait for the connection, and again for the first answer [s].
             timing: the other waits.
@@ -122,16 +123,6 @@ class KstClient:
         self.close()
 
     @property
-    def mode(self) -> KstMode:
-        """What the server is busy with, as far as this client asked for it."""
-        return self._mode
-
-    @property
-    def counts(self) -> LinkCounts:
-        """Events on the link so far."""
-        return self._session.counts
-
-    @property
     def round_trip(self) -> float | None:
         """Time from the last answered command to its answer [s]; None before the first."""
         return self._session.round_trip
@@ -139,7 +130,7 @@ class KstClient:
     def joints(self) -> np.ndarray:
         """Returns the measured joint angles, shape (7,) [rad]; in every mode."""
         timing = self._session.timing
-        timeout = timing.servo_reply if self._mode is KstMode.SERVO else timing.reply
+        timeout = timing.servo_reply if self.mode is KstMode.SERVO else timing.reply
         return self._numbers(codec.JOINTS, self._ask(codec.JOINTS, timeout))
 
     def external_torques(self) -> np.ndarray:
@@ -166,8 +157,6 @@ class KstClient:
         """Moves the arm to q, shape (7,) [rad], and waits until it arrives, at most `timeout` seconds.
 
         Raises:
-            BadJoints, BadVelocity, WrongMode: as `start_ptp_joints`.
-            MotionRefused: the controller refused the motion or gave it up; the tool is attached again.
             ReplyTimeout: the arm did not arrive in time. It may still move: the mode stays PTP.
         """
         self.start_ptp_joints(q, velocity)
@@ -182,13 +171,7 @@ class KstClient:
         self.ptp_arrived()
 
     def start_ptp_joints(self, q: ArrayLike, velocity: float) -> None:
-        """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1].
-
-        Raises:
-            BadJoints: q is not seven numbers within the limits.
-            BadVelocity: the velocity is not in (0, 1].
-            MotionRefused: the controller refused; the tool is attached again.
-        """
+        """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1]."""
         goal = self._limits.check(q)
         velocity = check_relative_velocity(velocity)
         self._require_idle("a PTP motion")
@@ -196,7 +179,7 @@ class KstClient:
         self._ask(codec.joint_goal(goal))
         self._goal = goal
         self._session.expect_final(True)
-        self._mode = KstMode.PTP
+        self.mode = KstMode.PTP
         try:
             self._accept(codec.START_PTP)
         except KstError:
@@ -205,14 +188,9 @@ class KstClient:
             raise
 
     def ptp_arrived(self) -> bool:
-        """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has.
-
-        Raises:
-            MotionRefused: the controller refused the motion or gave it up; the tool is attached again.
-            WrongMode: no PTP motion was started, or its end was reported already.
-        """
-        if self._mode is not KstMode.PTP:
-            raise WrongMode(f"no PTP motion runs (mode {self._mode.value}); start one first", mode=self._mode)
+        """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has."""
+        if self.mode is not KstMode.PTP:
+            raise WrongMode(f"no PTP motion runs (mode {self.mode.value}); start one first", mode=self.mode)
         self._session.poll()
         final = self._session.final
         if final is None:
@@ -223,29 +201,20 @@ class KstClient:
         return True
 
     def start_joint_servo(self) -> None:
-        """Starts the joint position servo with the present joints as its goal.
-
-        Raises:
-            BadJoints: the measured joints are outside the limits.
-            MotionRefused: the controller refused; the tool is attached again.
-        """
+        """Starts the joint position servo with the present joints, which must be within the limits, as its goal."""
         self._require_idle("the joint servo")
         self._ask(codec.joint_goal(self._limits.check(self.joints())))
         self._accept(codec.START_SERVO)
-        self._mode = KstMode.SERVO
+        self.mode = KstMode.SERVO
         self._session.transport.pause(self._session.timing.servo_start)
 
     def stop_joint_servo(self) -> None:
-        """Waits until the arm stands still at its last goal and stops the servo.
-
-        Raises:
-            MotionRefused: the controller had stopped the servo before; the tool is attached again.
-        """
+        """Waits until the arm stands still at its last goal and stops the servo."""
         self._require_servo()
         with contextlib.suppress(ReplyTimeout, UnexpectedReply):
             self._session.rest(self._session.timing.rest)
         self._ask(codec.STOP_SERVO)
-        self._mode = KstMode.IDLE
+        self.mode = KstMode.IDLE
         self._session.transport.pause(self._session.timing.servo_stop)
         self._session.poll()
         self._heed_refusal()
@@ -253,18 +222,13 @@ class KstClient:
     def servo(self, q: ArrayLike, feedback: Feedback = Feedback.DONE) -> np.ndarray | None:
         """Sets the servo's goal to q, shape (7,) [rad], and returns the feedback.
 
-        Args:
-            q: the goal.
-            feedback: DONE is only an acknowledgement. NOTHING is no answer: the caller keeps the pace and sends an
-                answered goal now and then. The others are measurements, taken before the goal acts.
+        DONE is only an acknowledgement. NOTHING is no answer: the caller keeps the pace and sends an answered goal now
+        and then. The others are measurements, taken before the goal acts. UnexpectedReply: also for POSE from a server
+        older than May 2019, which answers the force instead.
 
         Returns:
             JOINTS: shape (7,) [rad]. EXTERNAL_TORQUES, MEASURED_TORQUES: shape (7,) [Nm]. POSE of the tool in the base,
-            shape (4, 4) [m]. FORCE at the tool, shape (3,) [N]. None for DONE and NOTHING.
-
-        Raises:
-            BadJoints: q is not seven numbers within the limits.
-            UnexpectedReply: also for POSE from a server older than May 2019, which answers the force instead.
+                shape (4, 4) [m]. FORCE at the tool, shape (3,) [N]. None for DONE and NOTHING.
         """
         self._require_servo()
         command = codec.joint_goal(self._limits.check(q), feedback)
@@ -283,19 +247,11 @@ class KstClient:
         self._ask(codec.blue(on))
 
     def set_pin(self, number: int, on: bool) -> None:
-        """Switches output 1, 2, 11 or 12 of connector X3; in every mode.
-
-        Raises:
-            ValueError: there is no such output.
-        """
+        """Switches output 1, 2, 11 or 12 of connector X3; in every mode."""
         self._ask(codec.set_pin(number, on))
 
     def pin(self, number: int) -> bool:
-        """Returns input 3, 4, 10, 13 or 16 of connector X3; in every mode. Servers without a media flange say True.
-
-        Raises:
-            ValueError: there is no such input.
-        """
+        """Returns input 3, 4, 10, 13 or 16 of connector X3; in every mode. Always True without a media flange."""
         command = codec.get_pin(number)
         return bool(self._numbers(command, self._ask(command))[0])
 
@@ -304,14 +260,13 @@ class KstClient:
 
         Never raises on a dead link. A running PTP motion continues to its goal; the application ends after it.
         """
-        servo = self._mode is KstMode.SERVO
-        timing = self._session.timing
+        servo, timing = self.mode is KstMode.SERVO, self._session.timing
         with contextlib.suppress(KstError):
             if servo and self._session.in_step:
                 self._session.rest(min(timing.rest, timing.servo_reply))
         with contextlib.suppress(KstError):
             self._session.farewell(stop_servo=servo)
-        self._mode = KstMode.IDLE
+        self.mode = KstMode.IDLE
         self._session.transport.close()
 
     def abort(self) -> None:
@@ -323,14 +278,12 @@ class KstClient:
         self._session.transport.abort()
 
     def _measure(self, command: KstCommand, in_servo: Feedback | None) -> np.ndarray:
-        if self._mode is KstMode.SERVO:
+        if self.mode is KstMode.SERVO:
             cure = f"use servo(q, {in_servo})" if in_servo else "call stop_joint_servo() first"
-            raise WrongMode(f"`{command.word}` is not answered in servo mode; {cure}", mode=self._mode)
-        if self._mode is KstMode.PTP:
-            raise WrongMode(
-                f"`{command.word}` is not answered during a PTP motion; use joints() or wait for its end",
-                mode=self._mode,
-            )
+            raise WrongMode(f"`{command.word}` is not answered in servo mode; {cure}", mode=self.mode)
+        if self.mode is KstMode.PTP:
+            cure = "use joints() or wait for its end"
+            raise WrongMode(f"`{command.word}` is not answered during a PTP motion; {cure}", mode=self.mode)
         return self._numbers(command, self._accept(command))
 
     def _ask(self, command: KstCommand, timeout: float | None = None) -> KstReply:
@@ -352,7 +305,7 @@ class KstClient:
             return
         self._session.refused = False
         self._session.ask(codec.STOP_SERVO)
-        self._mode = KstMode.IDLE
+        self.mode = KstMode.IDLE
         self._session.transport.pause(self._session.timing.servo_stop)
         self._refused("to continue and left servo mode by itself (a limit or a safety stop)")
 
@@ -378,28 +331,23 @@ class KstClient:
 
     def _end_motion(self) -> None:
         self._session.expect_final(False)
-        self._mode = KstMode.IDLE
+        self.mode = KstMode.IDLE
 
     def _require_idle(self, what: str) -> None:
-        if self._mode is KstMode.PTP:
-            raise WrongMode(f"{what} cannot start during a PTP motion; wait for ptp_arrived()", mode=self._mode)
-        if self._mode is KstMode.SERVO:
-            raise WrongMode(f"{what} cannot start in servo mode; call stop_joint_servo() first", mode=self._mode)
+        if self.mode is KstMode.PTP:
+            raise WrongMode(f"{what} cannot start during a PTP motion; wait for ptp_arrived()", mode=self.mode)
+        if self.mode is KstMode.SERVO:
+            raise WrongMode(f"{what} cannot start in servo mode; call stop_joint_servo() first", mode=self.mode)
 
     def _require_servo(self) -> None:
-        if self._mode is not KstMode.SERVO:
-            raise WrongMode(
-                f"the joint servo does not run (mode {self._mode.value}); call start_joint_servo() first",
-                mode=self._mode,
-            )
+        if self.mode is not KstMode.SERVO:
+            what = f"the joint servo does not run (mode {self.mode.value}); call start_joint_servo() first"
+            raise WrongMode(what, mode=self.mode)
 
     @staticmethod
     def _numbers(command: KstCommand, reply: KstReply) -> np.ndarray:
         numbers = np.array(reply.numbers)
         if not np.all(np.isfinite(numbers)):
-            raise UnexpectedReply(
-                f"the controller reported `{reply.text}`, which is not all numbers; it was ignored",
-                command=command.word,
-                reply=reply.text,
-            )
+            what = f"the controller reported `{reply.text}`, which is not all numbers; it was ignored"
+            raise UnexpectedReply(what, command=command.word, reply=reply.text)
         return numbers

@@ -15,17 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kst.poses import check_pose, rotation_from_zyx, zyx_from_rotation
+from kst.limits import check_pose
 
-MAX_LINE = 512
-"""Longest line that counts as a reply [bytes]; seven doubles in Java's longest text need about 180."""
-
-MAX_TOOL_M = 1.0
-"""A tool point farther from the flange is refused: somebody mixed up millimetres and metres."""
-
+MAX_LINE = 512  # longest line that counts as a reply [bytes]; seven doubles in Java's longest text need about 180
+MAX_TOOL_M = 1.0  # a tool point farther from the flange is refused: somebody mixed up millimetres and metres
 OUTPUT_PINS = (1, 2, 11, 12)
 INPUT_PINS = (3, 4, 10, 13, 16)
-
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|Infinity)|NaN")
 
 
@@ -66,6 +61,10 @@ class KstCommand:
         """The command without its numbers."""
         return self.line.split("_", 1)[0] if self.line.endswith("_") else self.line
 
+    def accepts(self, reply: KstReply) -> bool:
+        """Returns whether a reply may be the answer; every command of the main thread may be refused by a `nak`."""
+        return reply.kind is self.answer or (reply.kind is ReplyKind.NAK and self.thread is ServerThread.MAIN)
+
 
 @dataclass(frozen=True)
 class KstReply:
@@ -78,11 +77,7 @@ class KstReply:
 
 @dataclass(frozen=True, eq=False)
 class ToolTransform:
-    """Pose of the tool point in the flange frame, T_flange_tool, shape (4, 4) [m].
-
-    Raises:
-        ValueError: not a rigid pose, or farther than `MAX_TOOL_M` from the flange.
-    """
+    """Pose of the tool in the flange, shape (4, 4) [m]; ValueError: not rigid, or farther away than `MAX_TOOL_M`."""
 
     T_flange_tool: np.ndarray
 
@@ -144,22 +139,14 @@ def blue(on: bool) -> KstCommand:
 
 
 def set_pin(number: int, on: bool) -> KstCommand:
-    """Returns the command for an output of connector X3.
-
-    Raises:
-        ValueError: there is no such output; the server would not answer.
-    """
+    """Returns the command for an output of connector X3; ValueError: none such, the server would not answer."""
     if number not in OUTPUT_PINS:
         raise ValueError(f"there is no output pin {number!r}; the outputs are {OUTPUT_PINS}")
     return KstCommand(f"pin{number}{'on' if on else 'off'}", ServerThread.READER, ReplyKind.DONE)
 
 
 def get_pin(number: int) -> KstCommand:
-    """Returns the command that reads an input of connector X3.
-
-    Raises:
-        ValueError: there is no such input; the server would not answer.
-    """
+    """Returns the command that reads an input of connector X3; ValueError: none such, the server would not answer."""
     if number not in INPUT_PINS:
         raise ValueError(f"there is no input pin {number!r}; the inputs are {INPUT_PINS}")
     return KstCommand(f"getPin{number}", ServerThread.READER, ReplyKind.PIN)
@@ -179,12 +166,29 @@ def pose_from_fields(fields: Iterable[float]) -> np.ndarray:
     return T
 
 
-def number(value: float) -> str:
-    """Returns the shortest text that Java reads back as the same double.
+def rotation_from_zyx(a: float, b: float, c: float) -> np.ndarray:
+    """Returns Rz(a) Ry(b) Rx(c), shape (3, 3)."""
+    (sa, sb, sc), (ca, cb, cc) = np.sin((a, b, c)), np.cos((a, b, c))
+    return np.array(
+        [
+            [ca * cb, ca * sb * sc - sa * cc, ca * sb * cc + sa * sc],
+            [sa * cb, sa * sb * sc + ca * cc, sa * sb * cc - ca * sc],
+            [-sb, cb * sc, cb * cc],
+        ]
+    )
 
-    Raises:
-        ValueError: not finite; such a word stops the server's reader thread.
-    """
+
+def zyx_from_rotation(R: np.ndarray) -> tuple[float, float, float]:
+    """Returns a, b, c with R = Rz(a) Ry(b) Rx(c), b in [-pi/2, pi/2]; at |b| = pi/2 one of the many solutions."""
+    a = math.atan2(R[1, 0], R[0, 0])
+    b = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    sa, ca = math.sin(a), math.cos(a)
+    c = math.atan2(sa * R[0, 2] - ca * R[1, 2], ca * R[1, 1] - sa * R[0, 1])
+    return a + 0.0, b + 0.0, c + 0.0  # no -0.0
+
+
+def number(value: float) -> str:
+    """Returns the shortest text that Java reads back as the same double; ValueError: not finite."""
     value = float(value)
     if not math.isfinite(value):
         raise ValueError(f"{value} stops the server's reader thread; nothing was sent")

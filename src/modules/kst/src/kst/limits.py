@@ -1,4 +1,5 @@
-"""The last check before numbers leave for the arm: seven finite joint angles within their ranges, a velocity in (0, 1].
+"""The last check before numbers leave for the arm: seven finite joint angles within their ranges, a velocity in (0, 1],
+a rigid pose.
 
 The server checks nothing, and a joint angle that is not a number makes it deaf for good. Angles in degrees or poses in
 millimetres that end up here by mistake are outside the ranges.
@@ -12,18 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kst.errors import BadJoints, BadVelocity
-from kst.poses import read_only
 
 JOINTS = 7
+RIGID_TOLERANCE = 1e-6
+
+
+def read_only(values: ArrayLike) -> np.ndarray:
+    """Returns a read-only float copy of `values`, for frozen records."""
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Ranges of the joint angles, from `lower` to `upper`, shape (7,) each [rad].
-
-    Raises:
-        ValueError: not seven finite ranges, or an empty one.
-    """
+    """Ranges of the joint angles, from `lower` to `upper`, shape (7,) each [rad]; ValueError: not seven, or empty."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -38,11 +42,7 @@ class JointLimits:
             raise ValueError(f"the joint limits {self.lower.tolist()} to {self.upper.tolist()} leave no range")
 
     def check(self, q: ArrayLike) -> np.ndarray:
-        """Returns the joint angles q [rad] as a float array, shape (7,).
-
-        Raises:
-            BadJoints: not seven finite numbers, or a joint outside its range.
-        """
+        """Returns the joint angles q [rad] as a float array, shape (7,); BadJoints: not seven numbers in range."""
         try:
             angles = np.array(q, dtype=float)
         except (TypeError, ValueError) as error:
@@ -52,16 +52,11 @@ class JointLimits:
         bad = np.flatnonzero(~((angles >= self.lower) & (angles <= self.upper)))
         if bad.size:
             first = int(bad[0])
-            raise BadJoints(self._sentence(angles, first), joint=first + 1)
+            low, high, angle = np.degrees([self.lower[first], self.upper[first], angles[first]])
+            hint = " (degrees instead of radians?)" if np.any(np.abs(angles) > 2.0 * np.pi) else ""
+            outside = f"joint {first + 1} at {angle:.6g} deg is outside its range {low:.6g} to {high:.6g} deg{hint}"
+            raise BadJoints(f"{outside}; nothing was sent", joint=first + 1)
         return angles
-
-    def _sentence(self, angles: np.ndarray, bad: int) -> str:
-        low, high, angle = np.degrees([self.lower[bad], self.upper[bad], angles[bad]])
-        hint = " (degrees instead of radians?)" if np.any(np.abs(angles) > 2.0 * np.pi) else ""
-        return (
-            f"joint {bad + 1} at {angle:.6g} deg is outside its range {low:.6g} to {high:.6g} deg{hint};"
-            " nothing was sent"
-        )
 
 
 LBR_IIWA_RANGE = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
@@ -70,11 +65,7 @@ LBR_IIWA_LIMITS = JointLimits(-LBR_IIWA_RANGE, LBR_IIWA_RANGE)
 
 
 def check_relative_velocity(velocity: float) -> float:
-    """Returns the relative velocity of a PTP motion as a float, in (0, 1].
-
-    Raises:
-        BadVelocity: not a number in (0, 1].
-    """
+    """Returns the relative velocity of a PTP motion as a float; BadVelocity: it is not a number in (0, 1]."""
     try:
         value = float(velocity)
     except (TypeError, ValueError) as error:
@@ -82,3 +73,20 @@ def check_relative_velocity(velocity: float) -> float:
     if not 0.0 < value <= 1.0:
         raise BadVelocity(f"the relative velocity {value:g} is not in (0, 1]; nothing was sent")
     return value
+
+
+def check_pose(T: ArrayLike) -> np.ndarray:
+    """Returns T as a read-only float array, shape (4, 4).
+
+    Raises:
+        ValueError: not finite, not rigid (scale, shear, mirror), or the last row is not 0 0 0 1.
+    """
+    T = read_only(T)
+    if T.shape != (4, 4) or not np.all(np.isfinite(T)):
+        raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")
+    R = T[:3, :3]
+    if np.abs(R @ R.T - np.eye(3)).max() > RIGID_TOLERANCE or np.linalg.det(R) < 0.0:
+        raise ValueError(f"the rotation {R.tolist()} of the pose is not orthonormal and right-handed")
+    if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
+        raise ValueError(f"the last row of a pose is 0 0 0 1, not {T[3].tolist()}")
+    return T

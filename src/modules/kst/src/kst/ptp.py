@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kst.poses import read_only
+from kst.limits import read_only
 
-MOVED_RAD = math.radians(0.02)
-"""A smaller approach to the goal is not a motion [rad]."""
+MOVED_RAD = math.radians(0.02)  # a smaller approach to the goal is not a motion [rad]
 
 
 class PtpApproach:
@@ -110,13 +109,10 @@ class PtpSupervisor:
         self._missed = 0
 
     def observe(self, q: np.ndarray, now: float, arrived: bool = False, interrupted: bool = False) -> PtpProgress:
-        """Returns the progress at the joints q, shape (7,) [rad], at the time `now` [s].
+        """Returns the progress at the measured joints q, shape (7,) [rad], at the monotonic time `now` [s].
 
-        Args:
-            q: measured joints.
-            now: monotonic time.
-            arrived: the controller reported the end of the motion before the joints were read.
-            interrupted: the user wants to wait no longer; the arm continues to its goal.
+        `arrived`: the controller reported the end of the motion before the joints were read. `interrupted`: the user
+        wants to wait no longer; the arm continues to its goal.
         """
         self._missed = 0
         approach = self._approach

@@ -13,8 +13,7 @@ from kst.client import KstClient
 from kst.errors import PtpFailed, ReplyTimeout, UnexpectedReply
 from kst.ptp import PtpLimits, PtpProgress, PtpState, PtpSupervisor
 
-ONE_READING = (ReplyTimeout, UnexpectedReply)
-"""Errors of one answer on a link that may be sound."""
+ONE_READING = (ReplyTimeout, UnexpectedReply)  # errors of one answer on a link that may be sound
 
 
 def read_joints(client: KstClient, tries: int = PtpLimits.missed) -> np.ndarray:
@@ -35,12 +34,9 @@ def run_ptp(
     report: Callable[[PtpProgress, np.ndarray], None] = lambda progress, joints: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> PtpProgress:
-    """Moves the arm to q, shape (7,) [rad], at the fraction `velocity` of full speed; returns its last progress.
+    """Moves the arm to q, shape (7,) [rad], at `velocity`, a fraction of full speed; returns the last progress.
 
     Args:
-        client: of the arm.
-        q: the goal.
-        velocity: in (0, 1].
         limits: bounds of the motion.
         report: called with each progress and the joints, shape (7,) [rad], that were read.
         interrupted: whether to wait no longer; the arm then continues to its goal, because the toolbox cannot stop it.

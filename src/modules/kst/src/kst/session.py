@@ -9,7 +9,7 @@ comes unasked and is not an answer.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,14 +18,9 @@ from kst.codec import KstCommand, KstReply, ReplyKind, ServerThread
 from kst.errors import ReplyTimeout, UnexpectedReply
 from kst.transport import KstTransport
 
-STILL_RAD = 5e-4
-"""Joints that change less than this between two readings, `KstTiming.quiet` apart, stand still [rad]."""
-
-MAX_FOREIGN = 20
-"""After more foreign lines than this before one answer, the peer is not a toolbox server."""
-
-MAX_STRAY = 200
-"""After more stray lines than this, resynchronisation fails."""
+STILL_RAD = 5e-4  # joints that change less than this between two readings, `KstTiming.quiet` apart, stand still [rad]
+MAX_FOREIGN = 20  # after more foreign lines than this before one answer, the peer is not a toolbox server
+MAX_STRAY = 200  # after more stray lines than this, resynchronisation fails
 
 
 @dataclass(frozen=True)
@@ -45,21 +40,20 @@ class KstTiming:
     tries: int = 3  # how often a main-thread command is sent at most
 
 
-@dataclass(frozen=True)
+@dataclass
 class LinkCounts:
-    """Counts since the link was opened: commands sent and answered, missed answers, commands sent again after they were
-    wiped, replies that belonged to no command, and lines that were not replies."""
+    """Events since the link was opened."""
 
     sent: int = 0
     answered: int = 0
-    missed: int = 0
-    resent: int = 0
-    stray: int = 0
-    foreign: int = 0
+    missed: int = 0  # answers
+    resent: int = 0  # commands that were wiped
+    stray: int = 0  # replies that belonged to no command
+    foreign: int = 0  # lines that were not replies
 
 
 class KstSession:
-    """Pairs the lines of one connection.
+    """Pairs the lines of one connection. All that talks to the server raises ConnectionLost on a lost link.
 
     Attributes:
         counts: events so far.
@@ -90,36 +84,23 @@ class KstSession:
         self.final = None
 
     def post(self, command: KstCommand) -> None:
-        """Sends a command that has no answer.
-
-        Raises:
-            ConnectionLost: the link is lost.
-        """
+        """Sends a command that has no answer."""
         self.poll()
         self._send(command)
 
     def poll(self) -> None:
-        """Sorts the lines that have come unasked; does not wait.
-
-        Raises:
-            ConnectionLost: the link is lost.
-        """
+        """Sorts the lines that have come unasked; does not wait."""
         for reply in self.transport.waiting():
             self._sort(reply)
 
     def wait_for_final(self, timeout: float) -> ReplyKind | None:
-        """Returns the final word of the motion, or None if it does not come within `timeout` seconds.
-
-        Raises:
-            ConnectionLost: the link is lost.
-        """
+        """Returns the final word of the motion, or None if it does not come within `timeout` seconds."""
         deadline = time.monotonic() + timeout
         while self.final is None:
             reply = self.transport.receive(deadline)
-            if reply is None:
-                break
-            self._sort(reply)
-            if time.monotonic() > deadline:
+            if reply is not None:
+                self._sort(reply)
+            if reply is None or time.monotonic() > deadline:
                 break
         return self.final
 
@@ -129,8 +110,7 @@ class KstSession:
         Raises:
             ReplyTimeout: no answer within `timeout` seconds (None: `KstTiming.reply`).
             UnexpectedReply: an answer that does not fit, or too many lines that are no replies.
-            ConnectionLost: the link is lost, or an earlier missing answer left the pairing unknown and it could not
-                be found again.
+            ConnectionLost: also if the pairing is unknown since an earlier missing answer and could not be found again.
         """
         timeout = self.timing.reply if timeout is None else timeout
         late = self.resynchronise()
@@ -142,9 +122,9 @@ class KstSession:
             reply = self.transport.receive(sent_at + timeout)
             if reply is None:
                 self._unanswered = command
-                self._count(missed=1)
+                self.counts.missed += 1
                 raise ReplyTimeout(f"`{command.word}` was not answered within {timeout:g} s", command=command.word)
-            if reply.kind is command.answer or (reply.kind is ReplyKind.NAK and command.thread is ServerThread.MAIN):
+            if command.accepts(reply):
                 self._note_answer(command, sent_at)
                 return reply
             if not self._sort(reply) and reply.kind is not ReplyKind.FOREIGN:
@@ -178,7 +158,7 @@ class KstSession:
         """
         for attempt in range(self.timing.tries):
             if attempt > 0:
-                self._count(resent=1)
+                self.counts.resent += 1
             try:
                 return self.ask(command)
             except ReplyTimeout as error:
@@ -202,10 +182,8 @@ class KstSession:
         """Restores the pairing after a missing answer, and returns that answer if it came late.
 
         The reader thread, which answers in order, is asked for a reply of another kind than the missing one: what comes
-        before it is late. For a command of the main thread a short silence follows.
-
-        Raises:
-            ConnectionLost: the probe is not answered either.
+            before it is late. For a command of the main thread a short silence follows. A probe without an answer:
+            ConnectionLost.
         """
         missing = self._unanswered
         if missing is None:
@@ -235,21 +213,13 @@ class KstSession:
         return None
 
     def rest(self, longest: float) -> None:
-        """Waits until the arm stands still, at most `longest` seconds.
-
-        Raises:
-            ReplyTimeout, UnexpectedReply, ConnectionLost: as in `ask`.
-        """
+        """Waits until the arm stands still, at most `longest` seconds; raises as `ask`."""
         deadline = time.monotonic() + longest
         while time.monotonic() < deadline and self._arm_moves():
             pass
 
     def farewell(self, stop_servo: bool) -> None:
-        """Ends the server's application: stops servo mode on request, sends `end`, waits for the end of file.
-
-        Raises:
-            ConnectionLost: the link is lost, as it is after the server's end of file.
-        """
+        """Ends the server's application: stops servo mode on request, sends `end`, waits for the end of file."""
         if stop_servo:
             self._send(codec.STOP_SERVO)
             self.transport.receive(time.monotonic() + self.timing.servo_reply)
@@ -265,12 +235,12 @@ class KstSession:
             self.transport.pause(ready_at - time.monotonic())
         sent_at = time.monotonic()
         self.transport.send(command.line, self.timing.reply)
-        self._count(sent=1)
+        self.counts.sent += 1
         return sent_at
 
     def _note_answer(self, command: KstCommand, sent_at: float | None = None) -> None:
         now = time.monotonic()
-        self._count(answered=1)
+        self.counts.answered += 1
         if sent_at is not None:
             self.round_trip = now - sent_at
         if command.thread is ServerThread.MAIN:
@@ -289,22 +259,18 @@ class KstSession:
             self.refused = True
             self._main_answered_at = time.monotonic()
             return True
-        if reply.kind is ReplyKind.FOREIGN:
-            self._count(foreign=1)
-        else:
-            self._count(stray=1)
+        foreign = reply.kind is ReplyKind.FOREIGN
+        self.counts.foreign += foreign
+        self.counts.stray += not foreign
         return False
 
     def _sort_out(self, replies: list[KstReply], missing: KstCommand) -> KstReply | None:
         """Sorts replies and returns the one among them that answers `missing`."""
         late = None
         for reply in replies:
-            expected = reply.kind is missing.answer or (
-                reply.kind is ReplyKind.NAK and missing.thread is ServerThread.MAIN
-            )
-            if expected and self._unanswered is missing:
+            if missing.accepts(reply) and self._unanswered is missing:
                 self._unanswered = None
-                self._count(stray=1)
+                self.counts.stray += 1
                 late = reply
             else:
                 self._sort(reply)
@@ -315,6 +281,3 @@ class KstSession:
         self.transport.pause(self.timing.quiet)
         change = np.abs(np.array(self.ask(codec.JOINTS).numbers) - before)
         return not np.all(change <= STILL_RAD)
-
-    def _count(self, **more: int) -> None:
-        self.counts = replace(self.counts, **{name: getattr(self.counts, name) + n for name, n in more.items()})

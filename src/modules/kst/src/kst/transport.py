@@ -1,7 +1,7 @@
 """The socket to the toolbox server: whole lines out, whole replies in, every wait bounded.
 
 Small packets leave at once (TCP_NODELAY). Keepalive and TCP_USER_TIMEOUT reveal a cable that is pulled out within
-seconds, even while the link is idle or only written to. Every use of a lost link raises ConnectionLost.
+seconds, even while the link is idle or only written to.
 """
 
 from __future__ import annotations
@@ -16,16 +16,14 @@ from collections import deque
 from kst.codec import KstLineSplitter, KstReply, parse_reply
 from kst.errors import ConnectionLost, NoServer
 
-USER_TIMEOUT_S = 3.0
-"""A link whose peer has not confirmed sent bytes for this long is lost [s]."""
-
+USER_TIMEOUT_S = 3.0  # a link whose peer has not confirmed sent bytes for this long is lost [s]
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 2))
 _CHUNK = 65536
 _RECONNECT = "look after the arm, restart MatlabToolboxServer on the smartPad and connect again"
 
 
 class KstTransport:
-    """One TCP connection; used from one thread, except `abort`."""
+    """One TCP connection; used from one thread, except `abort`. Every use of a lost link raises ConnectionLost."""
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
@@ -46,34 +44,25 @@ class KstTransport:
 
     @classmethod
     def connect(cls, host: str, port: int, timeout: float) -> KstTransport:
-        """Connects within `timeout` seconds.
-
-        Raises:
-            NoServer: nobody listens there, or the address is unreachable.
-        """
+        """Connects within `timeout` seconds; NoServer: nobody listens there, or the address is unreachable."""
+        address = f"{host}:{port}"
         try:
             connected = socket.create_connection((host, port), timeout)
         except (OSError, OverflowError) as error:
             raise NoServer(
-                f"no toolbox server at {host}:{port} ({error}): start MatlabToolboxServer on the smartPad (it waits"
+                f"no toolbox server at {address} ({error}): start MatlabToolboxServer on the smartPad (it waits"
                 " 60 s for a client) and check cable and address",
-                address=f"{host}:{port}",
+                address=address,
             ) from error
         if connected.getsockname() == connected.getpeername():
             # The kernel may give a free port of this machine to the connecting socket itself.
             connected.close()
-            raise NoServer(
-                f"no toolbox server at {host}:{port}: the socket connected to itself; start the server",
-                address=f"{host}:{port}",
-            )
+            what = f"no toolbox server at {address}: the socket connected to itself; start the server"
+            raise NoServer(what, address=address)
         return cls(connected)
 
     def send(self, line: str, timeout: float) -> None:
-        """Writes the line and its line feed.
-
-        Raises:
-            ConnectionLost: the link is lost, or the peer took the line only in part within `timeout` seconds.
-        """
+        """Writes the line and its line feed; a peer that takes it only in part within `timeout` seconds is lost."""
         self._check()
         data = memoryview(line.encode("ascii") + b"\n")
         deadline = time.monotonic() + timeout
@@ -82,17 +71,13 @@ class KstTransport:
                 data = data[self._socket.send(data) :]
             except BlockingIOError:
                 if not self._wait(self._writable, deadline):
-                    self._lose(f"the controller has taken no more bytes for {timeout:g} s")
+                    self.give_up(f"the controller has taken no more bytes for {timeout:g} s")
             except OSError as error:
                 self.ended_by_peer = isinstance(error, ConnectionError)
-                self._lose(f"the link to the controller broke while writing ({error})")
+                self.give_up(f"the link to the controller broke while writing ({error})")
 
     def receive(self, deadline: float) -> KstReply | None:
-        """Returns the next reply, or None if none comes until `deadline`, in seconds of time.monotonic().
-
-        Raises:
-            ConnectionLost: the peer closed or reset the link, or it was aborted.
-        """
+        """Returns the next reply, or None if none comes until `deadline`, in seconds of time.monotonic()."""
         while not self._replies:
             self._check()
             if not self._wait(self._readable, deadline):
@@ -101,11 +86,7 @@ class KstTransport:
         return self._replies.popleft()
 
     def waiting(self) -> list[KstReply]:
-        """Returns the replies that have arrived already; does not wait.
-
-        Raises:
-            ConnectionLost: as in `receive`.
-        """
+        """Returns the replies that have arrived already; does not wait."""
         self._check()
         if self._wait(self._readable, 0.0):
             self._read()
@@ -114,21 +95,15 @@ class KstTransport:
         return replies
 
     def pause(self, duration: float) -> None:
-        """Waits `duration` seconds, or until the link is aborted.
-
-        Raises:
-            ConnectionLost: the link was aborted.
-        """
+        """Waits `duration` seconds, or until the link is aborted."""
         self._aborted.wait(duration)
         self._check()
 
     def give_up(self, reason: str) -> None:
-        """Declares the link lost.
-
-        Raises:
-            ConnectionLost: always, with the reason.
-        """
-        self._lose(reason)
+        """Declares the link lost and raises ConnectionLost with the reason."""
+        self._lost = self._lost or reason
+        self._shut_down()
+        self._check()
 
     def abort(self) -> None:
         """Drops the connection without a command to the server; any thread may call it, a waiting call wakes up."""
@@ -148,27 +123,21 @@ class KstTransport:
             return
         except OSError as error:
             self.ended_by_peer = isinstance(error, ConnectionError)
-            self._lose(f"the link to the controller broke ({error})")
+            self.give_up(f"the link to the controller broke ({error})")
         if not data:
             self._check()
             self.ended_by_peer = True
-            self._lose("the controller closed the connection: its application has ended")
+            self.give_up("the controller closed the connection: its application has ended")
         self._replies.extend(map(parse_reply, self._splitter.feed(data)))
 
     def _wait(self, events: select.poll, deadline: float) -> bool:
-        remaining = max(deadline - time.monotonic(), 0.0)
-        return bool(events.poll(1000.0 * remaining))
+        return bool(events.poll(1000.0 * max(deadline - time.monotonic(), 0.0)))
 
     def _check(self) -> None:
         if self._aborted.is_set():
             self._lost = self._lost or "the connection was aborted on this side"
         if self._lost is not None:
             raise ConnectionLost(f"{self._lost}; {_RECONNECT}")
-
-    def _lose(self, reason: str) -> None:
-        self._lost = self._lost or reason
-        self._shut_down()
-        self._check()
 
     def _shut_down(self) -> None:
         # Not close(): another thread may be waiting on this descriptor, and its number could be given to a new file.

@@ -1,8 +1,4 @@
-"""The real-time algorithm: pick the desired tool frame up by a PTP motion, then follow it by servo goals.
-
-Before the first stream a small motion at home identifies the servo law of the robot's controller. Goals that are meant
-for another law would be wrong by far, so then the controller exits without having followed anything.
-"""
+"""The two algorithms, real time and PTP, and how they are put together from the configuration and the rig."""
 
 from __future__ import annotations
 
@@ -10,13 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kuka_control.limits.jump import TOLERANCE_RAD
-from kuka_control.limits.motion_limits import MotionLimits, Unlimited
-from kuka_control.loop.commands import Servo
+from kuka_control.limits.motion_limits import MotionLimits, SpeedLimits, Unlimited
+from kuka_control.limits.speed_change import ShapeLimits, WorkspaceBrake
+from kuka_control.loop.commands import Servo, Wait
 from kuka_control.loop.control_loop import ControlLoop, Cycle, Fired, LoopSettings, Outcome
-from kuka_control.loop.goal_stream import GoalStream, GoalStreamSettings
-from kuka_control.loop.servo_law_identification import ServoLawIdentification, ServoLawVerdict, verdict
-from kuka_control.loop.transitions import REAL_TIME_STATES, State, Trigger
+from kuka_control.loop.goal_stream import TOLERANCE_RAD, GoalStream, GoalStreamSettings
+from kuka_control.loop.servo_law import ServoLawIdentification, ServoLawVerdict, verdict
+from kuka_control.loop.transitions import PTP_STATES, REAL_TIME_STATES, State, Trigger
+from kuka_control.model.config import PtpConfig, RealTimeConfig
+from kuka_control.model.rig import Rig
 from kuka_control.model.target import TargetChain
 
 COUNTED_AS = {Trigger.JUMPED: "jumps", Trigger.JOINTS_JUMPED: "flips"}
@@ -24,19 +22,18 @@ COUNTED_AS = {Trigger.JUMPED: "jumps", Trigger.JOINTS_JUMPED: "flips"}
 
 @dataclass(frozen=True)
 class RealTimeSettings(LoopSettings):
-    """Settings of the real-time loop besides.
+    """Settings of the real-time loop besides."""
 
-    Attributes:
-        servo_law: law of the robot's servo loop that the goals are to be made for, "lts" or "none".
-        goals: the settings of the stream of goals.
-    """
-
-    servo_law: str
-    goals: GoalStreamSettings
+    servo_law: str  # law of the robot's servo loop that the goals are to be made for, "lts" or "none"
+    goals: GoalStreamSettings  # the settings of the stream of goals
 
 
 class RealTimeLoop(ControlLoop[RealTimeSettings]):
-    """Follows the desired tool frame in servo mode."""
+    """Picks the desired tool frame up by a PTP motion, then follows it by servo goals.
+
+    Before the first stream a small motion at home identifies the servo law of the robot's controller. Goals that are
+    meant for another law would be wrong by far, so then the controller exits without having followed anything.
+    """
 
     STATES = REAL_TIME_STATES
     PICK_UP = "the pick-up pose"
@@ -123,3 +120,63 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             self._limited_by = (goal.limited_by,)
         self.counts["goals_sent"] += 1
         return Servo(goal.q, stamp)
+
+
+@dataclass(frozen=True)
+class PtpSettings(LoopSettings):
+    """Settings of the PTP loop besides; `joints_thresh`: smaller joint steps are not executed [rad]."""
+
+    joints_thresh: float
+
+
+class PtpLoop(ControlLoop[PtpSettings]):
+    """Every desired tool frame that is far enough away is one PTP motion."""
+
+    STATES = PTP_STATES
+    PICK_UP = "the desired pose"
+
+    def _follow(self, distance: float) -> Outcome:
+        return Wait() if distance <= self._settings.joints_thresh else Fired(Trigger.FAR_TARGET)
+
+
+RANGE_MARGIN_RAD = float(np.radians(0.1))
+"""Servo goals keep this distance to the ends of the joint ranges, where the robot's controller would end servo mode."""
+
+
+def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
+    """Returns the real-time control loop."""
+    goals = GoalStreamSettings(
+        joint_speeds=config.joint_speed * rig.model.max_speed,
+        tool_speed=config.tcp_speed,
+        shaped=config.shaping != "none",
+        lower=rig.model.lower + RANGE_MARGIN_RAD,
+        upper=rig.model.upper - RANGE_MARGIN_RAD,
+    )
+    slow, fast = config.velocity_ptp_slow, config.velocity_ptp_fast
+    settings = RealTimeSettings(rig.home.q, config.time_out, slow, fast, config.servo_law, goals)
+    return RealTimeLoop(settings, rig.chain, motion_limits(config, rig) if goals.shaped else Unlimited())
+
+
+def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
+    """Returns the limits of the stream of servo goals; faster joints change their speed more quickly in proportion."""
+    pace = rig.model.max_speed / np.min(rig.model.max_speed)
+    acceleration = config.joint_acceleration * pace
+
+    def tool_position(q: np.ndarray) -> np.ndarray:
+        return rig.kinematics.forward(q)[:3, 3]
+
+    brake = WorkspaceBrake(rig.workspace, tool_position, rig.kinematics.jacobian, acceleration)
+    return MotionLimits(
+        SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed),
+        ShapeLimits(acceleration, config.joint_jerk * pace),
+        rig.model.lower + RANGE_MARGIN_RAD,
+        rig.model.upper - RANGE_MARGIN_RAD,
+        tool_position,
+        brake,
+    )
+
+
+def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
+    """Returns the PTP control loop."""
+    velocity, threshold = config.velocity_ptp, float(np.radians(config.joints_thresh))
+    return PtpLoop(PtpSettings(rig.home.q, config.time_out, velocity, velocity, threshold), rig.chain)

@@ -1,11 +1,34 @@
-"""The switches that the operator sets by services, and the sentences of the replies."""
+"""The published mode of a controller, and the switches that the operator sets by services."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
 
-from kuka_control.model.mode import Mode
-from kuka_control.model.scaling import SCALING_DEFAULT, check_scaling_factor
+SCALING_MIN = 0.1
+SCALING_MAX = 1.5
+SCALING_DEFAULT = 1.0
+
+
+def check_scaling_factor(factor: float) -> float:
+    """Returns the factor; ValueError: it is not finite or outside `SCALING_MIN` to `SCALING_MAX`."""
+    if not SCALING_MIN <= factor <= SCALING_MAX:
+        raise ValueError(f"the scaling factor {factor:g} is outside {SCALING_MIN:g} to {SCALING_MAX:g}")
+    return float(factor)
+
+
+class Mode(str, Enum):
+    """The mode on kuka/mode and in kuka/status; rig_msgs/KukaStatus has the same constants."""
+
+    STARTING = "starting"
+    HOMING = "homing"
+    HOME = "home"
+    PICK_UP = "pick_up"
+    SERVO = "servo"
+    RETURNING = "returning"
+    ZERO = "zero"
+    STOPPED = "stopped"
 
 
 @dataclass(frozen=True)
@@ -19,8 +42,7 @@ class SwitchState:
     exit_requested: bool = False
 
 
-@dataclass(frozen=True)
-class SwitchReply:
+class SwitchReply(NamedTuple):
     """Whether a request was executed, and one sentence about it."""
 
     success: bool
@@ -28,17 +50,13 @@ class SwitchReply:
 
 
 class Switches:
-    """The switches of a controller."""
+    """The switches of a controller; `now` is the position of all."""
 
     def __init__(self) -> None:
-        self._now = SwitchState()
+        self.now = SwitchState()
         self._mode = Mode.STARTING
         self._stopped_because: str | None = None
         self._held_by: str | None = None
-
-    def read(self) -> SwitchState:
-        """Returns the position of all switches."""
-        return self._now
 
     def report(self, mode: Mode, stopped_because: str | None) -> None:
         """Takes the state of the controller, which the replies quote."""
@@ -46,7 +64,7 @@ class Switches:
 
     def hold(self, why: str) -> None:
         """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
-        self._now = replace(self._now, control_on=False)
+        self.now = replace(self.now, control_on=False)
         self._held_by = why
 
     def release(self) -> None:
@@ -55,13 +73,13 @@ class Switches:
 
     def set_control(self, on: bool) -> SwitchReply:
         """Switches control of the arm on or off."""
-        if on and self._now.exit_requested:
+        if on and self.now.exit_requested:
             return SwitchReply(False, "Control stays off: the controller is shutting down.")
         if on and self._held_by is not None:
             return SwitchReply(False, f"Control stays off: {self._held_by}.")
-        stopped, before = self._stopped_because, self._now.control_on
-        enable_count = self._now.enable_count + (on and not before)
-        self._now = replace(self._now, control_on=on, enable_count=enable_count)
+        stopped, before = self._stopped_because, self.now.control_on
+        enable_count = self.now.enable_count + (on and not before)
+        self.now = replace(self.now, control_on=on, enable_count=enable_count)
         if on and before and stopped:
             return SwitchReply(False, f"The arm is stopped until control is switched off and on again: {stopped}")
         if on == before:
@@ -75,30 +93,29 @@ class Switches:
 
     def set_gripper(self, on: bool) -> SwitchReply:
         """Switches the flag on the topic kuka/gripper_control."""
-        if on and self._now.exit_requested:
+        if on and self.now.exit_requested:
             return SwitchReply(False, "Gripper control stays off: the controller is shutting down.")
-        self._now = replace(self._now, gripper_on=on)
+        self.now = replace(self.now, gripper_on=on)
         return SwitchReply(True, f"Gripper control is {'on' if on else 'off'}.")
 
     def set_scale(self, factor: float) -> SwitchReply:
         """Changes the scaling factor, while control is off."""
-        if self._now.control_on:
+        if self.now.control_on:
             return SwitchReply(
-                False,
-                f"The scaling factor stays {self._now.scale:g}: it cannot change while control is on.",
+                False, f"The scaling factor stays {self.now.scale:g}: it cannot change while control is on."
             )
         try:
             scale = round(check_scaling_factor(factor), 6)
         except ValueError as error:
-            return SwitchReply(False, f"The scaling factor stays {self._now.scale:g}: {error}.")
-        self._now = replace(self._now, scale=scale)
+            return SwitchReply(False, f"The scaling factor stays {self.now.scale:g}: {error}.")
+        self.now = replace(self.now, scale=scale)
         return SwitchReply(True, f"The scaling factor is {scale:g}.")
 
     def request_exit(self) -> SwitchReply:
         """Requests the motion to the zero position and the exit."""
-        if self._now.exit_requested:
+        if self.now.exit_requested:
             return SwitchReply(True, "The controller is shutting down already.")
-        self._now = replace(self._now, control_on=False, gripper_on=False, exit_requested=True)
+        self.now = replace(self.now, control_on=False, gripper_on=False, exit_requested=True)
         if self._held_by is not None:
             return SwitchReply(True, f"The controller exits and leaves the arm as it is: {self._held_by}.")
         return SwitchReply(True, "The arm goes to the zero position, then the controller exits.")

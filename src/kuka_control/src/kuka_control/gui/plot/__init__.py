@@ -1,1 +1,0 @@
-"""Plots of the workspace, with matplotlib; no ROS here."""
