@@ -48,11 +48,9 @@ class ViewsConfig:
 
     def faults(self) -> list[str]:
         """Returns empty ranges, and a guess without a viewing direction."""
-        faults = [
-            f"{key} is {getattr(self, key).tolist()}, but the first value must be smaller than the second."
-            for key in ("tilt", "distance")
-            if getattr(self, key)[0] >= getattr(self, key)[1]
-        ]
+        ranges = (("tilt", self.tilt), ("distance", self.distance))
+        rule = "but the first value must be smaller than the second."
+        faults = [f"{key} is {ends.tolist()}, {rule}" for key, ends in ranges if ends[0] >= ends[1]]
         if np.linalg.norm(np.cross(self.guess_target - self.guess_position, (0.0, 0.0, 1.0))) < 1e-3:
             faults.append("guess_target is straight above or below guess_position; shift it by some millimetres.")
         return faults

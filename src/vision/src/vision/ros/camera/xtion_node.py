@@ -22,7 +22,6 @@ CALIBRATIONS = ("rgb_calibration", "depth_calibration")
 FRAMES = "frames"
 SERIAL = "serial"
 """Private parameter that the node writes: the serial number of the device, for nodes that store its calibration."""
-
 TIMEOUT_S = 0.5
 SILENCE_S = 2.0
 """After this time without an image the camera is reopened."""
