@@ -39,9 +39,9 @@ GGCNN = {
     "peaks": "settings:PeaksConfig",
     "averaging": "tracking:AveragingConfig",
     "tracking": "tracking:TrackingConfig",
-    "approach": "surface:ApproachConfig",
-    "limits": "limits:LimitsConfig",
-    "reach": "reach:ReachConfig",
+    "approach": "projection:ApproachConfig",
+    "limits": "tool_pose:LimitsConfig",
+    "reach": "tool_pose:ReachConfig",
 }
 
 SCHEMAS: dict[str, tuple[Part, ...]] = {

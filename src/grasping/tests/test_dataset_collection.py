@@ -18,13 +18,11 @@ from common.poses import translation
 from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
 from grasping.lab.dataset.collector import Collector
 from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
-from grasping.lab.dataset.frame_buffer import FrameBufferConfig, KeptFrame, Optics, on_hand
-from grasping.lab.dataset.network_view import MAP_SIDE, look, millimetres
+from grasping.lab.dataset.frame_buffer import MAP_SIDE, FrameBufferConfig, KeptFrame, Optics, look, millimetres, on_hand
 from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak
 from grasping.pipeline.projection import project_grasp as grasp_at
-from grasping.pipeline.rig_configuration import grasp_in_tool, rig_configuration
-from grasping.pipeline.settings import overlaid, settings_from
+from grasping.pipeline.settings import grasp_in_tool, overlaid, rig_configuration, settings_from
 from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
 from grasping.pipeline.view import CameraView, CropConfig
 

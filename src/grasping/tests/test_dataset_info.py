@@ -8,7 +8,6 @@ import pytest
 from episodes import episode, metadata
 
 from common.poses import translation
-from grasping.lab.dataset import summary
 from grasping.lab.dataset.labels import own_grasp
 from grasping.lab.dataset.store import encode
 from grasping.lab.programs import dataset_info
@@ -50,7 +49,7 @@ def test_objects_frames_and_the_share_that_was_held_are_told(info):
     assert lines["box"][1:4] == ["1", "2", "100"]
     assert lines["all"][1:4] == ["3", "8", "67"]
     assert lines["all"][7:9] == ["2026-01-02T03:04:05Z", "2026-02-02T00:00:00Z"]
-    assert episode().metadata.fingerprint[: summary.SHORT] in lines
+    assert episode().metadata.fingerprint[: dataset_info.SHORT] in lines
 
 
 def test_damaged_files_are_named_and_left_out(info, folder):
@@ -63,7 +62,7 @@ def test_damaged_files_are_named_and_left_out(info, folder):
         code, text = info("--episodes", *check)
         assert code == len(check)
         assert f"{folder}/episode_4.npz: The file is torn or damaged" in text
-        assert f"{folder}/episode_5.npz: The file is no episode" in text
+        assert f"{folder}/episode_5.npz: Not an episode" in text
         assert f"{folder}/.episode_6.npzabcdefgh: the process that wrote it died" in text
         assert "notes" not in text and "discarded" not in text
         assert [line.split()[0] for line in text.splitlines() if line.startswith("episode_")] == [
@@ -76,7 +75,7 @@ def test_another_rig_is_named_with_what_differs(info, folder):
     (folder / "episode_4.npz").write_bytes(encode(episode(metadata=other)))
     code, text = info("--check")
     assert code == 1 and "2 configurations of the rig" in text
-    (line,) = (line for line in text.splitlines() if line.startswith(other.fingerprint[: summary.SHORT]))
+    (line,) = (line for line in text.splitlines() if line.startswith(other.fingerprint[: dataset_info.SHORT]))
     assert line.split()[1:] == ["1", "robot"]
 
 
@@ -105,7 +104,7 @@ def test_the_offset_is_zero_where_the_person_grasps_as_ggcnn_proposes():
     one = episode(1)
     frame = one.frame(0)
     T = frame.T_base_camera @ own_grasp(frame).T_camera_grasp @ translation(0.01, 0.0, 0.0)
-    (offset,) = summary.offsets(episode(1, T_tool_grasp=np.eye(4), T_base_tool_closed=T))
+    (offset,) = dataset_info.offsets(episode(1, T_tool_grasp=np.eye(4), T_base_tool_closed=T))
     np.testing.assert_allclose(offset.position, (0.01, 0.0, 0.0), atol=1e-9)
     np.testing.assert_allclose((offset.angle, offset.tilt), 0.0, atol=1e-9)
 
@@ -113,11 +112,11 @@ def test_the_offset_is_zero_where_the_person_grasps_as_ggcnn_proposes():
 def test_episodes_whose_grasps_have_no_place_are_complained_of():
     blind = episode(2)
     blind = episode(2, depth=np.zeros_like(blind.depth))
-    (sentence,) = summary.complaints([summary.entry("episode_1", 1, blind)])
+    (sentence,) = dataset_info.complaints([dataset_info.entry("episode_1", 1, blind)])
     assert sentence == "episode_1 has no frame in which both grasps have a pose."
 
 
 def test_differences_name_what_differs_inside():
     a = {"kuka": {"robot": "a", "flange": "f"}, "weights": "w"}
     b = {"kuka": {"robot": "b", "flange": "f"}, "crop": [1]}
-    assert summary.differences(a, b) == ["crop", "kuka/robot", "weights"]
+    assert dataset_info.differences(a, b) == ["crop", "kuka/robot", "weights"]

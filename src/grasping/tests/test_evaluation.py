@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 from common.poses import pose
 from common.rotations import rotation_about
-from grasping.lab.evaluation import heuristics
+from grasping.lab.evaluation import trials
 from grasping.lab.evaluation.lifting import lift
-from grasping.lab.evaluation.rectangles import angle_between, is_right, overlap
-from grasping.lab.evaluation.trials import judge, oracle, situation
+from grasping.lab.evaluation.trials import angle_between, is_right, judge, oracle, overlap, situation
 from grasping.lab.programs.evaluate import calibration, table
 from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml
@@ -65,7 +64,7 @@ def bar_image():
 
 @pytest.mark.parametrize("name", ["principal axis", "edge pair"])
 def test_heuristics_grasp_a_bar_across(name):
-    found = heuristics.HEURISTICS[name](bar_image(), 60.0, np.random.default_rng(1))
+    found = trials.HEURISTICS[name](bar_image(), 60.0, np.random.default_rng(1))
     assert np.hypot(found.row - 130, found.column - 170) < 32.0
     assert angle_between(found.angle, np.radians(-60.0)) < np.radians(12.0)
     assert 20.0 < found.width < 42.0
@@ -74,15 +73,15 @@ def test_heuristics_grasp_a_bar_across(name):
 def test_random_pixel_is_on_the_object():
     image = bar_image()
     for seed in range(10):
-        found = heuristics.random_pixel(image, 60.0, np.random.default_rng(seed))
+        found = trials.random_pixel(image, 60.0, np.random.default_rng(seed))
         assert image.depth[found.row, found.column] < 0.69
 
 
-@pytest.mark.parametrize("name", heuristics.HEURISTICS)
+@pytest.mark.parametrize("name", trials.HEURISTICS)
 def test_heuristics_find_nothing_on_a_bare_table(name):
     depth = np.full((300, 300), 0.7, np.float32)
     image = NetworkImage(Crop(0, 0, 400), depth * 0, depth, depth > 0.0, 0.7)
-    assert heuristics.HEURISTICS[name](image, 60.0, np.random.default_rng(1)) is None
+    assert trials.HEURISTICS[name](image, 60.0, np.random.default_rng(1)) is None
 
 
 def box_scene():

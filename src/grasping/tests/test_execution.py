@@ -23,11 +23,16 @@ from grasping.execution.execution import (
     PERSON,
     TAKEN,
     WAITING_FOR_HAND,
+    ControllerState,
     Execution,
     ExecutionConfig,
     ExecutionObservation,
+    ProposalList,
+    ProposedPose,
+    Refusal,
+    choose,
+    tool_goal,
 )
-from grasping.execution.execution_request import ControllerState, ProposalList, ProposedPose, Refusal, choose, tool_goal
 from grasping.execution.grasp_watch import GraspWatchConfig, HandMeasurement
 from grasping.pipeline.tool_pose import ToolPoseConfig
 

@@ -342,8 +342,7 @@ def test_weight_files_are_checked(changes, sentence):
 
 def rig(**changes):
     """Returns the rig that the package's own yaml files describe."""
-    from grasping.pipeline.rig_configuration import live_origin
-    from grasping.pipeline.settings import overlaid, settings_from
+    from grasping.pipeline.settings import live_origin, overlaid, settings_from
     from grasping.ros.weight_files import own_yaml
 
     values = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}

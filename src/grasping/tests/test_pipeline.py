@@ -21,11 +21,10 @@ from common.poses import check_pose, inverse, pose
 from common.rotations import rotation_about
 from grasping.network.refinement import MapRefiner, RefinedMaps, RefinementNetwork
 from grasping.pipeline import drawing
-from grasping.pipeline.limits import LimitsConfig, rejection_reason
 from grasping.pipeline.pipeline import GraspPipeline, PipelineResult
-from grasping.pipeline.reach import Reachability, ReachabilityCache, ReachConfig
 from grasping.pipeline.refined_grasp import angle_deviation
 from grasping.pipeline.settings import overlaid, sentences, settings_from
+from grasping.pipeline.tool_pose import LimitsConfig, Reachability, ReachabilityCache, ReachConfig, rejection_reason
 
 CONFIG = Path(__file__).parents[1] / "config"
 YAML = {

@@ -16,10 +16,9 @@ from common.config import parse
 from common.errors import ConfigError
 from grasping.network.maps import Maps, Peak
 from grasping.pipeline.pipeline import GraspPipeline
-from grasping.pipeline.preference import preferred
 from grasping.pipeline.projection import pixel_size, project_grasp
 from grasping.pipeline.settings import overlaid, settings_from
-from grasping.pipeline.tool_pose import ToolPoseConfig
+from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 from grasping.pipeline.view import CameraView, CropConfig
 
 CONFIG = Path(__file__).parents[1] / "config"

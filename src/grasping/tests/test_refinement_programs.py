@@ -20,15 +20,14 @@ import torch
 from grasping.lab.dataset import store
 from grasping.lab.dataset.labels import relative_label
 from grasping.lab.programs import (
-    episode_reading,
     evaluate,
     evaluate_refinement,
+    make_dataset,
     make_episodes,
-    making,
     runs,
     train_refinement,
 )
-from grasping.lab.synthetic import episodes, simulated_operator
+from grasping.lab.synthetic import simulated_operator
 from grasping.network import refinement_file
 from grasping.network.refinement import RefinementNetwork
 from grasping.network.refinement_file import Origin
@@ -46,7 +45,7 @@ def call(monkeypatch, program, *arguments):
 def each_scene_once():
     """A scene and its grasps, which the programs make anew wherever they need them, are made once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(episodes, "situation", functools.lru_cache(maxsize=None)(episodes.situation))
+        patch.setattr(simulated_operator, "situation", functools.lru_cache(maxsize=None)(simulated_operator.situation))
         yield
 
 
@@ -78,10 +77,10 @@ class InProcess:
 
 def test_episodes_are_made_once_and_read_as_recorded_ones(data, monkeypatch):
     pools = SimpleNamespace(get_context=lambda _method: SimpleNamespace(Pool=InProcess))
-    monkeypatch.setattr(making, "multiprocessing", pools)
+    monkeypatch.setattr(make_dataset, "multiprocessing", pools)
     paths = sorted(data.iterdir())
-    assert [p.stem for p in paths] == [episodes.file_name("person", n) for n in NUMBERS]
-    assert [episodes.scene_of(p.stem) for p in paths] == [("person", n) for n in NUMBERS]
+    assert [p.stem for p in paths] == [simulated_operator.file_name("person", n) for n in NUMBERS]
+    assert [simulated_operator.scene_of(p.stem) for p in paths] == [("person", n) for n in NUMBERS]
     episode = store.decode(paths[1].read_bytes())
     frame = episode.frame(0)
     assert episode.metadata.operator == "simulated"
@@ -100,7 +99,7 @@ def test_episodes_are_made_once_and_read_as_recorded_ones(data, monkeypatch):
 @pytest.mark.parametrize("views", [("camera", "table"), ("above",)])
 def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(data, tmp_path, monkeypatch, capsys, views):
     for i, view in enumerate(views):
-        episode = store.decode((data / f"{episodes.file_name('person', i)}.npz").read_bytes())
+        episode = store.decode((data / f"{simulated_operator.file_name('person', i)}.npz").read_bytes())
         metadata = replace(episode.metadata, configuration={"view": view})
         (tmp_path / f"{i}.npz").write_bytes(store.encode(replace(episode, metadata=metadata)))
     with pytest.raises(SystemExit):
@@ -112,7 +111,7 @@ def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
     """Without bias, tremor and lean the grasp lies on the surface that the camera sees, and comes straight down."""
     who = simulated_operator.SimulatedOperator(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0, lean=0.0, follow=0.0)
     network, sha256 = make_episodes.network(WEIGHTS)
-    episode = episodes.episode("person", NUMBERS[1], network, sha256, who, 1)
+    episode = simulated_operator.episode("person", NUMBERS[1], network, sha256, who, 1)
     frame = episode.frame(0)
     p = frame.T_camera_grasp[:3, 3]
     column, row = (round(float(i)) for i in frame.camera.project(p))
@@ -124,7 +123,7 @@ def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
 @pytest.fixture(name="holdout")
 def holdout_fixture(monkeypatch):
     """Every other episode is held out, so that few are enough."""
-    monkeypatch.setattr(episode_reading, "is_held_out", lambda name: int(name[-1]) % 2 == 1)
+    monkeypatch.setattr(train_refinement, "is_held_out", lambda name: int(name[-1]) % 2 == 1)
 
 
 def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, tmp_path, monkeypatch):
@@ -164,7 +163,7 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     text = (results / "results.csv").read_text()
     assert text.startswith(first)
     rows = list(csv.DictReader(text.splitlines()))
-    held = [n.name for n in episode_reading.read(test) if n.episode.held]
+    held = [n.name for n in train_refinement.read_episodes(test) if n.episode.held]
     bound = evaluate_refinement.BOUND
     names = {"GGCNN alone", "GGCNN + constant offset", "nearest neighbour", bound, "untrained", "trained"}
     assert sorted((r["episode"], r["method"]) for r in rows) == sorted((e, m) for e in held for m in names)
@@ -192,7 +191,7 @@ def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, t
     assert (tmp_path / "curve" / "curve.png").stat().st_size > 1000
     call(monkeypatch, evaluate_refinement, data, test, tmp_path / "part", "--held-out", "--no-lifting")
     rows = list(csv.DictReader((tmp_path / "part" / "results.csv").read_text().splitlines()))
-    assert {r["episode"] for r in rows} == {name for name in held if episode_reading.is_held_out(name)}
+    assert {r["episode"] for r in rows} == {name for name in held if train_refinement.is_held_out(name)}
     assert {r["lifted"] for r in rows} == {""}
 
 
@@ -258,8 +257,8 @@ def test_episodes_of_several_rigs_are_refused_unless_asked_for(data, tmp_path, m
     with pytest.raises(SystemExit):
         call(monkeypatch, train_refinement, tmp_path, tmp_path / "run")
     assert f"_000004 differ in {name}: train on those of one, or with --mixed." in capsys.readouterr().err
-    mixed = episode_reading.origin_of(episode_reading.read(tmp_path), mixed=True)
-    assert mixed == replace(episode_reading.origin_of(episode_reading.read(data)), **{name: None})
+    mixed = train_refinement.origin_of(train_refinement.read_episodes(tmp_path), mixed=True)
+    assert mixed == replace(train_refinement.origin_of(train_refinement.read_episodes(data)), **{name: None})
 
 
 def test_a_second_network_of_another_rig_is_not_compared(data, holdout, tmp_path, monkeypatch, capsys):
@@ -278,15 +277,15 @@ def test_training_is_over_when_nothing_gets_better():
 
 
 def test_one_episode_in_five_is_held_out():
-    held = [episode_reading.is_held_out(f"episode_{i}") for i in range(1000)]
+    held = [train_refinement.is_held_out(f"episode_{i}") for i in range(1000)]
     assert 150 < sum(held) < 250
 
 
 def test_things_are_left_out_and_chosen(data):
-    things = {n.name: n.episode.metadata.object for n in episode_reading.read(data)}
+    things = {n.name: n.episode.metadata.object for n in train_refinement.read_episodes(data)}
     one = next(iter(things.values())).split(", ")[0]
-    only = {n.name for n in episode_reading.read(data, only=[one])}
-    without = {n.name for n in episode_reading.read(data, without=[one])}
+    only = {n.name for n in train_refinement.read_episodes(data, only=[one])}
+    without = {n.name for n in train_refinement.read_episodes(data, without=[one])}
     assert only == {name for name, what in things.items() if one in what.split(", ")}
     assert without == things.keys() - only
 
@@ -322,14 +321,14 @@ def test_a_damaged_episode_is_named(tmp_path, data, monkeypatch, capsys):
 
 
 def test_too_few_episodes_are_refused(data, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(episode_reading, "is_held_out", lambda name: False)
+    monkeypatch.setattr(train_refinement, "is_held_out", lambda name: False)
     with pytest.raises(SystemExit):
         call(monkeypatch, train_refinement, data, tmp_path / "run")
     assert "too few show a grasp that held" in capsys.readouterr().err
 
 
 def test_nothing_to_learn_from_is_refused(data, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(episode_reading, "is_held_out", lambda name: True)
+    monkeypatch.setattr(train_refinement, "is_held_out", lambda name: True)
     with pytest.raises(SystemExit):
         call(monkeypatch, evaluate_refinement, data, data, tmp_path / "results")
     assert "and 0 to learn from, too few held." in capsys.readouterr().err

@@ -14,20 +14,26 @@ from common.poses import pose
 from common.rotations import rotation_about
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import pose_from_label
-from grasping.lab.evaluation.operator_errors import Neighbours, miss
-from grasping.lab.evaluation.orientation import (
+from grasping.lab.evaluation.operator_errors import (
     CONCENTRATIONS,
     Expected,
+    Neighbours,
     errors,
     expected,
     log_likelihoods,
+    miss,
     operators,
     with_constant_scale,
 )
-from grasping.lab.training.refinement_batches import batch, place_target
-from grasping.lab.training.refinement_examples import OperatorOffset, constant_offset, example, offset_label
-from grasping.lab.training.refinement_losses import RefinementLosses, losses
-from grasping.lab.training.refinement_trainer import RefinementTrainer, RefinementTraining
+from grasping.lab.training.refinement_examples import (
+    OperatorOffset,
+    batch,
+    constant_offset,
+    example,
+    offset_label,
+    place_target,
+)
+from grasping.lab.training.refinement_trainer import RefinementLosses, RefinementTraining, losses, refinement_trainer
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
 from grasping.network.maps import Peak, Smoothing, highest, smoothed
 from grasping.network.refinement import (
@@ -143,7 +149,7 @@ def test_the_constant_offset_is_found_and_undone():
     found = pose_from_label(frame, offset_label(frame, offset))
     np.testing.assert_allclose(found[:3, 3], frame.T_camera_grasp[:3, 3], atol=1e-6)
     np.testing.assert_allclose(found[:3, 2], frame.T_camera_grasp[:3, 2], atol=0.03)
-    network = RefinementTrainer(RefinementTraining(), offset).network
+    network = refinement_trainer(RefinementTraining(), offset).network
     image = prepare(frame.depth_m, CROP)
     refined = MapRefiner(network).apply(maps_of(frame.peak), image)
     peak = highest(smoothed(refined.output, image.valid, Smoothing(quality=2.0)))
@@ -331,7 +337,7 @@ def test_training_learns_what_the_person_prefers():
             depth=np.round(1000.0 * big).astype(np.uint16), maps=small
         )
         examples.append(example(frame, held=True))
-    trainer = RefinementTrainer(RefinementTraining(steps=40, count=4, rate=2e-2, hidden=8), constant_offset([]))
+    trainer = refinement_trainer(RefinementTraining(steps=40, count=4, rate=2e-2, hidden=8), constant_offset([]))
     before = trainer.validate(examples)
     for _ in range(40):
         trainer.train(examples)
@@ -347,7 +353,7 @@ def test_training_learns_an_orientation_that_depends_on_the_place():
         frame = frame_of(grasp_at(0.01, -0.02, 0.66 if high else 0.69, PEAK.angle + 0.6 * high, (0.3 * high, 0.0)))
         frame.depth[100:300, 100:300] = 660 if high else 690
         examples.append(example(frame, held=True))
-    trainer = RefinementTrainer(RefinementTraining(steps=600, count=2, rate=2e-2, hidden=8), NO_OFFSET)
+    trainer = refinement_trainer(RefinementTraining(steps=600, count=2, rate=2e-2, hidden=8), NO_OFFSET)
     for _ in range(600):
         trainer.train(examples)
     for one, (turn, tilt) in zip(examples, ((0.6, 0.3), (0.0, 0.0))):
@@ -363,13 +369,13 @@ def test_training_learns_an_orientation_that_depends_on_the_place():
 def test_training_goes_on_where_it_was_left():
     examples = [example(frame_of(own_pose()), held=True)]
     whole, first = (
-        RefinementTrainer(RefinementTraining(steps=4, count=1, hidden=2), constant_offset([])) for _ in range(2)
+        refinement_trainer(RefinementTraining(steps=4, count=1, hidden=2), constant_offset([])) for _ in range(2)
     )
     for _ in range(4):
         whole.train(examples)
     for _ in range(2):
         first.train(examples)
-    second = RefinementTrainer(RefinementTraining(steps=4, count=1, hidden=2), constant_offset([]))
+    second = refinement_trainer(RefinementTraining(steps=4, count=1, hidden=2), constant_offset([]))
     second.resume(first.state())
     for _ in range(2):
         second.train(examples)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from grasping.lab.synthetic import labels, samples, scene, sensor, shapes
+from grasping.lab.synthetic import labels, samples, scene, shapes
 
 CELL = samples.CELL_M
 N = 120
@@ -151,8 +151,8 @@ def test_labels_in_the_image_sit_on_the_object():
 def test_shadow_falls_right_of_a_step():
     depth = np.full((4, 200), 0.8)
     depth[:, 50:100] = 0.6
-    dark = sensor.shadow(depth)
-    width = sensor.BASELINE_M * sensor.FOCAL_PX * (1.0 / 0.6 - 1.0 / 0.8)
+    dark = samples.shadow(depth)
+    width = samples.BASELINE_M * samples.FOCAL_PX * (1.0 / 0.6 - 1.0 / 0.8)
     assert not dark[:, :100].any()
     assert dark[0].sum() == pytest.approx(width, abs=1.0)
     assert dark[0, 100:117].all()
@@ -162,17 +162,17 @@ def test_sensor_noise_is_that_of_the_model():
     """At 0.7 m: axial error after Nguyen 1.4 mm, beside the error of the scale and the warp, which are smooth."""
     rng = np.random.default_rng(4)
     flat = np.full((400, 400), 0.7)
-    errors = np.stack([sensor.observe(flat, rng) for _ in range(6)]) - 0.7
+    errors = np.stack([samples.observe(flat, rng) for _ in range(6)]) - 0.7
     assert np.isnan(errors).mean() < 0.05
     fine = [np.nanstd(e[:, 8:] - e[:, :-8]) / np.sqrt(2.0) for e in errors]
     assert np.mean(fine) == pytest.approx(0.0014, rel=0.25)
-    assert np.nanstd(np.nanmean(errors, axis=(1, 2))) < 3.0 * 0.7 * sensor.SCALE_ERROR
+    assert np.nanstd(np.nanmean(errors, axis=(1, 2))) < 3.0 * 0.7 * samples.SCALE_ERROR
 
 
 def test_sensor_sees_nothing_too_near_and_rounds():
     depth = np.full((100, 100), 0.8)
-    depth[:50] = sensor.NEAREST_M - 0.02
-    seen = sensor.observe(depth, np.random.default_rng(1))
+    depth[:50] = samples.NEAREST_M - 0.02
+    seen = samples.observe(depth, np.random.default_rng(1))
     assert np.isnan(seen[:50]).all()
     values = seen[60:][np.isfinite(seen[60:])]
     np.testing.assert_allclose(values * 1000.0, np.round(values * 1000.0), atol=1e-3)

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.camera_model import pinhole
-from grasping.network.depth_image import Crop, prepare
-from grasping.network.table_depth import table_depth
+from grasping.network.depth_image import Crop, prepare, table_depth
 
 SIDE = 400
 

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from grasping.lab.training.batches import MapTargets, batch, random_batch
-from grasping.lab.training.losses import losses
-from grasping.lab.training.trainer import NetworkTrainer, NetworkTraining
+from grasping.lab.training.trainer import MapTargets, NetworkTraining, batch, losses, network_trainer, random_batch
 
 SMALL = NetworkTraining(steps=40, count=2, side=60, rate=3e-3, warm_up=5, half=False)
 
@@ -82,14 +80,14 @@ def test_mirrors_turn_the_angle():
 
 def test_a_run_may_end_and_go_on(tmp_path):
     samples = some_samples()
-    whole = NetworkTrainer(SMALL)
+    whole = network_trainer(SMALL)
     for _ in range(6):
         whole.train(samples)
-    first = NetworkTrainer(SMALL)
+    first = network_trainer(SMALL)
     for _ in range(3):
         first.train(samples)
     torch.save(first.state(), tmp_path / "state.pt")
-    second = NetworkTrainer(SMALL)
+    second = network_trainer(SMALL)
     second.resume(torch.load(tmp_path / "state.pt", weights_only=True))
     for _ in range(3):
         second.train(samples)
@@ -100,7 +98,7 @@ def test_a_run_may_end_and_go_on(tmp_path):
 
 def test_training_learns():
     samples = some_samples()
-    trainer = NetworkTrainer(SMALL)
+    trainer = network_trainer(SMALL)
     before = trainer.validate(samples)["validation"]
     found = [trainer.train(samples) for _ in range(SMALL.steps)]
     assert np.mean(found[-5:]) < 0.7 * np.mean(found[:5])
@@ -108,7 +106,7 @@ def test_training_learns():
 
 
 def test_rate_warms_up_and_ends_at_zero():
-    trainer = NetworkTrainer(NetworkTraining(steps=1000, rate=1e-3, warm_up=100, decay=0.2))
+    trainer = network_trainer(NetworkTraining(steps=1000, rate=1e-3, warm_up=100, decay=0.2))
     rates = []
     for trainer.step in range(1001):
         rates.append(trainer.rate())

@@ -13,9 +13,8 @@ from table_scene import CAMERA, depth_picture, looking_at
 
 from common.config import parse
 from common.poses import check_pose, inverse
-from grasping.network.depth_image import NETWORK_SIDE, prepare
-from grasping.network.planes import best_plane
-from grasping.pipeline.surface import ApproachConfig, surface_normal
+from grasping.network.depth_image import NETWORK_SIDE, best_plane, prepare
+from grasping.pipeline.projection import ApproachConfig, surface_normal
 from grasping.pipeline.view import CameraView, CropConfig, NoView, TableConfig, TableView
 
 YAML = yaml.safe_load((Path(__file__).parents[1] / "config" / "ggcnn.yaml").read_text())

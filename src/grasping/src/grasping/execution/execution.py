@@ -1,4 +1,4 @@
-"""The execution of a proposed grasp: the arm approaches, an operator's hand takes over, and the result is reported.
+"""The execution of a proposed grasp: the choice of the grasp, or why it is refused, and what happens then.
 
     approaching -> waiting_for_hand -> operator -> over
 
@@ -8,21 +8,102 @@ the grasp for a hand, and an operator does the rest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from common.config import number
 from common.rotations import rotation_angle
-from grasping.execution.execution_request import UNABLE, ControllerState
 from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
+from grasping.pipeline.settings import grasp_in_tool
+from grasping.pipeline.tool_pose import ToolPoseConfig, above, tool_pose
 
+UNABLE = ("starting", "zero", "stopped")
+"""Modes of the arm's controller in which it follows no desired tool frame."""
 IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
 NONE, HELD, TAKEN = "none", "held", "taken"
 """leap_kuka's state of the tool: not held, held for a hand, taken over by one."""
 
 FOLLOWING, AWAY = ("pick_up", "servo"), ("returning", "homing", "home")
 """Modes of the arm's controller on the way to the desired tool frame and there; and away from it."""
+
+
+@dataclass(frozen=True)
+class ProposedPose:
+    """A proposed grasp."""
+
+    id: int  # its number
+    T_base_grasp: np.ndarray | None  # shape (4, 4) [m]; None where it is unknown
+    reason: str = "the camera pose is unknown"  # why it is unknown, a clause
+
+
+@dataclass(frozen=True)
+class ProposalList:
+    """The grasps in the newest image, best first."""
+
+    age: float  # of the image [s]
+    grasps: Sequence[ProposedPose]  # what is proposed; those that the arm's controller refused come last
+    reason: str = ""  # why nothing is
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """The published state of the arm's controller: whether control is on, its mode, and the reason for it."""
+
+    control_on: bool
+    mode: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why no grasp is executed, one sentence."""
+
+    sentence: str
+
+
+@dataclass(frozen=True)
+class ToolGoal:
+    """Where the tool goes."""
+
+    T_base_tool: np.ndarray  # the tool that takes the grasp, shape (4, 4) [m]
+    T_base_above: np.ndarray  # where it waits for the hand, shape (4, 4) [m]
+    T_base_grip: np.ndarray  # the grasp between the fingers then, shape (4, 4) [m]: x through them, z the approach
+
+
+def choose(
+    proposals: ProposalList | None, controller: ControllerState | None, hand_followed: bool, fresh: float
+) -> ProposedPose | Refusal:
+    """Returns the best of the newest proposals, or why there is none; those in an image older than `fresh` [s] are
+    refused. None stands for proposals that never came, and for a silent controller."""
+    if controller is None:
+        return Refusal("The arm's controller is silent.")
+    if not controller.control_on:
+        return Refusal("Control of the arm is off.")
+    if controller.mode in UNABLE:
+        return Refusal(f"The arm cannot go there: {controller.reason}")
+    if hand_followed:
+        return Refusal("The arm follows a hand; take it away first.")
+    if proposals is None:
+        return Refusal("No grasp was proposed yet.")
+    if not -fresh <= proposals.age <= fresh:
+        return Refusal(f"The newest proposal is {proposals.age:.1f} s old.")
+    if not proposals.grasps:
+        return Refusal(f"No grasp is proposed: {proposals.reason or 'the list is empty'}.")
+    best = proposals.grasps[0]
+    return best if best.T_base_grasp is not None else Refusal(f"The pose of the grasp is unknown: {best.reason}.")
+
+
+def tool_goal(
+    T_base_grasp: np.ndarray, settings: ToolPoseConfig, R_home: np.ndarray, up: np.ndarray
+) -> ToolGoal | Refusal:
+    """Returns where the tool goes for a grasp; arguments as in `tool_pose`."""
+    try:
+        T_base_tool = tool_pose(T_base_grasp, settings, R_home, up)
+    except ValueError as error:
+        return Refusal(f"The hand cannot take the grasp: {error}.")
+    return ToolGoal(T_base_tool, above(T_base_tool, settings.clearance), T_base_tool @ grasp_in_tool(settings))
 
 
 @dataclass(frozen=True)
@@ -63,10 +144,7 @@ class ExecutionOutcome:
 
 
 class Execution:
-    """The execution with its state.
-
-    Args:
-        up: the vertical in the base frame, shape (3,).
+    """The execution with its state; `up` is the vertical in the base frame, shape (3,).
 
     Attributes:
         state: IDLE before the first execution, OVER after each.
@@ -89,11 +167,7 @@ class Execution:
         return self.state not in (IDLE, OVER)
 
     def start(self, T_base_above: np.ndarray, now: float) -> None:
-        """Begins an execution: leap_kuka holds the tool at a pose from now on.
-
-        Args:
-            T_base_above: the pose, shape (4, 4) [m].
-            now: monotonic time [s].
+        """Begins an execution at the monotonic time `now` [s]: leap_kuka holds the tool at a pose, shape (4, 4) [m].
 
         Raises:
             ValueError: one runs already.
@@ -106,11 +180,7 @@ class Execution:
         self._enter(APPROACHING, "The arm goes above the grasp.", now)
 
     def step(self, seen: ExecutionObservation, now: float) -> ExecutionOutcome | None:
-        """Returns the outcome of the execution if it ends now.
-
-        Args:
-            now: monotonic time [s].
-        """
+        """Returns the outcome of the execution if it ends now; `now` is monotonic time [s]."""
         if not self.running:
             return None
         self._held |= seen.hold == HELD
@@ -148,11 +218,8 @@ class Execution:
             return f"The arm stopped: {arm.reason.rstrip('.')}"
         if seen.T_base_tool is None:
             return "The pose of the tool is unknown"
-        why = (
-            self._operator_inhibit_reason(seen, now)
-            if self.state == PERSON
-            else self._approach_inhibit_reason(seen, now)
-        )
+        operator = self.state == PERSON
+        why = self._operator_inhibit_reason(seen, now) if operator else self._approach_inhibit_reason(seen, now)
         if why is None and self._followed and arm.mode in AWAY:
             return f"The arm left the grasp: {arm.reason.rstrip('.')}"
         return why

@@ -18,6 +18,7 @@ from common.config import number
 
 THUMB = 2
 """Of the fingers index, middle, thumb."""
+TORQUE = "0.1 % of the largest torque"
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,10 @@ class GraspWatchConfig:
     rest_time: float = number("s", above=0.0, high=5.0, doc="how long they have to rest")
     touch_pressure: float = number("counts", above=0.0, high=1000.0, doc="a taxel pressed more is a touch")
     touch_load: float = number(
-        "0.1 % of the largest torque",
-        above=0.0,
-        high=1000.0,
-        doc="a motor that pulls this much more than the springs need is a touch",
+        TORQUE, above=0.0, high=1000.0, doc="a motor that pulls this much more than the springs need is a touch"
     )
     spring_load: float = number(
-        "0.1 % of the largest torque per rad", low=0.0, high=1000.0, doc="what the springs of an empty finger need"
+        f"{TORQUE} per rad", low=0.0, high=1000.0, doc="what the springs of an empty finger need"
     )
     lift: float = number("m", above=0.0, high=1.0, doc="how high the tool is lifted before it counts")
     hold_time: float = number("s", low=0.0, high=10.0, doc="how long it has to be held then")
@@ -69,11 +67,7 @@ class ObservedGrasp:
 
 
 class GraspWatch:
-    """The watch with its state.
-
-    Args:
-        up: the vertical in the base frame, shape (3,).
-    """
+    """The watch with its state; `up` is the vertical in the base frame, shape (3,)."""
 
     def __init__(self, config: GraspWatchConfig, up: np.ndarray) -> None:
         self._config, self._up = config, np.asarray(up, dtype=float)
@@ -98,13 +92,8 @@ class GraspWatch:
         return self._closed is not None
 
     def step(self, hand: HandMeasurement, T_base_tool: np.ndarray, now: float) -> ObservedGrasp | None:
-        """Takes a state of the hand and returns the grasp whose result it decides, or None.
-
-        Args:
-            hand: its current state; a state that is not finite is ignored.
-            T_base_tool: the measured tool, shape (4, 4) [m].
-            now: time [s], not falling.
-        """
+        """Takes a state of the hand, ignored if it is not finite, and returns the grasp whose result it decides, or
+        None; `T_base_tool`: the measured tool, shape (4, 4) [m]; `now`: time [s], not falling."""
         if not all(np.isfinite(numbers).all() for numbers in (hand.angles, hand.pressures, hand.loads)):
             return None
         if hand.angles.max() < self._config.open_angle:
@@ -117,11 +106,7 @@ class GraspWatch:
         return None
 
     def give_up(self, reason: str) -> ObservedGrasp | None:
-        """Returns the undecided grasp as one that was not held; None if the fingers are not closed.
-
-        Args:
-            reason: one sentence.
-        """
+        """Returns the undecided grasp as one that was not held, for a reason (one sentence), or None if not closed."""
         closed = self._closed
         self.reset()
         return None if closed is None else ObservedGrasp(*closed, False, reason)
@@ -155,8 +140,7 @@ class GraspWatch:
     def _judge(
         self, time: float, T_closed: np.ndarray, hand: HandMeasurement, T_base_tool: np.ndarray, now: float
     ) -> ObservedGrasp | None:
-        """The fingers have closed, at a time and a pose of the tool: returns the grasp once it is known whether it
-        held."""
+        """Returns the grasp of the closed fingers once it is known whether it held."""
         config = self._config
         height = float(self._up @ (T_base_tool - T_closed)[:3, 3])
         if self._lifted is None and height >= config.lift:

@@ -28,17 +28,12 @@ class Smoothing:
 
 
 class Maps(NamedTuple):
-    """What the network says of each pixel, each shape (h, w).
+    """What the network says of each pixel, each shape (h, w)."""
 
-    Attributes:
-        quality: about 0 to 1.
-        angle: of the line through both fingers, from the image's horizontal, anticlockwise, in [-pi/2, pi/2] [rad].
-        width: opening [px].
-    """
-
-    quality: np.ndarray
+    quality: np.ndarray  # about 0 to 1
     angle: np.ndarray
-    width: np.ndarray
+    """Of the line through both fingers, from the image's horizontal, anticlockwise, in [-pi/2, pi/2] [rad]."""
+    width: np.ndarray  # opening [px]
 
 
 class Peak(NamedTuple):
@@ -52,12 +47,8 @@ class Peak(NamedTuple):
 
 
 def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Maps:
-    """Returns the smoothed maps.
-
-    Args:
-        output: of the network, shape (4, h, w).
-        valid: where the camera had a reading, shape (h, w); elsewhere the quality is 0 before it is smoothed.
-    """
+    """Returns the smoothed maps; `output`: of the network, shape (4, h, w); `valid`: where the camera had a reading,
+    shape (h, w); elsewhere the quality is 0 before it is smoothed."""
     quality, cos, sin, width = output
     quality = gaussian(np.where(valid, quality, np.float32(0.0)), smoothing.quality)
     angle = 0.5 * np.arctan2(gaussian(sin, smoothing.angle), gaussian(cos, smoothing.angle))
@@ -73,11 +64,8 @@ def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def peaks(maps: Maps, count: int, distance: int = 20, threshold: float = THRESHOLD) -> list[Peak]:
-    """Returns the best local maxima of the quality, best first.
-
-    Args:
-        distance: rows or columns between two peaks, and from the border.
-    """
+    """Returns the best local maxima of the quality, best first; `distance`: rows or columns between two peaks, and from
+    the border."""
     quality = maps.quality
     highest = cv2.dilate(quality, np.ones((2 * distance + 1, 2 * distance + 1), np.uint8))
     is_peak = (quality == highest) & (quality > threshold)

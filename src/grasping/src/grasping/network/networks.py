@@ -1,9 +1,8 @@
-"""GG-CNN and GG-CNN2: from a depth image to one grasp a pixel.
+"""GG-CNN and GG-CNN2 of Morrison, Corke and Leitner (RSS 2018; GG-CNN2 is the later, wider-sighted kind).
 
-Both are the networks of Morrison, Corke and Leitner (RSS 2018; GG-CNN2 is the later, wider-sighted kind), with the
-layer names of the published files, so that those load. The arithmetic is arranged for a processor: the four heads are
-one convolution, and GG-CNN's last transposed convolution, which takes three quarters of the time in its plain form, is
-an ordinary convolution at a third of the size followed by a pixel shuffle. The outputs are the same to rounding.
+The layer names are those of the published files, so that those load. For the CPU's sake the four heads are one
+convolution, and GG-CNN's last transposed convolution, three quarters of the time in its plain form, is an ordinary one
+at a third of the size followed by a pixel shuffle; the outputs are the same to rounding.
 
 Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality
 (about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `WIDTH_SCALE_PX`.

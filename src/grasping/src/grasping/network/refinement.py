@@ -1,19 +1,15 @@
 """The refinement network: adapts GG-CNN's maps to what an operator did, and adds the rest of the pose.
 
-A small network looks, pixel by pixel, at a few quantities that an operator's choice may depend on: GGCNN's quality and
-opening, and the height above the table, here and in the neighbourhood. It says how much more or less than GGCNN the
-operator likes to grasp there; how much deeper, turned and wider open; and how much the approach leans, about the axes
-of the image and with the surface. Of each it says how sure it is: a Laplace distribution of depth, opening and lean,
-one of von Mises of twice the angle, as half a turn makes the same grasp, and over the pixels a softmax of the quality.
-Untrained all changes are zero, and GGCNN's maps come back bit by bit.
+A small network sees, pixel by pixel, GGCNN's quality and opening and the height above the table, here and in the
+neighbourhood. It says how much more or less than GGCNN the operator likes to grasp there; how much deeper, turned and
+wider open; how much the approach leans, about the axes of the image and with the surface; and how sure it is: a Laplace
+distribution of depth, opening and lean, one of von Mises of twice the angle, as half a turn makes the same grasp, and
+over the pixels a softmax of the quality. Untrained it gives GGCNN's maps back bit by bit. What the operator does
+always, like grasping a centimetre to the right, is a constant offset beside it.
 
-What the operator does always, like grasping a centimetre to the right, is a constant offset beside it. The quantities
-are the same however the image is turned or shifted, and so are the changes, but for the lean about the image's axes: an
-operator stays where they stand when the things turn.
-
-The maps are those of the network's image, before they are smoothed. OperatorOffset and lean have the axes of the camera
-that sees it, x right and y down: of the real one, or of the imagined one above the table. So a weight file
-(`refinement_file`) names the view in which it was learned.
+Turning or shifting the image changes nothing but the lean about its axes: an operator stays where they stand. The maps
+are those of the network's image, before they are smoothed. Constant offset and lean have the axes of the camera that
+sees it, x right and y down, real or imagined above the table: a weight file (`refinement_file`) names its view.
 """
 
 from __future__ import annotations
@@ -26,10 +22,9 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from grasping.network.depth_image import NETWORK_SIDE, NetworkImage
+from grasping.network.depth_image import NETWORK_SIDE, NetworkImage, table_depth
 from grasping.network.maps import gaussian
 from grasping.network.networks import WIDTH_SCALE_PX
-from grasping.network.table_depth import table_depth
 
 SHRINK = 4
 """Pixels of the network's image, in rows and in columns, to one of the refinement network's."""
@@ -78,34 +73,21 @@ AXES = ("x", "y", "depth", "angle", "tilt_x", "tilt_y", "opening")
 
 
 class RefinementOutput(NamedTuple):
-    """What the refinement network says of each pixel, without the constant offset; each shape (n, h, w).
+    """What the refinement network says of each pixel, without the constant offset; each shape (n, h, w)."""
 
-    Attributes:
-        quality: to be added to GGCNN's.
-        depth: how much deeper than the surface [m].
-        turn_cos: with turn_sin a vector: its direction is twice the turn against GGCNN's line, anticlockwise, and its
-            length the concentration of the distribution of von Mises.
-        turn_sin: likewise.
-        opening: to be added to GGCNN's [its unit x m: divided by the distance it is GGCNN's unit].
-        tilt_x: of the approach about the camera's x axis [rad].
-        tilt_y: likewise about its y axis.
-        follow: fraction of the surface's lean that is added to that.
-        depth_scale: scale of the Laplace distribution of the depth [m].
-        opening_scale: of the opening [as opening].
-        tilt_scale: of the lean, whose density falls with its distance from the expected one [rad].
-    """
-
-    quality: torch.Tensor
-    depth: torch.Tensor
+    quality: torch.Tensor  # to be added to GGCNN's
+    depth: torch.Tensor  # how much deeper than the surface [m]
     turn_cos: torch.Tensor
-    turn_sin: torch.Tensor
-    opening: torch.Tensor
-    tilt_x: torch.Tensor
-    tilt_y: torch.Tensor
-    follow: torch.Tensor
-    depth_scale: torch.Tensor
-    opening_scale: torch.Tensor
-    tilt_scale: torch.Tensor
+    """With turn_sin a vector: its direction is twice the turn against GGCNN's line, anticlockwise, and its length the
+    concentration of the distribution of von Mises."""
+    turn_sin: torch.Tensor  # likewise
+    opening: torch.Tensor  # to be added to GGCNN's [its unit x m: divided by the distance it is GGCNN's unit]
+    tilt_x: torch.Tensor  # of the approach about the camera's x axis [rad]
+    tilt_y: torch.Tensor  # likewise about its y axis
+    follow: torch.Tensor  # fraction of the surface's lean that is added to that
+    depth_scale: torch.Tensor  # scale of the Laplace distribution of the depth [m]
+    opening_scale: torch.Tensor  # of the opening [as opening]
+    tilt_scale: torch.Tensor  # of the lean, whose density falls with its distance from the expected one [rad]
 
     @classmethod
     def of(cls, output: torch.Tensor) -> RefinementOutput:
@@ -120,26 +102,17 @@ class RefinementOutput(NamedTuple):
 
 
 class RefinedMaps(NamedTuple):
-    """GGCNN's maps after the refinement network, each further one of shape (h, w).
-
-    Attributes:
-        output: quality, cos, sin, width as the first network gives them, shape (4, h, w); the width is the opening that
-            the grasp needs.
-        dz: how much deeper than the surface at the pixel the grasp is, along the optical axis [m].
-        tilt_x: of the approach about the camera's x axis [rad].
-        tilt_y: likewise about its y axis.
-        wider: how much wider than needed the operator opens the hand [px of the network's image].
-        concentration: of twice the angle.
-        scales: scales of the Laplace distributions of depth [m], opening [px] and lean [rad], shape (3, h, w).
-    """
+    """GGCNN's maps after the refinement network, each further one of shape (h, w)."""
 
     output: np.ndarray
-    dz: np.ndarray
-    tilt_x: np.ndarray
-    tilt_y: np.ndarray
-    wider: np.ndarray
-    concentration: np.ndarray
-    scales: np.ndarray
+    """Quality, cos, sin, width as the first network gives them, shape (4, h, w); the width is the opening that the
+    grasp needs."""
+    dz: np.ndarray  # how much deeper than the surface at the pixel the grasp is, along the optical axis [m]
+    tilt_x: np.ndarray  # of the approach about the camera's x axis [rad]
+    tilt_y: np.ndarray  # likewise about its y axis
+    wider: np.ndarray  # how much wider than needed the operator opens the hand [px of the network's image]
+    concentration: np.ndarray  # of twice the angle
+    scales: np.ndarray  # scales of the Laplace distributions of depth [m], opening [px] and lean [rad], shape (3, h, w)
 
 
 class RefinementNetwork(nn.Module):
@@ -162,11 +135,8 @@ class RefinementNetwork(nn.Module):
         self.register_buffer("change_scale", scale[:, None, None], persistent=False)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Returns what `RefinementOutput.of` reads, shape (n, len(CHANGES), h, w).
-
-        Args:
-            x: as `features` has them, shape (n, LEAN_Y + 1, h, w); the last four are not looked at.
-        """
+        """Returns what `RefinementOutput.of` reads, shape (n, len(CHANGES), h, w); `x`: as `features` has them, shape
+        (n, LEAN_Y + 1, h, w); the last four are not looked at."""
         x = F.relu(self.first(x[:, : len(FEATURE_SCALE)] * self.feature_scale))
         return self.last(F.relu(self.second(x))) * self.change_scale
 
@@ -210,11 +180,7 @@ class MapRefiner:
         self.network = network.eval()
 
     def apply(self, output: np.ndarray, image: NetworkImage) -> RefinedMaps:
-        """Returns GGCNN's maps refined.
-
-        Args:
-            output: of the first network, shape (4, 300, 300), float32.
-        """
+        """Returns GGCNN's maps refined; `output`: of the first network, shape (4, 300, 300), float32."""
         seen = torch.from_numpy(features(output, image))[None]
         with torch.no_grad():
             said = RefinementOutput.of(self.network(seen))

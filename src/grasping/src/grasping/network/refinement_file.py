@@ -75,9 +75,7 @@ def taste(network: RefinementNetwork, origin: Origin) -> dict[str, torch.Tensor]
 
 def load(data: bytes, sha256: str | None = None) -> tuple[MapRefiner, Origin]:
     """Returns the refinement network of a weight file and the rig that it was trained on; no code in the file is run.
-
-    Args:
-        sha256: what its hash must be, hexadecimal; not checked when left out.
+    `sha256`: what its hash must be, hexadecimal; not checked when left out.
 
     Raises:
         WeightsError: another hash, no torch file, of another version, or not of this network.

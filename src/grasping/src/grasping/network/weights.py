@@ -24,9 +24,7 @@ from torch import nn
 from common.errors import RigError
 from grasping.network.networks import NETWORKS
 
-KNOWN = {
-    "07ed61da2f5b5aa5d8d10a85c0a26023bae489c3b15fe16e58227c14738a3770": "GG-CNN, RSS 2018, Keras",
-}
+KNOWN = {"07ed61da2f5b5aa5d8d10a85c0a26023bae489c3b15fe16e58227c14738a3770": "GG-CNN, RSS 2018, Keras"}
 """Published files by their SHA-256."""
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 ZIP_MAGIC = b"PK\x03\x04"
@@ -49,8 +47,6 @@ REBUILDERS = {
     ("torch.cuda", "FloatStorage"): torch.FloatStorage,
 }
 """All that a pickled model may call; whatever else it names becomes an empty stub."""
-
-
 Network = TypeVar("Network", bound=nn.Module)
 
 
@@ -68,10 +64,8 @@ class Loaded(NamedTuple):
 
 
 def load(data: bytes, sha256: str | None = None) -> Loaded:
-    """Returns the network that a weight file holds.
-
-    Args:
-        sha256: what its hash must be, hexadecimal; not checked when left out.
+    """Returns the network that a weight file holds; `sha256`: what its hash must be, hexadecimal; not checked when left
+    out.
 
     Raises:
         WeightsError: another hash, no weight file, or none of a network in `NETWORKS`.
@@ -80,10 +74,10 @@ def load(data: bytes, sha256: str | None = None) -> Loaded:
     if data.startswith(HDF5_MAGIC):
         name, state = "ggcnn_keras", _keras_state(data)
     elif data.startswith((ZIP_MAGIC, PICKLE_MAGIC)):
-        name, state = "", torch_state(data)
+        state = torch_state(data)
+        name = _which(state)
     else:
         raise WeightsError("The weight file is neither a torch file nor a Keras HDF5 file.")
-    name = name or _which(state)
     return Loaded(filled(NETWORKS[name](), name, state), name, found, KNOWN.get(found, ""))
 
 
@@ -105,7 +99,13 @@ def filled(network: Network, name: str, state: dict[str, torch.Tensor]) -> Netwo
     Raises:
         WeightsError: the state dict is not of such a network, here called `name`, or not finite.
     """
-    _check_shapes(name, network, state)
+    wanted = network.state_dict()
+    if state.keys() != wanted.keys():
+        raise WeightsError(f"The weight file lacks {', '.join(sorted(wanted.keys() - state.keys()))} of {name}.")
+    for key, value in wanted.items():
+        if state[key].shape != value.shape:
+            found, shape = tuple(state[key].shape), tuple(value.shape)
+            raise WeightsError(f"The array {key} has the shape {found} instead of {name}'s {shape}.")
     if not all(torch.isfinite(value).all() for value in state.values()):
         raise WeightsError("The weight file holds values that are not finite.")
     network.load_state_dict(state)
@@ -136,17 +136,6 @@ def _which(state: Mapping[str, torch.Tensor]) -> str:
     raise WeightsError(f"The weight file holds {len(state)} arrays ({names}, ...), which fit no known network.")
 
 
-def _check_shapes(name: str, network: nn.Module, state: Mapping[str, torch.Tensor]) -> None:
-    wanted = network.state_dict()
-    if state.keys() != wanted.keys():
-        raise WeightsError(f"The weight file lacks {', '.join(sorted(wanted.keys() - state.keys()))} of {name}.")
-    for key, value in wanted.items():
-        if state[key].shape != value.shape:
-            raise WeightsError(
-                f"The array {key} has the shape {tuple(state[key].shape)} instead of {name}'s {tuple(value.shape)}."
-            )
-
-
 def _keras_state(data: bytes) -> dict[str, torch.Tensor]:
     """Returns the state dict of a Keras file; kernels go from (rows, columns, a, b) to (b, a, rows, columns)."""
     state = {}
@@ -156,9 +145,8 @@ def _keras_state(data: bytes) -> dict[str, torch.Tensor]:
             for theirs, ours in KERAS_LAYERS.items():
                 arrays: dict[str, np.ndarray] = {}
                 layers[theirs].visititems(lambda path, item, into=arrays: _collect(into, path, item))
-                state[f"{ours}.weight"] = torch.from_numpy(
-                    np.ascontiguousarray(arrays["kernel:0"].transpose(3, 2, 0, 1))
-                )
+                kernel = np.ascontiguousarray(arrays["kernel:0"].transpose(3, 2, 0, 1))
+                state[f"{ours}.weight"] = torch.from_numpy(kernel)
                 state[f"{ours}.bias"] = torch.from_numpy(arrays["bias:0"])
     except (KeyError, ValueError, OSError) as error:
         raise WeightsError(f"The Keras file does not hold GG-CNN's layers: {error}.") from error

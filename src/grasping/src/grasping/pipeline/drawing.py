@@ -63,11 +63,8 @@ def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarr
 
 
 def grey(depth: np.ndarray) -> np.ndarray:
-    """Returns a depth image in grey, the nearest white, the background dark, no reading black, uint8.
-
-    Args:
-        depth: shape (h, w) [m], not finite = no reading; one pixel at least has one.
-    """
+    """Returns a depth image in grey, the nearest white, the background dark, no reading black, uint8; `depth`: shape
+    (h, w) [m], not finite = no reading; one pixel at least has one."""
     known = np.isfinite(depth)
     low, high = float(depth[known].min()), min(float(depth[known].max()), FAR * float(np.median(depth[known])))
     bright = DARK + (255 - DARK) * (high - np.where(known, depth, high)) / max(1e-6, high - low)

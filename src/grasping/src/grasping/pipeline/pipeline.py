@@ -19,18 +19,8 @@ from common.poses import inverse, read_only
 from grasping.network.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
 from grasping.network.networks import frozen, infer
 from grasping.network.refinement import MapRefiner, RefinedMaps
-from grasping.pipeline.limits import LimitsConfig, rejection_reason
-from grasping.pipeline.preference import preferred
-from grasping.pipeline.projection import CameraGrasp, along, pixel_size, project_grasp, seen_by
-from grasping.pipeline.refined_grasp import (
-    GraspUncertainty,
-    grasp_uncertainty,
-    opened,
-    pixel_probabilities,
-    refined_grasp,
-)
-from grasping.pipeline.surface import NORMAL, VERTICAL, ApproachConfig, surface_normal
-from grasping.pipeline.tool_pose import ToolPoseConfig
+from grasping.pipeline import projection, refined_grasp
+from grasping.pipeline.tool_pose import LimitsConfig, ToolPoseConfig, preferred, rejection_reason
 from grasping.pipeline.tracking import (
     AveragingConfig,
     GraspDetection,
@@ -46,40 +36,29 @@ OUT_OF_SIGHT = "the best grasp is briefly out of sight"
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """Settings of the steps behind the view; None leaves a step out.
+    """Settings of the steps behind the view; None leaves a step out."""
 
-    Attributes:
-        smoothing: of the maps.
-        count: most grasps.
-        distance: between two peaks [px of the network's image].
-        threshold: lowest quality; None takes the highest pixel, whatever its quality.
-        averaging, tracking: over time.
-        approach: None is along the axis of the view.
-        limits: a grasp outside them is rejected.
-        tool: the hand, with its preferred and largest opening.
-        up: the vertical in kuka/base_frame, shape (3,).
-    """
-
-    smoothing: Smoothing = field(default_factory=Smoothing)
-    count: int = 1
-    distance: int = 20
-    threshold: float | None = None
-    averaging: AveragingConfig | None = None
-    tracking: TrackingConfig | None = None
-    approach: ApproachConfig | None = None
-    limits: LimitsConfig | None = None
-    tool: ToolPoseConfig | None = None
+    smoothing: Smoothing = field(default_factory=Smoothing)  # of the maps
+    count: int = 1  # most grasps
+    distance: int = 20  # between two peaks [px of the network's image]
+    threshold: float | None = None  # lowest quality; None takes the highest pixel, whatever its quality
+    averaging: AveragingConfig | None = None  # over time
+    tracking: TrackingConfig | None = None  # likewise
+    approach: projection.ApproachConfig | None = None  # None is along the axis of the view
+    limits: LimitsConfig | None = None  # a grasp outside them is rejected
+    tool: ToolPoseConfig | None = None  # the hand, with its preferred and largest opening
     up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    """The vertical in kuka/base_frame, shape (3,)."""
 
 
 class GraspCandidate(NamedTuple):
     """A peak of the maps and the grasp there."""
 
     peak: Peak  # in the network's image
-    grasp: CameraGrasp | None  # in the frame of the view's camera; None where there is no reading or no approach
+    grasp: projection.CameraGrasp | None  # before the view's camera; None without a reading or an approach
     normal_missing: bool  # the surface has no clear normal, and the approach is along the axis of the view instead
     rejection: str  # why the grasp is not published, a clause; empty if it is
-    uncertainty: GraspUncertainty | None = None  # of the operator's grasp; None without a refinement network
+    uncertainty: refined_grasp.GraspUncertainty | None = None  # None without a refinement network
 
 
 class GraspProposal(NamedTuple):
@@ -94,7 +73,7 @@ class GraspProposal(NamedTuple):
     pixel: tuple[float, float]  # u, v in the camera's image [px]
     width_px: float  # opening in the camera's image [px]
     peak: Peak  # in the network's image
-    uncertainty: GraspUncertainty | None  # of the operator's grasp; None without a refinement network
+    uncertainty: refined_grasp.GraspUncertainty | None  # of the operator's grasp; None without a refinement network
 
 
 class PipelineResult(NamedTuple):
@@ -182,13 +161,9 @@ class GraspPipeline:
         candidates = tuple(self._candidates(found, view, refined, T_base_camera))
         accepted = [c for c in candidates if not c.rejection]
         T_track_camera = np.eye(4) if T_base_camera is None else T_base_camera
-        detections = [
-            GraspDetection(
-                T_track_camera @ (view.T_camera_view @ c.grasp.T_camera_grasp), c.grasp.width, c.peak.quality
-            )
-            for c in accepted
-            if c.grasp is not None
-        ]
+        seen = [(c.grasp, c.peak.quality) for c in accepted if c.grasp is not None]
+        T_view = view.T_camera_view
+        detections = [GraspDetection(T_track_camera @ (T_view @ g.T_camera_grasp), g.width, q) for g, q in seen]
         grasps = tuple(_proposal(t, accepted[t.detection], camera, T_base_camera) for t in self._track(detections, now))
         stages.end("poses")
         return PipelineResult(view, maps, candidates, grasps, self._reason(candidates, grasps), stages.seconds)
@@ -202,19 +177,19 @@ class GraspPipeline:
         self, found: list[Peak], view: GraspView, refined: RefinedMaps | None, T_base_camera: np.ndarray | None
     ) -> Iterator[GraspCandidate]:
         s, side = self._settings, len(view.image.input)
-        probabilities = None if refined is None else pixel_probabilities(refined)
+        probabilities = None if refined is None else refined_grasp.pixel_probabilities(refined)
         for peak in found:
             if refined is not None:
-                peak = opened(peak, refined)
+                peak = refined_grasp.opened(peak, refined)
             peak = peak._replace(width=max(0.0, peak.width))
-            on_surface = project_grasp(peak, view.image.crop, side, view.depth, view.camera)
+            on_surface = projection.project_grasp(peak, view.image.crop, side, view.depth, view.camera)
             if on_surface is None:
                 yield GraspCandidate(peak, None, False, "there is no reading near it")
                 continue
             if refined is None:
                 grasp, normal_missing, why = self._approached(on_surface, view, T_base_camera)
             else:
-                grasp, normal_missing, why = refined_grasp(on_surface, refined, peak), False, ""
+                grasp, normal_missing, why = refined_grasp.refined_grasp(on_surface, refined, peak), False, ""
             if grasp is None:
                 yield GraspCandidate(peak, None, normal_missing, why)
                 continue
@@ -226,24 +201,28 @@ class GraspPipeline:
             uncertainty = None
             if refined is not None and probabilities is not None:
                 pixel_m = view.image.crop.side / side * on_surface.T_camera_grasp[2, 3] / view.camera.K[0, 0]
-                uncertainty = grasp_uncertainty(refined, probabilities, peak, on_surface, pixel_m)
+                uncertainty = refined_grasp.grasp_uncertainty(refined, probabilities, peak, on_surface, pixel_m)
             yield GraspCandidate(peak, grasp, normal_missing, why, uncertainty)
 
     def _approached(
-        self, grasp: CameraGrasp, view: GraspView, T_base_camera: np.ndarray | None
-    ) -> tuple[CameraGrasp | None, bool, str]:
+        self, grasp: projection.CameraGrasp, view: GraspView, T_base_camera: np.ndarray | None
+    ) -> tuple[projection.CameraGrasp | None, bool, str]:
         """Returns the grasp with its approach, whether the normal is missing, and why there is no grasp."""
         config = self._settings.approach
-        if config is not None and config.kind == NORMAL:
+        if config is not None and config.kind == projection.NORMAL:
             z = grasp.T_camera_grasp[2, 3]
-            normal = surface_normal(view.depth, view.rays, grasp.pixel, z, view.camera.K[0, 0], config)
-            turned = None if normal is None else along(grasp, normal, view.camera)
+            normal = projection.surface_normal(view.depth, view.rays, grasp.pixel, z, view.camera.K[0, 0], config)
+            turned = None if normal is None else projection.along(grasp, normal, view.camera)
             return (grasp, True, "") if turned is None else (turned, False, "")
-        if config is not None and config.kind == VERTICAL:
+        if config is not None and config.kind == projection.VERTICAL:
             if T_base_camera is None:
                 return None, False, "the vertical is unknown: tf has no transform from the camera to kuka/base_frame"
             down = inverse(T_base_camera @ view.T_camera_view)[:3, :3] @ -self._settings.up
-            return along(grasp, down, view.camera), False, "the line of sight is too flat for a vertical approach"
+            return (
+                projection.along(grasp, down, view.camera),
+                False,
+                "the line of sight is too flat for a vertical approach",
+            )
         return grasp, False, ""
 
     def _reason(self, candidates: tuple[GraspCandidate, ...], grasps: tuple[GraspProposal, ...]) -> str:
@@ -257,15 +236,12 @@ class GraspPipeline:
 
 
 def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> Maps:
-    """Returns the maps in which peaks are looked for: smoothed, and with the hand's preference.
-
-    Args:
-        output: of the networks, shape (4, h, w).
-    """
+    """Returns the maps in which peaks are looked for: smoothed, and with the hand's preference; `output`: of the
+    networks, shape (4, h, w)."""
     maps = smoothed(output, view.graspable, settings.smoothing)
     if settings.tool is None or settings.threshold is None:
         return maps
-    return preferred(maps, pixel_size(view.image, view.camera), settings.tool, settings.threshold)
+    return preferred(maps, projection.pixel_size(view.image, view.camera), settings.tool, settings.threshold)
 
 
 def _proposal(
@@ -273,7 +249,7 @@ def _proposal(
 ) -> GraspProposal:
     T_base = None if T_base_camera is None else tracked.T
     T_camera = tracked.T if T_base_camera is None else read_only(inverse(T_base_camera) @ tracked.T)
-    angle, pixel, width_px = seen_by(camera, T_camera, tracked.width)
+    angle, pixel, width_px = projection.seen_by(camera, T_camera, tracked.width)
     peak = candidate.peak
     return GraspProposal(
         tracked.id, T_camera, T_base, tracked.width, peak.quality, angle, pixel, width_px, peak, candidate.uncertainty

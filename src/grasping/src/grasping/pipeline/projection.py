@@ -1,4 +1,4 @@
-"""From a grasp in the network's image to a grasp before the camera.
+"""From a grasp in the network's image to a grasp before the camera, and the surface that it approaches.
 
 The frame of a grasp: z the approach, at first along the camera's axis; x through both fingers, so that a grasp of
 angle 0 has the camera's axes. Angles in the image run anticlockwise and y runs down: a turn about z by minus the
@@ -7,14 +7,16 @@ angle.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from common.camera_model import CameraModel
+from common.config import choice, integer, number
 from common.poses import pose, read_only
 from common.rotations import rotation_about, unit
-from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage
+from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, best_plane
 from grasping.network.maps import Peak
 
 NEIGHBOURHOOD = 5
@@ -27,6 +29,8 @@ CLOSED_M = 1e-4
 """Half the opening of fingers that touch: small, but with a direction."""
 LEAST_FACING = 0.26
 """Cosine of the widest angle, 75 degrees, between a line of sight and the approach: beyond, pixels tell little."""
+VIEW, NORMAL, VERTICAL = "camera", "normal", "vertical"
+MAX_PIXELS = 400
 
 
 class CameraGrasp(NamedTuple):
@@ -53,12 +57,8 @@ def pixel_size(image: NetworkImage, camera: CameraModel) -> np.ndarray:
 
 
 def project_grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraModel) -> CameraGrasp | None:
-    """Returns the grasp before the camera, None when the camera has no reading near the pixel.
-
-    Args:
-        crop: where that image lies in the camera's.
-        depth: the camera's image, shape (h, w) [m].
-    """
+    """Returns the grasp before the camera, None when the camera has no reading near the pixel; `crop`: where that image
+    lies in the camera's; `depth`: the camera's image, shape (h, w) [m]."""
     pixel = camera_pixel(peak.row, peak.column, crop, side)
     column, row = (round(p) for p in pixel)
     half = NEIGHBOURHOOD // 2
@@ -97,12 +97,8 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
 
 
 def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tuple[float, tuple[float, float], float]:
-    """Returns angle [rad], pixel (u, v) and opening [px] of a grasp in a camera's image.
-
-    Args:
-        T_camera_grasp: shape (4, 4), before it [m].
-        width: opening [m].
-    """
+    """Returns angle [rad], pixel (u, v) and opening [px] of a grasp in a camera's image; `T_camera_grasp`: shape (4,
+    4), before it [m]; `width`: opening [m]."""
     p, x = T_camera_grasp[:3, 3], T_camera_grasp[:3, 0]
     half = max(0.5 * width, CLOSED_M)
     left, right = camera.project(np.stack([p - half * x, p + half * x]))
@@ -113,10 +109,8 @@ def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tu
 
 
 def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
-    """Returns how far the nearest things between the fingers are, the mean of the ten nearest readings [m].
-
-    Args:
-        depth: the camera's image, shape (h, w) [m].
+    """Returns how far the nearest things between the fingers are, the mean of the ten nearest readings [m]; `depth`:
+    the camera's image, shape (h, w) [m].
 
     Returns:
         NaN where there are fewer readings.
@@ -130,3 +124,49 @@ def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
     if near.size < BETWEEN_COUNT:
         return float("nan")
     return float(np.partition(near, BETWEEN_COUNT - 1)[:BETWEEN_COUNT].mean())
+
+
+@dataclass(frozen=True)
+class ApproachConfig:
+    """How a hand comes to a grasp."""
+
+    kind: str = choice(VIEW, NORMAL, VERTICAL, doc="along the axis of the view, across the surface, or down")
+    radius: float = number("m", above=0.0, high=0.2, doc="of the surface about the grasp that its plane is fitted to")
+    noise: float = number("1/m", above=0.0, high=0.1, doc="standard deviation of a pixel's inverse depth")
+    min_pixels: int = integer("px", low=10, high=400, doc="fewer pixels make no surface")
+    min_share: float = number(above=0.0, high=1.0, doc="of them that must lie in one plane")
+    max_tilt: float = number("deg", above=0.0, high=75.0, doc="largest angle between the approach and the view's axis")
+
+
+def surface_normal(
+    depth: np.ndarray, rays: np.ndarray, pixel: tuple[float, float], z: float, focal: float, config: ApproachConfig
+) -> np.ndarray | None:
+    """Returns the normal of the surface about a grasp, a unit vector into it in the camera's frame, shape (3,).
+
+    None where no normal is clear: too few readings, no plane, or a plane that is tilted too far.
+
+    Only readings within the radius before and behind the grasp are of its surface; what is left of other surfaces has
+    no say, as the plane is the one that most pixels lie in.
+
+    Args:
+        depth: the image, shape (h, w) [m], NaN = none.
+        rays: of its pixels, shape (h, w, 3).
+        pixel: of the grasp, u, v.
+        z: its depth [m].
+        focal: length [px].
+    """
+    half = max(2, round(config.radius * focal / z))
+    column, row = (round(p) for p in pixel)
+    window = slice(max(0, row - half), row + half + 1), slice(max(0, column - half), column + half + 1)
+    near = depth[window]
+    with np.errstate(invalid="ignore"):
+        known = np.abs(near - z) < config.radius
+    count = int(known.sum())
+    if count < config.min_pixels:
+        return None
+    stride = max(1, count // MAX_PIXELS)
+    plane = best_plane(rays[window][known][::stride].astype(float), near[known][::stride], config.noise)
+    if plane is None or plane.share < config.min_share:
+        return None
+    tilt = np.degrees(np.arccos(np.clip(plane.direction[2], -1.0, 1.0)))
+    return plane.direction if tilt <= config.max_tilt else None

@@ -1,8 +1,7 @@
 """The grasp of the refined maps at a pixel, and its uncertainty: the distribution of the operator's grasp there.
 
-Over the pixels it is a softmax of the refined quality, and what lies near a pixel is the same choice of the operator's.
-The network gives the distribution of the pose there. Standard deviations are those of the grasp's own axes: x through
-the fingers, z the approach.
+Over the pixels it is a softmax of the refined quality, and what lies near a pixel is the same choice. Standard
+deviations are those of the grasp's own axes: x through the fingers, z the approach.
 """
 
 from __future__ import annotations
@@ -38,12 +37,8 @@ def opened(peak: Peak, refined: RefinedMaps) -> Peak:
 
 
 def refined_grasp(grasp: CameraGrasp, refined: RefinedMaps, peak: Peak) -> CameraGrasp:
-    """Returns a grasp of the refined maps with its depth and tilt.
-
-    Args:
-        grasp: as `project_grasp` has it of `opened`, on the surface along the optical axis.
-        peak: the pixel of the grasp in them.
-    """
+    """Returns a grasp of the refined maps with its depth and tilt; `grasp`: as `project_grasp` has it of `opened`, on
+    the surface along the optical axis; `peak`: the pixel of the grasp in them."""
     at = peak.row, peak.column
     z = grasp.T_camera_grasp[2, 3]
     factor = 1.0 + float(refined.dz[at]) / z
@@ -62,11 +57,7 @@ def pixel_probabilities(refined: RefinedMaps) -> np.ndarray:
 def grasp_uncertainty(
     refined: RefinedMaps, place: np.ndarray, peak: Peak, grasp: CameraGrasp, pixel_m: float
 ) -> GraspUncertainty:
-    """Returns the distribution about a grasp.
-
-    Args:
-        pixel_m: what a pixel of the network's image shows of the scene [m].
-    """
+    """Returns the distribution about a grasp; `pixel_m`: what a pixel of the network's image shows of the scene [m]."""
     at = peak.row, peak.column
     probability, covariance = _about(place, *((i + 0.5) / SHRINK - 0.5 for i in at))
     c, s = np.cos(grasp.angle), np.sin(grasp.angle)

@@ -1,28 +1,36 @@
-"""The schema of ggcnn.yaml, section by section, and the settings that are made of it."""
+"""The schema of ggcnn.yaml, section by section, and the settings that are made of it.
+
+A fingerprint of what decides whether two episodes belong together is made of `rig_configuration`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, get_type_hints
 
 import numpy as np
 
+from common.camera_model import CameraModel
 from common.config import choice, flag, integer, number, parse_part, text
 from common.errors import ConfigError
+from common.poses import pose
+from common.rotations import rotation_about
 from grasping.network.depth_image import TABLE, VIEWS
 from grasping.network.maps import Smoothing
 from grasping.network.networks import NETWORKS
-from grasping.pipeline.limits import LimitsConfig
+from grasping.network.refinement_file import Origin
 from grasping.pipeline.pipeline import PipelineSettings
-from grasping.pipeline.reach import ReachConfig
-from grasping.pipeline.surface import ApproachConfig
-from grasping.pipeline.tool_pose import ToolPoseConfig
+from grasping.pipeline.projection import ApproachConfig
+from grasping.pipeline.tool_pose import LimitsConfig, ReachConfig, ToolPoseConfig
 from grasping.pipeline.tracking import AveragingConfig, TrackingConfig
 from grasping.pipeline.view import CameraView, CropConfig, TableConfig, TableView
 
 ANY, LISTED = "any", "listed"
+DIGITS = 3
+"""Decimals of the camera pose: a millimetre and a milliradian; two live calibrations differ by more."""
 
 
 @dataclass(frozen=True)
@@ -66,21 +74,6 @@ class GgcnnConfig:
     refinement_weights: str = text(doc="its weight file: a name in the package's folder weights, or an absolute path")
 
 
-SECTIONS = {
-    "input": InputConfig,
-    "network": NetworkConfig,
-    "crop": CropConfig,
-    "table": TableConfig,
-    "peaks": PeaksConfig,
-    "averaging": AveragingConfig,
-    "tracking": TrackingConfig,
-    "approach": ApproachConfig,
-    "limits": LimitsConfig,
-    "reach": ReachConfig,
-    "tool": ToolPoseConfig,
-}
-
-
 @dataclass(frozen=True)
 class GgcnnSettings:
     """The whole configuration: what stands beside the sections, and each section by its name."""
@@ -104,19 +97,12 @@ class GgcnnSettings:
 
     def steps(self, up: np.ndarray) -> PipelineSettings:
         """Returns the settings of the steps behind the view; `up` is the vertical in kuka/base_frame, shape (3,)."""
-        p = self.peaks
-        return PipelineSettings(
-            Smoothing(p.quality_sigma, p.angle_sigma, p.width_sigma),
-            p.count,
-            p.distance,
-            p.threshold,
-            self.averaging,
-            self.tracking,
-            self.approach,
-            self.limits,
-            self.tool,
-            up,
-        )
+        p, later = self.peaks, (self.averaging, self.tracking, self.approach, self.limits, self.tool)
+        smoothing = Smoothing(p.quality_sigma, p.angle_sigma, p.width_sigma)
+        return PipelineSettings(smoothing, p.count, p.distance, p.threshold, *later, up)
+
+
+SECTIONS = {name: schema for name, schema in get_type_hints(GgcnnSettings).items() if name != "main"}
 
 
 def settings_from(values: Mapping[str, Any], prefix: str = "") -> GgcnnSettings:
@@ -136,13 +122,10 @@ def settings_from(values: Mapping[str, Any], prefix: str = "") -> GgcnnSettings:
 
 def overlaid(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Returns a mapping with changes to it, section by section."""
-    result = dict(values)
-    for key, change in changes.items():
-        below = result.get(key)
-        if isinstance(below, Mapping) and isinstance(change, Mapping):
-            result[key] = overlaid(below, change)
-        else:
-            result[key] = change
+    result = {**values, **changes}
+    for key in values.keys() & changes.keys():
+        if isinstance(values[key], Mapping) and isinstance(changes[key], Mapping):
+            result[key] = overlaid(values[key], changes[key])
     return result
 
 
@@ -154,3 +137,52 @@ def sentences(settings: GgcnnSettings) -> list[str]:
         values = ", ".join(f"{f.name}={getattr(section, f.name)}" for f in dataclasses.fields(section))
         lines.append(values if name == "main" else f"{name}: {values}")
     return lines
+
+
+def grasp_in_tool(settings: ToolPoseConfig) -> np.ndarray:
+    """Returns T_tool_grasp, shape (4, 4) [m], of the hand on the tool: x through its fingers."""
+    return pose(rotation_about(2, math.radians(settings.closing_angle)), settings.grip_in_tool)
+
+
+def rig_configuration(
+    kuka: dict[str, Any],
+    T_flange_tool: np.ndarray,
+    T_tool_grasp: np.ndarray,
+    camera: CameraModel,
+    T_base_camera: np.ndarray,
+    settings: GgcnnSettings,
+    weights: str,
+) -> dict[str, Any]:
+    """Returns the configuration as JSON can hold it; poses have shape (4, 4) [m].
+
+    Args:
+        kuka: the arm: robot, flange, mounting and file of calibrated parameters.
+        weights: SHA-256 of the network's weight file.
+    """
+    matrices = {key: getattr(camera, key).tolist() for key in "KDRP"}
+    # Adding 0 turns -0.0 into 0.0, which would be another text.
+    return {
+        "kuka": kuka,
+        "T_flange_tool": T_flange_tool.tolist(),
+        "camera": {"name": camera.name, "size": [camera.width, camera.height], **matrices},
+        "T_base_camera": (np.round(T_base_camera, DIGITS) + 0.0).tolist(),
+        **_network_configuration(T_tool_grasp, settings, weights),
+    }
+
+
+def live_origin(settings: GgcnnSettings, weights: str, robot: str | None) -> Origin:
+    """Returns what of this rig a refinement network depends on; `weights`: SHA-256 of the first network's weight file;
+    `robot`: which arm, None where that is not known."""
+    found = _network_configuration(grasp_in_tool(settings.tool), settings, weights)
+    return Origin.of({**found, "kuka": {"robot": robot}})
+
+
+def _network_configuration(T_tool_grasp: np.ndarray, settings: GgcnnSettings, weights: str) -> dict[str, Any]:
+    view = settings.main.view
+    return {
+        "T_tool_grasp": (np.round(T_tool_grasp, 9) + 0.0).tolist(),
+        "view": view,
+        "crop": asdict(settings.crop),
+        "table": asdict(settings.table) if view == TABLE else None,
+        "weights": weights,
+    }

@@ -1,4 +1,4 @@
-"""From a grasp to the pose of the arm's tool that takes it.
+"""The hand on the arm: the tool pose that takes a grasp, preferred openings, limits, and whether the arm reaches it.
 
 Frame of a grasp: origin on the surface between the fingers, x through both fingers, z along the approach. A gripper
 does not care which of its fingers is on which side, so a grasp allows two orientations half a turn apart.
@@ -7,19 +7,26 @@ does not care which of its fingers is on which side, so a grasp allows two orien
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from common.config import choice, number, vector
+from common.config import choice, flag, integer, number, vector
 from common.poses import pose, translation
 from common.rotations import rotation_about, rotation_angle, unit
+from grasping.network.maps import Maps
 
 VERTICAL, ALONG_GRASP = "vertical", "grasp"
 UP = (0.0, 0.0, 1.0)
 STEEP = math.cos(math.radians(80.0))
 """Fingers whose line rises more steeply than this have no heading."""
+SILENT = "the arm's controller does not answer"
+ASKED = "the arm's controller was asked"
+RETRY_S = 1.0
+"""An unanswered request is repeated after this time."""
 
 
 @dataclass(frozen=True)
@@ -79,3 +86,131 @@ def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarr
 def above(T_base_tool: np.ndarray, clearance: float) -> np.ndarray:
     """Returns the tool's pose so far before it, against its z axis: above it where it points down [m]."""
     return T_base_tool @ translation(0.0, 0.0, -clearance)
+
+
+def preferred(maps: Maps, pixel_m: np.ndarray, tool: ToolPoseConfig, threshold: float) -> Maps:
+    """Returns the maps with the quality that they have for a hand; it is nowhere higher than before. `pixel_m`: what a
+    pixel shows of the scene, shape (h, w) [m]; `threshold`: of the quality; what is not above it stays as it is."""
+    if tool.outside_quality == 1.0:
+        return maps
+    opening = pixel_m * np.maximum(maps.width, 0.0)
+    low, high = tool.preferred_opening
+    outside = np.maximum(low - opening, opening - high) / tool.outside_ramp
+    left = 1.0 - (1.0 - tool.outside_quality) * np.clip(outside, 0.0, 1.0)
+    shrunk = np.minimum(maps.quality, threshold + left * (maps.quality - threshold))
+    quality = np.where((maps.quality > threshold) & (left < 1.0), shrunk, maps.quality)
+    return maps._replace(quality=quality.astype(maps.quality.dtype))
+
+
+@dataclass(frozen=True)
+class LimitsConfig:
+    """Limits of a grasp."""
+
+    nearest: float = number("m", low=0.0, high=10.0, doc="least depth of a grasp before the camera")
+    farthest: float = number("m", above=0.0, high=10.0, doc="largest depth")
+    x: np.ndarray = vector(2, "m", low=-5.0, high=5.0, doc="least and largest x in kuka/base_frame")
+    y: np.ndarray = vector(2, "m", low=-5.0, high=5.0, doc="least and largest y")
+    z: np.ndarray = vector(2, "m", low=-5.0, high=5.0, doc="least and largest z")
+
+    def faults(self) -> list[str]:
+        """Names what no single field can check."""
+        faults = [
+            f"{name} is {list(getattr(self, name))}, but the least must be below the largest."
+            for name in "xyz"
+            if getattr(self, name)[0] >= getattr(self, name)[1]
+        ]
+        if self.nearest >= self.farthest:
+            faults.append(f"nearest is {self.nearest:g} m, but must be below farthest, {self.farthest:g} m.")
+        return faults
+
+
+def rejection_reason(
+    T_camera_grasp: np.ndarray, T_base_grasp: np.ndarray | None, width: float, opening: float, limits: LimitsConfig
+) -> str:
+    """Returns why a grasp is rejected, a clause about the grasp; empty if it is accepted.
+
+    Args:
+        T_camera_grasp: shape (4, 4) [m].
+        T_base_grasp: in kuka/base_frame; None where that is unknown, and not checked then.
+        width: opening that the grasp needs [m].
+        opening: widest of the hand [m].
+    """
+    depth = T_camera_grasp[2, 3]
+    if not limits.nearest <= depth <= limits.farthest:
+        allowed = f"{limits.nearest:.2f} to {limits.farthest:.2f} m"
+        return f"it is {depth:.2f} m before the camera, and {allowed} are allowed"
+    if width > opening:
+        return f"it needs an opening of {1e3 * width:.0f} mm, and the hand has {1e3 * opening:.0f} mm"
+    if T_base_grasp is None:
+        return ""
+    for name, value in zip("xyz", T_base_grasp[:3, 3]):
+        low, high = getattr(limits, name)
+        if not low <= value <= high:
+            return f"its {name} is {value:.2f} m in the base frame, and {low:.2f} to {high:.2f} m are allowed"
+    return ""
+
+
+@dataclass(frozen=True)
+class ReachConfig:
+    """How the controller is queried."""
+
+    ask: bool = flag(doc="ask the arm's controller; false: every grasp within the limits counts as reachable")
+    best: int = integer(low=1, high=20, doc="number of best grasps that the controller is asked about")
+    timeout: float = number("s", above=0.0, high=60.0, doc="without an answer for this long it counts as silent")
+    keep: float = number("s", above=0.0, high=600.0, doc="an answer expires after this long")
+    same_distance: float = number("m", above=0.0, high=0.1, doc="an answer holds for grasps this near, and")
+    same_angle: float = number("deg", above=0.0, high=45.0, doc="turned by no more than this")
+
+
+class Reachability(NamedTuple):
+    """Whether the arm reaches a tool pose."""
+
+    reachable: bool  # whether the arm gets there; False while that is unknown
+    reason: str  # why not, or why it is unknown; empty if it does
+    refused: bool = False  # whether the controller said no
+
+
+class _Entry(NamedTuple):
+    T: np.ndarray
+    asked: float
+    answer: Reachability | None
+
+
+class ReachabilityCache:
+    """Keeps the answers by the number of the grasp; the client queries the controller."""
+
+    def __init__(self, config: ReachConfig) -> None:
+        self._config = config
+        self._entries: dict[int, _Entry] = {}
+
+    def wanted(self, number: int, T_base_grasp: np.ndarray, now: float) -> bool:
+        """Returns whether the controller must be asked about a grasp, shape (4, 4) [m]."""
+        entry = self._entries.get(number)
+        if entry is None or not self._same(entry.T, T_base_grasp):
+            return True
+        return now - entry.asked > (RETRY_S if entry.answer is None else self._config.keep)
+
+    def asked(self, number: int, T_base_grasp: np.ndarray, now: float) -> None:
+        """Notes a request; the earlier answer about this pose holds until the new one."""
+        before = self._entries.get(number)
+        kept = before.answer if before is not None and self._same(before.T, T_base_grasp) else None
+        self._entries[number] = _Entry(T_base_grasp, now, kept)
+
+    def answered(self, number: int, answer: Reachability | None) -> None:
+        """Notes the answer to the latest request about a grasp; None: there was none."""
+        if number in self._entries:
+            self._entries[number] = self._entries[number]._replace(answer=answer)
+
+    def known(self, number: int) -> Reachability | None:
+        """Returns the answer about a grasp, None where there is none yet."""
+        entry = self._entries.get(number)
+        return None if entry is None else entry.answer
+
+    def keep_only(self, numbers: Collection[int]) -> None:
+        """Forgets the other grasps."""
+        self._entries = {n: e for n, e in self._entries.items() if n in numbers}
+
+    def _same(self, a: np.ndarray, b: np.ndarray) -> bool:
+        c = self._config
+        near = np.linalg.norm(a[:3, 3] - b[:3, 3]) <= c.same_distance
+        return bool(near and np.degrees(rotation_angle(a[:3, :3].T @ b[:3, :3])) <= c.same_angle)

@@ -44,11 +44,8 @@ class MapAverage:
         self._averages: tuple[np.ndarray, np.ndarray] | None = None
 
     def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Takes the newest maps in.
-
-        Args:
-            output: the network's, shape (4, h, w): all four may be averaged, as the angle is a sine and a cosine.
-            depth: that it saw, without holes, shape (h, w) [m].
+        """Takes the newest maps in; `output`: the network's, shape (4, h, w): all four may be averaged, as the angle is
+        a sine and a cosine; `depth`: that it saw, without holes, shape (h, w) [m].
 
         Returns:
             The average, shape (4, h, w), and whether it began anew with these maps.

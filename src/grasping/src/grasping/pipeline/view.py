@@ -1,8 +1,8 @@
 """The image that the network gets, and where it was taken from: the camera's own, or one from above the table.
 
-The networks learned on images taken from above. A camera that looks at the table from the side shows them its far
-edge as the most graspable thing there is. So its depth image is drawn anew as a camera would see it that looks
-straight down on the table: each reading goes to where it lies, and what is not above the table becomes table.
+The networks learned on images taken from above, and take the far edge of a table seen from the side for most graspable.
+So its depth image is drawn anew as a camera would see it that looks straight down on the table: each reading goes to
+where it lies, and what is not above the table becomes table.
 """
 
 from __future__ import annotations
@@ -17,8 +17,16 @@ from common.camera_model import CameraModel, pinhole
 from common.config import integer, number
 from common.poses import pose, read_only
 from common.rotations import unit
-from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, centre_crop, prepare
-from grasping.network.planes import GATE_SD, PlaneFound, best_plane
+from grasping.network.depth_image import (
+    GATE_SD,
+    NETWORK_SIDE,
+    Crop,
+    NetworkImage,
+    PlaneFound,
+    best_plane,
+    centre_crop,
+    prepare,
+)
 
 STRIDE = 6
 """Pixels of the camera's image, in rows and columns, to one in which the table is looked for."""
@@ -49,26 +57,18 @@ class TableConfig:
 
 
 class GraspView(NamedTuple):
-    """What the network sees, and the camera that sees it.
+    """What the network sees, and the camera that sees it."""
 
-    Attributes:
-        image: the network's.
-        graspable: where in it a grasp may be: the camera had a reading, and, from above the table, on something that
-            stands on it; shape (300, 300), bool.
-        depth: the whole image that it was cut from, shape (h, w) [m], NaN where nothing is known.
-        rays: direction of each of its pixels, shape (h, w, 3).
-        camera: that took it, a real or an imagined one.
-        T_camera_view: pose of that camera in the real one, shape (4, 4) [m]. The refinement
-            network's output has its axes: an imagined camera's z axis is straight down on the table, its x axis the
-            real camera's as far as the table lets it.
-    """
-
-    image: NetworkImage
+    image: NetworkImage  # the network's
     graspable: np.ndarray
-    depth: np.ndarray
-    rays: np.ndarray
-    camera: CameraModel
+    """Where in it a grasp may be: the camera had a reading, and, from above the table, on something that stands on it;
+    shape (300, 300), bool."""
+    depth: np.ndarray  # the whole image that it was cut from, shape (h, w) [m], NaN where nothing is known
+    rays: np.ndarray  # direction of each of its pixels, shape (h, w, 3)
+    camera: CameraModel  # that took it, a real or an imagined one
     T_camera_view: np.ndarray
+    """Pose of that camera in the real one, shape (4, 4) [m]. The refinement network's output has its axes: an imagined
+    camera's z axis is straight down on the table, its x axis the real camera's as far as the table lets it."""
 
 
 class NoView(Exception):
@@ -151,10 +151,7 @@ class TableView:
         Raises:
             NoView: there is no table.
         """
-        window = (
-            slice(crop.row, crop.row + crop.side, STRIDE),
-            slice(crop.column, crop.column + crop.side, STRIDE),
-        )
+        window = (slice(crop.row, crop.row + crop.side, STRIDE), slice(crop.column, crop.column + crop.side, STRIDE))
         known = np.isfinite(depth[window]) & (depth[window] > 0.0)
         if not known.any():
             raise NoView("the depth image holds no reading inside the crop")
@@ -162,9 +159,8 @@ class TableView:
         seen_rays, seen_depth = rays[window][known].astype(float), depth[window][known]
         table = best_plane(seen_rays, seen_depth, c.noise)
         if table is None or table.share < c.min_share:
-            raise NoView(
-                f"no table is seen: {0.0 if table is None else table.share:.0%} of the pixels lie in one plane"
-            )
+            share = 0.0 if table is None else table.share
+            raise NoView(f"no table is seen: {share:.0%} of the pixels lie in one plane")
         middle = rays[crop.row + crop.side // 2, crop.column + crop.side // 2].astype(float)
         slope = np.degrees(np.arccos(np.clip(unit(middle) @ table.direction, -1.0, 1.0)))
         if slope > c.max_slope:

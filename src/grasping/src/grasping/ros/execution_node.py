@@ -26,12 +26,10 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_param
 from common.ros.service_calls import call
-from grasping.execution.execution import HELD, Execution, ExecutionConfig, ExecutionOutcome
-from grasping.execution.execution_request import Refusal, ToolGoal, choose, tool_goal
+from grasping.execution import execution
 from grasping.execution.grasp_watch import GraspWatchConfig
 from grasping.pipeline.tool_pose import ToolPoseConfig
-from grasping.ros.execution_display import NO_GRASP, ExecutionDisplay
-from grasping.ros.execution_inputs import ExecutionInputs, proposals_from
+from grasping.ros.execution_io import NO_GRASP, ExecutionDisplay, ExecutionInputs, proposals_from
 from rig_msgs.srv import CheckToolPose, HoldTool
 
 SECTIONS = {"watch": GraspWatchConfig, "tool_pose": ToolPoseConfig}
@@ -54,11 +52,11 @@ class ExecutionNode:
     """Answers the services and runs the execution."""
 
     def __init__(
-        self, config: ExecutionConfig, watch: GraspWatchConfig, tool: ToolPoseConfig, arm: ExecutionArmConfig
+        self, config: execution.ExecutionConfig, watch: GraspWatchConfig, tool: ToolPoseConfig, arm: ExecutionArmConfig
     ) -> None:
         self._config, self._tool = config, tool
         self._home = mounting_frame(arm.center_line, arm.mounting)
-        self._execution = Execution(config, watch, self._home.up)
+        self._execution = execution.Execution(config, watch, self._home.up)
         self._lock = threading.Lock()
         self._asking = threading.Lock()
         self._grasp, self._way = NO_GRASP, None
@@ -86,13 +84,13 @@ class ExecutionNode:
             refusal = self._refusal()
         finally:
             self._asking.release()
-        if refusal is None:
-            sentence = f"The arm goes above the grasp {self._grasp.id} and waits there for a hand."
-            rospy.loginfo(sentence)
-            return TriggerResponse(True, sentence)
-        self._counts["refused"] += 1
-        rospy.logwarn("No grasp is executed: %s", refusal)
-        return TriggerResponse(False, refusal)
+        if refusal is not None:
+            self._counts["refused"] += 1
+            rospy.logwarn("No grasp is executed: %s", refusal)
+            return TriggerResponse(False, refusal)
+        sentence = f"The arm goes above the grasp {self._grasp.id} and waits there for a hand."
+        rospy.loginfo(sentence)
+        return TriggerResponse(True, sentence)
 
     def _refusal(self) -> str | None:
         """Begins an execution, or returns why not, one sentence."""
@@ -100,11 +98,11 @@ class ExecutionNode:
             return f"The grasp {self._grasp.id} is being executed; cancel it first."
         inputs, message = self._inputs, self._inputs.grasps
         proposals = None if message is None else proposals_from(message, rospy.Time.now())
-        chosen = choose(proposals, inputs.controller, inputs.hand_followed, self._config.fresh)
-        if isinstance(chosen, Refusal):
+        chosen = execution.choose(proposals, inputs.controller, inputs.hand_followed, self._config.fresh)
+        if isinstance(chosen, execution.Refusal):
             return chosen.sentence
-        way = tool_goal(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
-        if isinstance(way, Refusal):
+        way = execution.tool_goal(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
+        if isinstance(way, execution.Refusal):
             return way.sentence
         refusal = self._not_held(way)
         if refusal is not None:
@@ -125,7 +123,7 @@ class ExecutionNode:
             return Pose(), f"It is unknown whether the arm reaches the grasp: {error}."
         return answer.desired, None if answer.success else answer.message
 
-    def _not_held(self, way: ToolGoal) -> str | None:
+    def _not_held(self, way: execution.ToolGoal) -> str | None:
         """Requests that the tool is held above the grasp; returns why it is not, one sentence, or None."""
         for T_base_tool in (way.T_base_tool, way.T_base_above):
             desired, refusal = self._check(T_base_tool)
@@ -144,7 +142,7 @@ class ExecutionNode:
     def _on_cancel(self, _) -> TriggerResponse:
         with self._asking:
             if not self._end("The operator cancelled the execution."):
-                if self._inputs.observe().hold == HELD:
+                if self._inputs.observe().hold == execution.HELD:
                     self._let_go()
                 return TriggerResponse(True, "No grasp is being executed.")
         return TriggerResponse(True, "The execution is over; a hand that steers the arm keeps control.")
@@ -159,13 +157,13 @@ class ExecutionNode:
         self._release(outcome)
         return True
 
-    def _publish(self, outcome: ExecutionOutcome | None) -> None:
+    def _publish(self, outcome: execution.ExecutionOutcome | None) -> None:
         if outcome is not None:
             self._counts["held" if outcome.held else "not_held"] += 1
             self._display.publish(outcome, self._grasp)
         self._display.show(self._execution, self._grasp, self._way)
 
-    def _release(self, outcome: ExecutionOutcome | None) -> None:
+    def _release(self, outcome: execution.ExecutionOutcome | None) -> None:
         if outcome is not None and outcome.release:
             self._let_go()
 
@@ -177,13 +175,12 @@ class ExecutionNode:
             rospy.logwarn("The tool may still be held, for %g s at most: %s.", self._config.wait_for_hand, error)
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
-        execution = self._execution
-        values = {"state": execution.state, "episode": execution.episode, **self._counts}
-        return DiagnosticStatus.OK, execution.reason, values
+        values = {"state": self._execution.state, "episode": self._execution.episode, **self._counts}
+        return DiagnosticStatus.OK, self._execution.reason, values
 
 
 def _run() -> None:
-    config = private_config(ExecutionConfig, others=SECTIONS)
+    config = private_config(execution.ExecutionConfig, others=SECTIONS)
     sections = {name: private_config(schema, name) for name, schema in SECTIONS.items()}
     rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in sections.values()))
     for name in required(ExecutionArmConfig):

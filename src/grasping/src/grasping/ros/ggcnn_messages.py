@@ -14,10 +14,11 @@ from common.frames import BASE
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspList
 from grasping.pipeline.pipeline import GraspProposal
-from grasping.pipeline.reach import Reachability
+from grasping.pipeline.tool_pose import Reachability
 
 DEVIATIONS = 6
 FINGER_M, LINE_M, BEST_LINE_M, TEXT_M = 0.05, 0.003, 0.006, 0.02
+GREY = ColorRGBA(0.5, 0.5, 0.5, 0.8)
 MARKER_LIFE_S = 1.0
 """Markers of a node that is gone go too."""
 
@@ -48,11 +49,7 @@ def _grasp(header: Header, proposal: GraspProposal, reach: Reachability) -> Gras
 
 def command(proposal: GraspProposal, between: float) -> Float32MultiArray:
     """Returns the published node's six numbers: x, y, z before the camera [m], angle [rad], opening [px of the
-    camera's image], and how far away the nearest thing between the fingers is [mm].
-
-    Args:
-        between: the last of these [m].
-    """
+    camera's image], and how far away the nearest thing between the fingers is [mm]; `between` is that in m."""
     x, y, z = proposal.T_camera_grasp[:3, 3]
     return Float32MultiArray(data=[x, y, z, proposal.angle, proposal.width_px, 1e3 * between])
 
@@ -61,7 +58,7 @@ def markers(header: Header, proposals: list[tuple[GraspProposal, Reachability]])
     """Returns one gripper a grasp, red for the quality 0 to green for 1, grey where the arm does not get there."""
     array = MarkerArray([Marker(header=header, ns="grasps", action=Marker.DELETEALL)])
     for i, (proposal, reach) in enumerate(proposals):
-        colour = _grey() if reach.refused else _colour(proposal.quality)
+        colour = GREY if reach.refused else _colour(proposal.quality)
         shape = Marker(header=header, ns="grasps", id=proposal.id, type=Marker.LINE_LIST, color=colour)
         shape.pose = message_from_pose(proposal.T_camera_grasp)
         shape.scale.x = LINE_M if i else BEST_LINE_M
@@ -87,7 +84,3 @@ def _gripper(width: float) -> list[Point]:
 def _colour(quality: float) -> ColorRGBA:
     fraction = min(1.0, max(0.0, quality)) if math.isfinite(quality) else 0.0
     return ColorRGBA(min(1.0, 2.0 - 2.0 * fraction), min(1.0, 2.0 * fraction), 0.1, 1.0)
-
-
-def _grey() -> ColorRGBA:
-    return ColorRGBA(0.5, 0.5, 0.5, 0.8)

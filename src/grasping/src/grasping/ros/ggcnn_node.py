@@ -35,12 +35,10 @@ from grasping.network.networks import infer
 from grasping.pipeline import drawing
 from grasping.pipeline.pipeline import OUT_OF_SIGHT, GraspPipeline, GraspProposal, PipelineResult
 from grasping.pipeline.projection import depth_between_fingers
-from grasping.pipeline.reach import ASKED, Reachability
-from grasping.pipeline.rig_configuration import live_origin
-from grasping.pipeline.settings import GgcnnSettings, overlaid, sentences, settings_from
+from grasping.pipeline.settings import GgcnnSettings, live_origin, overlaid, sentences, settings_from
+from grasping.pipeline.tool_pose import ASKED, Reachability
 from grasping.ros import ggcnn_messages as messages
-from grasping.ros.camera_pose import CameraPoseLookup
-from grasping.ros.depth_stream import DepthImage, DepthStream
+from grasping.ros.camera_input import DepthImage, DepthStream, PoseLookup
 from grasping.ros.reach_client import ReachClient
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
 
@@ -49,17 +47,12 @@ SILENT_PERIOD_S = 0.5
 WARM_UP = 5
 RATE_WEIGHT = 0.1
 """Weight of the newest value in the times that diagnostics show."""
-
-
 NUMBERS = re.compile(r"-?\d+(\.\d+)?")
 
 
 class ReasonLog:
-    """Logs a reason when it changes, except for the numbers in it.
-
-    Attributes:
-        present: the newest reason, a clause; empty where there is none.
-    """
+    """Logs a reason when it changes, except for the numbers in it; `present` is the newest, a clause, empty with a
+    grasp."""
 
     def __init__(self) -> None:
         self.present = "no depth image has been looked at"
@@ -96,7 +89,7 @@ class GgcnnNode:
         self._markers = rospy.Publisher("ggcnn/markers", MarkerArray, queue_size=1)
         self._broadcaster = tf2_ros.TransformBroadcaster()
         self._times = StageTimes("ggcnn")
-        self._camera_pose = CameraPoseLookup()
+        self._camera_pose = PoseLookup()
         self._reach = ReachClient(settings.reach, settings.tool)
         self._stream = DepthStream(settings.input)
         Diagnostics("ggcnn", self._diagnose)
@@ -230,15 +223,15 @@ def _run() -> None:
     except (TypeError, ValueError) as error:
         raise RigError(f"The parameter kuka/mounting is not roll, pitch and yaw: {error}.") from None
     pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refiner, time.perf_counter)
-    rospy.loginfo(
-        "%s (%s, SHA-256 %s...) takes %.0f ms an image on %d threads.",
+    file, name, sha256, milliseconds = (
         settings.network.weights,
         loaded.name,
         loaded.sha256[:12],
         1e3 * _measured(pipeline),
-        settings.network.threads,
     )
-    GgcnnNode(settings, pipeline, {"network": loaded.name, "weights": loaded.sha256[:12]}).run()
+    threads = settings.network.threads
+    rospy.loginfo(f"{file} ({name}, SHA-256 {sha256}...) takes {milliseconds:.0f} ms an image on {threads} threads.")
+    GgcnnNode(settings, pipeline, {"network": name, "weights": sha256}).run()
 
 
 def main() -> None:

@@ -14,8 +14,15 @@ from common.mounting import mounting_frame
 from common.ros.conversions import stamped_pose
 from common.ros.service_calls import ServiceFailed, call
 from grasping.pipeline.pipeline import GraspProposal
-from grasping.pipeline.reach import ASKED, SILENT, Reachability, ReachabilityCache, ReachConfig
-from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
+from grasping.pipeline.tool_pose import (
+    ASKED,
+    SILENT,
+    Reachability,
+    ReachabilityCache,
+    ReachConfig,
+    ToolPoseConfig,
+    tool_pose,
+)
 from rig_msgs.srv import CheckToolPose
 
 SERVICE = "kuka/check_tool_pose"

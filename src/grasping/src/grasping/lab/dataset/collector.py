@@ -31,10 +31,7 @@ class Finished(NamedTuple):
 
 
 class Collector:
-    """The collection with its state.
-
-    Args:
-        up: the vertical in the base frame, shape (3,).
+    """The collection with its state; `up`: the vertical in the base frame, shape (3,).
 
     Attributes:
         teleop: whether an operator's hand is followed.

@@ -1,9 +1,8 @@
 """An episode of the dataset: what the camera and the network saw before an operator grasped something, and that grasp.
 
-Each episode is one closing of the fingers. Its frames end there, and all of them bear the same label, known only in
-hindsight: where the tool was when the fingers closed, and whether the hand then lifted something. Fixed in
-`kuka/base_frame` it is expressed in each frame's camera by `labels.relative_label`. Frames of one episode are near
-duplicates of each other: split training and test data by episode, never by frame.
+Its frames end with one closing of the fingers and share its label, known only in hindsight and fixed in
+`kuka/base_frame`: where the tool was then, and whether the hand lifted something. They are near duplicates of each
+other: split training and test data by episode, never by frame.
 """
 
 from __future__ import annotations
@@ -18,16 +17,39 @@ import numpy as np
 
 from common.camera_model import CameraModel
 from common.poses import inverse
-from grasping.lab.dataset.opening import opening as hand_opening
 from grasping.network.depth_image import CAMERA, Crop
 from grasping.network.maps import Peak
 
+SWIVEL_M, KNUCKLE_M, THUMB_M = 0.0504, 0.01, 0.03
+"""From the hand's base to the swivels of index and middle, from there to their knuckles, and from the base to the
+thumb's knuckle, along the line on which they close (URDF of the hand)."""
+DEPTH_M = 0.150 - 0.0816
+"""From the knuckles down to the grasp."""
+WIDEST_M = 0.15
+"""Fingers further apart are open to let go or to wave, not to grasp something: that says nothing."""
 NONE_MM = 0
 """What a depth image holds where the camera had no reading."""
 FINGERS = ("index", "middle", "thumb", "spread")
 """Columns of `Episode.finger_angles`."""
 EXECUTION, TELEOPERATION = "execution", "teleoperation"
 """Where an episode comes from: a proposal that the operator confirmed, or free teleoperation."""
+
+
+def hand_opening(angles: np.ndarray) -> float:
+    """Returns the opening [m]; NaN where the fingers do not stand about something, or are not known. `angles`: shape
+    (4,) [rad]: index, middle, thumb (0 = open), spread."""
+    index, middle, thumb, spread = (float(a) for a in angles)
+    if not np.all(np.isfinite(angles)) or min(np.sin([index, middle, thumb])) <= 0.0:
+        return float("nan")
+    beside = KNUCKLE_M + DEPTH_M * 0.5 * (1.0 / np.tan(index) + 1.0 / np.tan(middle))
+    found = SWIVEL_M + THUMB_M + np.cos(spread) * beside + DEPTH_M / np.tan(thumb)
+    return float(found) if 0.0 < found < WIDEST_M else float("nan")
+
+
+def angles_of_opening(opening_m: float) -> np.ndarray:
+    """Returns finger angles, shape (4,) [rad], that open the hand so far, all fingers alike."""
+    finger = np.arctan2(2.0 * DEPTH_M, opening_m - SWIVEL_M - KNUCKLE_M - THUMB_M)
+    return np.array([finger, finger, finger, 0.0])
 
 
 @dataclass(frozen=True)
@@ -76,50 +98,33 @@ class EpisodeFrame(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One closing of the fingers and the n frames before it, oldest first; arrays are read-only.
+    """One closing of the fingers and the n frames before it, oldest first; arrays are read-only."""
 
-    Attributes:
-        metadata: what was known beside the images.
-        camera: that sees what the network sees: the real one, or an imagined one above the table (`view.TableView`);
-            the label has its axes.
-        crop: the window of its image that is kept.
-        T_flange_tool: tool in the flange, shape (4, 4) [m].
-        T_tool_grasp: grasp in the tool, shape (4, 4) [m]: z the approach, x through the fingers.
-        T_base_tool_closed: measured tool when the fingers had closed, shape (4, 4) [m].
-        t_grasp: when they had closed [s].
-        held: whether the hand then held something while it was lifted. If not, the grasp teaches where not to grasp.
-        stamp: of the depth images, shape (n,) [s], rising, none after t_grasp.
-        depth: shape (n, side, side), uint16 [mm], 0 = no reading.
-        maps: of the network before smoothing, shape (n, 4, m, m), float16: quality, cos, sin, width as the network
-            has them; the mean of each block of 300 / m pixels.
-        mean: what was taken off the network's image, shape (n,) [m].
-        peak: GGCNN's own grasp, shape (n, 5): row, column, quality, angle, width as `maps.Peak` has them, in the
-            network's 300 x 300 image.
-        T_base_camera: optical frame of `camera`, shape (n, 4, 4) [m].
-        T_base_tool_measured: tool by the measured joints, shape (n, 4, 4) [m].
-        T_base_tool_desired: where the operator's hand wanted it, shape (n, 4, 4) [m]; NaN where no hand was followed.
-        finger_angles: the grip's opening, shape (n, 4) [rad]: index, middle, thumb (0 = open), spread.
-        teleop_active: whether an operator's hand was followed, shape (n,).
-    """
-
-    metadata: Metadata
+    metadata: Metadata  # what was known beside the images
     camera: CameraModel
-    crop: Crop
-    T_flange_tool: np.ndarray
-    T_tool_grasp: np.ndarray
-    T_base_tool_closed: np.ndarray
-    t_grasp: float
-    held: bool
-    stamp: np.ndarray
-    depth: np.ndarray
+    """That sees what the network sees: the real one, or an imagined one above the table (`view.TableView`); the label
+    has its axes."""
+    crop: Crop  # the window of its image that is kept
+    T_flange_tool: np.ndarray  # tool in the flange, shape (4, 4) [m]
+    T_tool_grasp: np.ndarray  # grasp in the tool, shape (4, 4) [m]: z the approach, x through the fingers
+    T_base_tool_closed: np.ndarray  # measured tool when the fingers had closed, shape (4, 4) [m]
+    t_grasp: float  # when they had closed [s]
+    held: bool  # whether the hand then held something while it was lifted. If not, the grasp teaches where not to grasp
+    stamp: np.ndarray  # of the depth images, shape (n,) [s], rising, none after t_grasp
+    depth: np.ndarray  # shape (n, side, side), uint16 [mm], 0 = no reading
     maps: np.ndarray
-    mean: np.ndarray
+    """Of the network before smoothing, shape (n, 4, m, m), float16: quality, cos, sin, width as the network has them;
+    the mean of each block of 300 / m pixels."""
+    mean: np.ndarray  # what was taken off the network's image, shape (n,) [m]
     peak: np.ndarray
-    T_base_camera: np.ndarray
-    T_base_tool_measured: np.ndarray
+    """GGCNN's own grasp, shape (n, 5): row, column, quality, angle, width as `maps.Peak` has them, in the network's 300
+    x 300 image."""
+    T_base_camera: np.ndarray  # optical frame of `camera`, shape (n, 4, 4) [m]
+    T_base_tool_measured: np.ndarray  # tool by the measured joints, shape (n, 4, 4) [m]
     T_base_tool_desired: np.ndarray
-    finger_angles: np.ndarray
-    teleop_active: np.ndarray
+    """Where the operator's hand wanted it, shape (n, 4, 4) [m]; NaN where no hand was followed."""
+    finger_angles: np.ndarray  # the grip's opening, shape (n, 4) [rad]: index, middle, thumb (0 = open), spread
+    teleop_active: np.ndarray  # whether an operator's hand was followed, shape (n,)
 
     def __len__(self) -> int:
         """Returns how many frames there are."""
@@ -149,16 +154,8 @@ class Episode:
     def frame(self, i: int) -> EpisodeFrame:
         """Returns frame i."""
         row, column, *rest = self.peak[i].tolist()
-        return EpisodeFrame(
-            self.camera,
-            self.crop,
-            self.depth[i],
-            self.maps[i],
-            Peak(round(row), round(column), *rest),
-            self.T_base_camera[i],
-            self.T_base_grasp,
-            self.opening,
-        )
+        peak, poses = Peak(round(row), round(column), *rest), (self.T_base_camera[i], self.T_base_grasp)
+        return EpisodeFrame(self.camera, self.crop, self.depth[i], self.maps[i], peak, *poses, self.opening)
 
     def frames(self) -> list[EpisodeFrame]:
         """Returns all frames, oldest first."""

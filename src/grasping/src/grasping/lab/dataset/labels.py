@@ -1,12 +1,12 @@
 """The operator's grasp against GGCNN's own, seen by the camera: what the refinement network learns to predict.
 
 A grasp before the camera is a pixel, a depth along the optical axis, an angle in the image, and the tilt of its
-approach against that axis. GGCNN says the first three, and approaches along the axis. Its rotation is split as
+approach, which GGCNN's does not have, against that axis. Its rotation is split as
 
     R_camera_grasp = exp(tilt) Rz(-angle),    tilt = (x, y, 0)
 
-in this order, so that tilt is free of the hand's symmetry: a hand turned by 180 degrees about its approach has the same
-tilt, and the same angle modulo pi. If the image turns about the optical axis, angle and tilt turn with it.
+so that tilt is free of the hand's symmetry: half a turn about the approach keeps the tilt, and the angle modulo pi. If
+the image turns about the optical axis, angle and tilt turn with it.
 """
 
 from __future__ import annotations
@@ -59,15 +59,8 @@ def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
     row, column = map_pixel(frame.camera.project(T[:3, 3]), frame.crop, side)
     # GGCNN's pixel is a whole one of the network's image, and generally none of a smaller map.
     own_row, own_column = ((i + 0.5) * side / NETWORK_SIDE - 0.5 for i in (frame.peak.row, frame.peak.column))
-    return RelativeLabel(
-        row,
-        column,
-        row - own_row,
-        column - own_column,
-        float(T[2, 3] - own.T_camera_grasp[2, 3]),
-        half_turn(angle - own.angle),
-        read_only(tilt),
-    )
+    shift, depth = (row - own_row, column - own_column), float(T[2, 3] - own.T_camera_grasp[2, 3])
+    return RelativeLabel(row, column, *shift, depth, half_turn(angle - own.angle), read_only(tilt))
 
 
 def pose_from_label(frame: EpisodeFrame, label: RelativeLabel) -> np.ndarray:

@@ -113,11 +113,10 @@ def decode(data: bytes) -> Episode:
     """Returns the episode in the content of a file.
 
     Raises:
-        DatasetError: it is torn, damaged, of another schema, or no episode at all.
+        DatasetError: it is torn, damaged, of another schema, or not an episode.
     """
     files = _files(data)
-    meta = _meta(files)
-    arrays = _arrays(files)
+    meta, arrays = _meta(files), _arrays(files)
     _check(arrays)
     for array in arrays.values():
         array.setflags(write=False)
@@ -148,7 +147,7 @@ def decode(data: bytes) -> Episode:
 def _files(data: bytes) -> dict[str, bytes]:
     """Returns the files of the archive, each as its checksum says it was written."""
     if not MAGIC.startswith(data[: len(MAGIC)]):
-        raise DatasetError("The file is no episode: it is no archive.")
+        raise DatasetError("Not an episode: the file is not an archive.")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for file in archive.infolist():
@@ -163,18 +162,16 @@ def _files(data: bytes) -> dict[str, bytes]:
 def _meta(files: dict[str, bytes]) -> dict[str, Any]:
     """Returns the metadata, after the schema was checked."""
     if META not in files:
-        raise DatasetError("The file is no episode: it has no metadata.")
+        raise DatasetError("Not an episode: the file has no metadata.")
     text = str(_array(META, files[META]))
     try:
         meta = json.loads(text, parse_constant=_refuse)
     except ValueError:
-        raise DatasetError("The file is no episode: its metadata are no JSON.") from None
+        raise DatasetError("Not an episode: the file's metadata are not JSON.") from None
     if not isinstance(meta, dict) or "schema" not in meta:
-        raise DatasetError("The file is no episode: its metadata name no schema.")
+        raise DatasetError("Not an episode: the file's metadata name no schema.")
     if meta["schema"] != SCHEMA:
-        raise DatasetError(
-            f"The file has the schema {meta['schema']!r}, but this version of the package reads {SCHEMA}."
-        )
+        raise DatasetError(f"The file has the schema {meta['schema']!r}, but this version reads {SCHEMA}.")
     return meta
 
 
@@ -187,25 +184,19 @@ def _arrays(files: dict[str, bytes]) -> dict[str, np.ndarray]:
     wanted = {f"{name}{ARRAY}": name for name in LAYOUT}
     if files.keys() != wanted.keys():
         odd = ", ".join(sorted(name.replace(ARRAY, "") for name in files.keys() ^ wanted.keys()))
-        raise DatasetError(f"The file is no episode of schema {SCHEMA}: {odd} missing or unknown.")
+        raise DatasetError(f"Not an episode of schema {SCHEMA}: {odd} missing or unknown.")
     return {wanted[name]: _array(name, data) for name, data in files.items()}
 
 
 def _array(name: str, data: bytes) -> np.ndarray:
     try:
-        return np.lib.format.read_array(  # type: ignore[no-untyped-call]
-            io.BytesIO(data), allow_pickle=False
-        )
+        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)  # type: ignore[no-untyped-call]
     except ValueError as error:
-        raise DatasetError(f"The file is no episode: {name}: {' '.join(str(error).split())}.") from None
+        raise DatasetError(f"Not an episode: {name}: {' '.join(str(error).split())}.") from None
 
 
 def _check(arrays: dict[str, np.ndarray]) -> None:
-    """Refuses arrays that are of another type or shape, not finite, or no poses.
-
-    Raises:
-        DatasetError: with the first fault.
-    """
+    """Refuses arrays of another type or shape, that are not finite, or not poses, with the first fault."""
     sizes: dict[str, int] = {}
     for name, (kind, shape) in LAYOUT.items():
         array = arrays[name]

@@ -5,7 +5,6 @@ What the physics can say is bounded by its contact model: rigid bodies, Coulomb 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import mujoco
@@ -13,7 +12,7 @@ import numpy as np
 
 from common.rotations import quaternion_from_rotation
 from grasping.lab.synthetic.labels import Gripper
-from grasping.lab.synthetic.scene import HeapScene, world_xml
+from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
 
 START_M = 0.12
 """The hand starts so far before the grasp."""
@@ -109,16 +108,12 @@ def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gri
     )
     quaternion = quaternion_from_rotation(R)[[3, 0, 1, 2]]
     hand = HAND.format(
-        pos=_text(start),
-        quat=_text(quaternion),
-        up=_text(R.T @ (0.0, 0.0, 1.0)),
+        pos=xml_text(start),
+        quat=xml_text(quaternion),
+        up=xml_text(R.T @ (0.0, 0.0, 1.0)),
         half_palm=0.5 * gripper.opening + gripper.thickness,
         half_breadth=0.75 * gripper.breadth,
         palm_z=-FINGER_M - 0.01,
         fingers=fingers,
     )
     return world_xml(scene.objects, friction, noslip=5, bodies=hand, rest=REST.format(hold=HOLD_N))
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(f"{v:.6g}" for v in values)

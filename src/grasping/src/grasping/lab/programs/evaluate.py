@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import csv
 import json
 import multiprocessing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -26,22 +27,54 @@ from tqdm import tqdm
 from common.config import parse
 from common.errors import RigError
 from common.statistics import proportion
-from grasping.lab.evaluation import heuristics, trials
+from grasping.lab.evaluation import trials
 from grasping.lab.programs.make_dataset import ignore_warning
-from grasping.lab.programs.results import ResultsFile, markdown_table
 from grasping.lab.synthetic.scene import world_xml
 from grasping.network import maps, weights
 from grasping.network.depth_image import NetworkImage
 from grasping.network.networks import frozen, infer
-from grasping.pipeline.preference import preferred
 from grasping.pipeline.projection import pixel_size
-from grasping.pipeline.tool_pose import ToolPoseConfig
+from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 
 COLUMNS = ("scene", "objects", "method", *trials.TrialOutcome._fields)
 EXPORT_SCHEMA = 1
 QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
 """As the reference experiments smooth; the node's wider blur is for the moving camera."""
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Returns a table in Markdown."""
+    lines = (header, ["---"] * len(header), *rows)
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+class ResultsFile:
+    """A CSV file of results; rows of an earlier run are read first.
+
+    Raises:
+        OSError: the file cannot be read or written.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.rows: list[dict] = []
+        if path.exists():
+            with path.open(newline="") as file:
+                self.rows = list(csv.DictReader(file))
+        self._file = path.open("a", newline="")
+        self._writer = csv.DictWriter(self._file, columns, lineterminator="\n")
+        if not self.rows:
+            self._writer.writeheader()
+
+    def add(self, rows: list[dict]) -> None:
+        """Appends rows to the file."""
+        self._writer.writerows(rows)
+        self._file.flush()
+        self.rows += rows
+
+    def close(self) -> None:
+        self._file.close()
 
 
 class Trained(NamedTuple):
@@ -52,18 +85,12 @@ class Trained(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A scene to be tried.
+    """A scene to be tried."""
 
-    Attributes:
-        split, number: of the scene.
-        methods: names of the methods.
-        trained: the networks among them.
-    """
-
-    split: str
-    number: int
-    methods: list[str]
-    trained: dict[str, Trained]
+    split: str  # of the scene
+    number: int  # of the scene
+    methods: list[str]  # their names
+    trained: dict[str, Trained]  # the networks among them
 
 
 @lru_cache(maxsize=8)
@@ -95,19 +122,13 @@ def export_scene(task: Task) -> dict:
     of, chosen = chosen_grasps(split, number, names, trained)
     tried = {name: trials.executed(of, peak) for name, peak in chosen.items()}
     friction = next((t.friction for t in tried.values() if t is not None), trials.FRICTION[0])
+    poses = {name: (None, None) if t is None else (t.T_world_grasp.tolist(), t.width) for name, t in tried.items()}
     return {
         "scene": number,
         "objects": len(of.view.scene.objects),
         "mjcf": world_xml(of.view.scene.objects, friction),
         "qpos": of.view.scene.state.tolist(),
-        "grasps": [
-            {
-                "method": name,
-                "T_world_grasp": None if t is None else t.T_world_grasp.tolist(),
-                "width": None if t is None else t.width,
-            }
-            for name, t in tried.items()
-        ],
+        "grasps": [{"method": name, "T_world_grasp": T, "width": width} for name, (T, width) in poses.items()],
     }
 
 
@@ -126,21 +147,16 @@ def chosen_grasps(
         elif name in trained:
             chosen[name] = network_grasp(of.image, trained[name])
         else:
-            chosen[name] = heuristics.HEURISTICS[name](of.image, of.widest, np.random.default_rng([7, number]))
+            chosen[name] = trials.HEURISTICS[name](of.image, of.widest, np.random.default_rng([7, number]))
     return of, chosen
 
 
 def table(rows: list[dict], methods: Iterable[str]) -> str:
     """Returns the results as a Markdown table."""
     header = ("method", *(f"{n}: {field} %" for field in ("lifted", "rectangle") for n in ("one object", "clutter")))
-    lines = []
-    for method in methods:
-        cells = [method]
-        for field in ("lifted", "rectangle"):
-            for single in (True, False):
-                chosen = [r for r in rows if r["method"] == method and (int(r["objects"]) == 1) == single]
-                cells.append(_cell([str(r[field]) == "True" for r in chosen]))
-        lines.append(cells)
+    parts = (lambda r: int(r["objects"]) == 1), (lambda r: int(r["objects"]) > 1)
+    fields = ("lifted", "rectangle")
+    lines = [[m, *(_fraction(rows, m, field, part) for field in fields for part in parts)] for m in methods]
     return markdown_table(header, lines)
 
 
@@ -148,17 +164,14 @@ def calibration(rows: list[dict], methods: Iterable[str]) -> str:
     """Returns, as a Markdown table, how many grasps were lifted by the quality that the method gave them."""
     ranges = list(zip((-np.inf, *QUALITY_LIMITS), (*QUALITY_LIMITS, np.inf)))
     names = [f"< {QUALITY_LIMITS[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {QUALITY_LIMITS[-1]}"]
-    lines = []
-    for method in methods:
-        cells = [method]
-        for low, high in ranges:
-            chosen = [r for r in rows if r["method"] == method and low <= float(r["quality"]) < high]
-            cells.append(_cell([str(r["lifted"]) == "True" for r in chosen]))
-        lines.append(cells)
+    parts = [(lambda r, low=low, high=high: low <= float(r["quality"]) < high) for low, high in ranges]
+    lines = [[method, *(_fraction(rows, method, "lifted", part) for part in parts)] for method in methods]
     return markdown_table(("lifted %, quality", *names), lines)
 
 
-def _cell(outcomes: list[bool]) -> str:
+def _fraction(rows: list[dict], method: str, field: str, chosen: Callable[[dict], bool]) -> str:
+    """Returns the fraction of the chosen rows of a method in which a field is true."""
+    outcomes = [str(r[field]) == "True" for r in rows if r["method"] == method and chosen(r)]
     return str(proportion(outcomes)) if outcomes else "-"
 
 
@@ -174,18 +187,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", help="where the results go")
     parser.add_argument("--scenes", type=int, default=300, help="how many")
     parser.add_argument("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
-    parser.add_argument(
-        "--split",
-        choices=("test", "validation"),
-        default="test",
-        help="test: families that training never saw; validation: new scenes of its own, to choose by",
-    )
-    parser.add_argument(
-        "--tool",
-        type=Path,
-        metavar="FILE",
-        help="a tool_pose.yaml: try each network with that hand's preferred openings as well",
-    )
+    splits = "test: families that training never saw; validation: new scenes of its own, to choose by"
+    parser.add_argument("--split", choices=("test", "validation"), default="test", help=splits)
+    tool = "a tool_pose.yaml: try each network with that hand's preferred openings as well"
+    parser.add_argument("--tool", type=Path, metavar="FILE", help=tool)
     parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
     parser.add_argument("--export", type=Path, metavar="FILE", help="write scenes and grasps there, lift nothing")
     arguments = parser.parse_args()
@@ -201,7 +206,7 @@ def main() -> None:
                 trained[f"{name}, preferred openings"] = Trained(Path(file), tool)
     except (OSError, RigError, yaml.YAMLError) as error:
         parser.error(str(error))
-    methods = ["oracle", *heuristics.HEURISTICS, *trained]
+    methods = ["oracle", *trials.HEURISTICS, *trained]
     if arguments.export is not None:
         every = [Task(arguments.split, number, methods, trained) for number in range(arguments.scenes)]
         export(arguments.export, every, arguments.processes)
@@ -211,11 +216,8 @@ def main() -> None:
     except OSError as error:
         parser.error(f"{error.filename} cannot be used: {error.strerror}.")
     done = {(int(r["scene"]), r["method"]) for r in results.rows}
-    tasks = []
-    for number in range(arguments.scenes):
-        missing = [m for m in methods if (number, m) not in done]
-        if missing:
-            tasks.append(Task(arguments.split, number, missing, trained))
+    wanted = ((number, [m for m in methods if (number, m) not in done]) for number in range(arguments.scenes))
+    tasks = [Task(arguments.split, number, missing, trained) for number, missing in wanted if missing]
     with contextlib.closing(results), multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
         for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
             results.add(new)

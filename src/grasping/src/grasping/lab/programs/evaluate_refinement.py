@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Callable, Dict, List, NamedTuple, Union
 
@@ -30,16 +31,14 @@ from common.poses import inverse
 from common.statistics import median, paired_difference, proportion
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import own_grasp, pose_from_label
-from grasping.lab.evaluation import learning_curve, orientation
-from grasping.lab.evaluation.likelihood import calibrated, log_likelihoods
-from grasping.lab.evaluation.operator_errors import NEAR_M, Neighbours, miss
-from grasping.lab.programs import episode_reading
-from grasping.lab.programs.evaluate import NETWORK_SMOOTHING
+from grasping.lab.evaluation import operator_errors
+from grasping.lab.evaluation.operator_errors import NEAR_M, Neighbours, calibrated, miss, place_log_likelihoods
+from grasping.lab.programs import train_refinement
+from grasping.lab.programs.evaluate import NETWORK_SMOOTHING, ResultsFile, markdown_table
 from grasping.lab.programs.make_dataset import ignore_warning
-from grasping.lab.programs.results import ResultsFile, markdown_table
-from grasping.lab.synthetic import episodes
-from grasping.lab.training.refinement_batches import RefinementTargets, batch
-from grasping.lab.training.refinement_examples import OperatorOffset, constant_offset, example, offset_label
+from grasping.lab.synthetic import simulated_operator
+from grasping.lab.training import refinement_examples
+from grasping.lab.training.refinement_examples import OperatorOffset
 from grasping.network import refinement_file
 from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, prepare
 from grasping.network.maps import Peak, peaks, smoothed
@@ -66,14 +65,13 @@ MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = 
 """Columns of the tables: what is made of the episodes' values, and the value of a line of results.csv."""
 
 
-def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Named]) -> dict[str, MapRefiner]:
+def second_networks(files: list[tuple[str, str]], test: list[train_refinement.Named]) -> dict[str, MapRefiner]:
     """Returns the refinement networks of weight files by their names.
 
     Raises:
-        RigError: a weight file cannot be used, or not for these episodes.
-        OSError: likewise.
+        RigError, OSError: a weight file cannot be used, or not for these episodes.
     """
-    found, rig = {}, episode_reading.origin_of(test, mixed=True)
+    found, rig = {}, train_refinement.origin_of(test, mixed=True)
     for name, file in files:
         found[name], origin = refinement_file.load(Path(file).read_bytes())
         if mismatch := origin.mismatch(rig):
@@ -82,7 +80,7 @@ def second_networks(files: list[tuple[str, str]], test: list[episode_reading.Nam
 
 
 def methods(
-    training: list[episode_reading.Named], offset: OperatorOffset, second: dict[str, MapRefiner]
+    training: list[train_refinement.Named], offset: OperatorOffset, second: dict[str, MapRefiner]
 ) -> dict[str, Method]:
     """Returns for each name what makes poses before the camera of a frame, each of shape (4, 4) [m], best first."""
     neighbours = Neighbours([f for named in training if named.episode.held for f in named.episode.frames()])
@@ -91,14 +89,12 @@ def methods(
         frames = (frame._replace(peak=peak) for peak in _best(*_seen(frame)))
         return [(f, grasp) for f in frames if (grasp := own_grasp(f)) is not None]
 
-    found: dict[str, Method] = {
+    return {
         ALONE: lambda frame: [grasp.T_camera_grasp for _, grasp in own(frame)],
-        OFFSET: lambda frame: [pose_from_label(f, offset_label(f, offset)) for f, _ in own(frame)],
+        OFFSET: lambda frame: [pose_from_label(f, refinement_examples.offset_label(f, offset)) for f, _ in own(frame)],
         NEIGHBOUR: lambda frame: [neighbours.grasp(f) for f, _ in own(frame)[:1]],
+        **{name: _refined(network) for name, network in second.items()},
     }
-    for name, network in second.items():
-        found[name] = _refined(network)
-    return found
 
 
 def _seen(frame: EpisodeFrame) -> tuple[np.ndarray, NetworkImage]:
@@ -122,20 +118,20 @@ def _refined(second: MapRefiner) -> Method:
 
 
 def row(
-    named: episode_reading.Named, scene: episodes.EpisodeScene | None, name: str, method: Method | None, lift: bool
+    named: train_refinement.Named,
+    scene: simulated_operator.EpisodeScene | None,
+    name: str,
+    method: Method | None,
+    lift: bool,
 ) -> dict[str, str | float]:
-    """Returns the line of one method's grasp in an episode.
-
-    Args:
-        scene: that it shows, None where it is no simulated one; only then the bound is known, and grasps are lifted.
-        method: as `methods` has it; None: the bound.
-    """
+    """Returns the line of one method's grasp in an episode; None as the method is the bound. Only of a simulated scene
+    the bound is known, and grasps are lifted."""
     frame = named.episode.frame(len(named.episode) - 1)
     line: dict[str, str | float] = dict.fromkeys(COLUMNS, "")
     line.update(episode=named.name, object=named.episode.metadata.object, method=name, near="False")
     if method is None:
         assert scene is not None, "the bound is known of simulated scenes alone"
-        found = [inverse(frame.T_base_camera) @ episodes.intended(scene, named.episode)]
+        found = [inverse(frame.T_base_camera) @ simulated_operator.intended(scene, named.episode)]
     else:
         found = method(frame)
     if not found:
@@ -146,7 +142,7 @@ def row(
     line["near"] = str(misses[0].is_near)
     line["nearest_of_3_mm"] = 1000.0 * min(m.position for m in misses)
     if lift and scene is not None:
-        line["lifted"] = str(episodes.held(scene, frame.T_base_camera @ found[0]))
+        line["lifted"] = str(simulated_operator.held(scene, frame.T_base_camera @ found[0]))
     return line
 
 
@@ -154,7 +150,7 @@ class EvaluationData(NamedTuple):
     """Images as refinement networks see them."""
 
     seen: torch.Tensor  # input of a refinement network
-    target: RefinementTargets  # what the operator did
+    target: refinement_examples.RefinementTargets  # what the operator did
     pixel_size: np.ndarray  # of a pixel of the network's image, by the distance, shape (n,)
 
 
@@ -162,29 +158,33 @@ def _within(millimetres: str | float) -> bool:
     return millimetres != "" and float(millimetres) < 1000.0 * NEAR_M
 
 
+def _compared(
+    measures: Iterable[str], lines: list, second: Iterable[str], difference: Callable[[str, str], Iterator[str]]
+) -> str:
+    """Returns the tables of the methods, and of the differences of the refinement networks to GGCNN's two."""
+    pairs = [(name, other) for name in second for other in (ALONE, OFFSET)]
+    differences = [(f"{name} less {other}", *difference(name, other)) for name, other in pairs]
+    return f"{markdown_table(('method', *measures), lines)}\n{markdown_table(('difference', *measures), differences)}"
+
+
 def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
     """Returns the results as Markdown, and the differences of the refinement networks to GGCNN alone and with the
-    offset; in brackets the 95 % intervals.
-    """
+    offset; in brackets the 95 % intervals."""
     of = {name: {r["episode"]: r for r in rows if r["method"] == name} for name in (*names, *second)}
     measures = {k: v for k, v in MEASURES.items() if k != "lifted %" or any(r["lifted"] != "" for r in rows)}
-    lines = []
-    for name in names:
-        cells = [name]
+
+    def cells(name: str) -> Iterator[str]:
         for statistic, value in measures.values():
             values = [value(r) for r in of[name].values()]
-            cells.append(str(median(values) if statistic is np.median else proportion(np.array(values) > 0.0)))
-        lines.append(cells)
-    differences = []
-    for name in second:
-        for other in (ALONE, OFFSET):
-            episodes_of = sorted(of[name].keys() & of[other].keys())
-            cells = [f"{name} less {other}"]
-            for statistic, value in measures.values():
-                one, less = ([value(of[method][e]) for e in episodes_of] for method in (name, other))
-                cells.append(f"{paired_difference(one, less, statistic):+.1f}")
-            differences.append(cells)
-    return f"{markdown_table(('method', *measures), lines)}\n{markdown_table(('difference', *measures), differences)}"
+            yield str(median(values) if statistic is np.median else proportion(np.array(values) > 0.0))
+
+    def difference(name: str, other: str) -> Iterator[str]:
+        both = sorted(of[name].keys() & of[other].keys())
+        for statistic, value in measures.values():
+            one, less = ([value(of[method][e]) for e in both] for method in (name, other))
+            yield f"{paired_difference(one, less, statistic):+.1f}"
+
+    return _compared(measures, [(name, *cells(name)) for name in names], second, difference)
 
 
 def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, MapRefiner]) -> str:
@@ -194,7 +194,7 @@ def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, M
     def found(network: RefinementNetwork) -> np.ndarray:
         with torch.no_grad():
             before, now = ((of.seen[:, 0] + network(of.seen)[:, 0]).numpy() for of in (known, test))
-        return log_likelihoods(now, places[1], calibrated(before, places[0]))
+        return place_log_likelihoods(now, places[1], calibrated(before, places[0]))
 
     plain = found(RefinementNetwork())
     lines = [(OFFSET, f"{plain.mean():.2f}", "")]
@@ -205,52 +205,58 @@ def likelihoods(known: EvaluationData, test: EvaluationData, second: dict[str, M
 
 
 def orientations(
-    known: EvaluationData, test: EvaluationData, offset: OperatorOffset, second: dict[str, MapRefiner]
+    known: EvaluationData,
+    test: EvaluationData,
+    offset: OperatorOffset,
+    second: dict[str, MapRefiner],
 ) -> str:
-    """Returns, as Markdown, how well orientation and opening of the hand are predicted at the operator's pixels.
-
-    Args:
-        known: images that give the standard deviation of the orientation where a method has none.
-    """
+    """Returns, as Markdown, how well orientation and opening of the hand are predicted at the operator's pixels; the
+    known images give the standard deviation of the orientation where a method has none."""
     untrained = RefinementNetwork()
-    did = orientation.operators(test.target, offset)
+    did = operator_errors.operators(test.target, offset)
     metres = WIDTH_SCALE_PX * test.pixel_size
 
     def measured(network: RefinementNetwork, added: OperatorOffset, own_spread: bool) -> list[np.ndarray]:
-        found = orientation.expected(test.seen, test.target, network, added)
+        found = operator_errors.expected(test.seen, test.target, network, added)
         if not own_spread:
-            before = orientation.expected(known.seen, known.target, network, added)
-            found = orientation.with_constant_scale(found, before, orientation.operators(known.target, offset))
-        turned = np.degrees(orientation.errors(found, did))
-        return [turned, orientation.log_likelihoods(found, did), 1000.0 * metres * np.abs(found.opening - did.opening)]
+            before = operator_errors.expected(known.seen, known.target, network, added)
+            found = operator_errors.with_constant_scale(found, before, operator_errors.operators(known.target, offset))
+        turned = np.degrees(operator_errors.errors(found, did))
+        return [
+            turned,
+            operator_errors.log_likelihoods(found, did),
+            1000.0 * metres * np.abs(found.opening - did.opening),
+        ]
 
-    of = {ALONE: measured(untrained, OperatorOffset(), False), OFFSET: measured(untrained, offset, False)}
+    of = {
+        ALONE: measured(untrained, OperatorOffset(), False),
+        OFFSET: measured(untrained, offset, False),
+    }
     of.update({name: measured(one.network, offset, True) for name, one in second.items()})
     opens = np.isfinite(did.opening)
     names = ["rotation error at the operator's place deg, median", "log-likelihood of the rotation [nats], mean"]
     names += ["opening error mm, median"] * bool(opens.any())
     lines = []
     for name, (turned, likely, opened) in of.items():
-        cells = [str(median(turned)), f"{likely.mean():.2f}", *([str(median(opened[opens]))] * bool(opens.any()))]
-        lines.append([name, *cells])
-    differences = []
-    for name in second:
-        for other in (ALONE, OFFSET):
-            one, less = of[name], of[other]
-            turned, likely = paired_difference(one[0], less[0], np.median), paired_difference(one[1], less[1])
-            cells = [f"{turned:+.1f}", f"{likely:+.2f}"]
-            if opens.any():
-                cells.append(f"{paired_difference(one[2][opens], less[2][opens], np.median):+.1f}")
-            differences.append([f"{name} less {other}", *cells])
-    return f"{markdown_table(('method', *names), lines)}\n{markdown_table(('difference', *names), differences)}"
+        lines.append([name, str(median(turned)), f"{likely.mean():.2f}"])
+        lines[-1] += [str(median(opened[opens]))] if opens.any() else []
+
+    def difference(name: str, other: str) -> Iterator[str]:
+        one, less = of[name], of[other]
+        yield f"{paired_difference(one[0], less[0], np.median):+.1f}"
+        yield f"{paired_difference(one[1], less[1]):+.2f}"
+        if opens.any():
+            yield f"{paired_difference(one[2][opens], less[2][opens], np.median):+.1f}"
+
+    return _compared(names, lines, second, difference)
 
 
-def seen_of(part: list[episode_reading.Named], offset: OperatorOffset) -> EvaluationData:
+def seen_of(part: list[train_refinement.Named], offset: OperatorOffset) -> EvaluationData:
     """Returns the last images of episodes whose grasps held, and what the operator did, without the constant offset."""
     frames = [n.episode.frame(len(n.episode) - 1) for n in part if n.episode.held]
-    pairs = [(f, one) for f in frames if (one := example(f, held=True)) is not None]
+    pairs = [(f, one) for f in frames if (one := refinement_examples.example(f, held=True)) is not None]
     sizes = [f.crop.side / NETWORK_SIDE / f.camera.K[0, 0] for f, _ in pairs]
-    return EvaluationData(*batch([one for _, one in pairs], offset), np.array(sizes))
+    return EvaluationData(*refinement_examples.batch([one for _, one in pairs], offset), np.array(sizes))
 
 
 def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
@@ -265,7 +271,7 @@ def curve(rows: list[dict], second: list[tuple[str, str]], path: Path) -> None:
     _, error = next(iter(MEASURES.values()))
     of = {name: [error(r) for r in rows if r["method"] == name] for name in (*counts.values(), ALONE, OFFSET, BOUND)}
     others = {name: of[name] for name in (ALONE, OFFSET, BOUND) if of[name]}
-    learning_curve.draw(path, {n: of[name] for n, name in counts.items()}, others, 1000.0 * NEAR_M)
+    operator_errors.draw_learning_curve(path, {n: of[name] for n, name in counts.items()}, others, 1000.0 * NEAR_M)
 
 
 def main() -> None:
@@ -285,20 +291,24 @@ def main() -> None:
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
     try:
-        every = episode_reading.read(arguments.training, without=arguments.without)
-        training = [named for named in every if not episode_reading.is_held_out(named.name)]
-        known = [named for named in every if episode_reading.is_held_out(named.name) and named.episode.held]
-        test = [named for named in episode_reading.read(arguments.test, only=arguments.only) if named.episode.held]
+        every = train_refinement.read_episodes(arguments.training, without=arguments.without)
+        training = [named for named in every if not train_refinement.is_held_out(named.name)]
+        known = [named for named in every if train_refinement.is_held_out(named.name) and named.episode.held]
+        test = [
+            named for named in train_refinement.read_episodes(arguments.test, only=arguments.only) if named.episode.held
+        ]
         if arguments.held_out:
-            test = [named for named in test if episode_reading.is_held_out(named.name)]
+            test = [named for named in test if train_refinement.is_held_out(named.name)]
         if not test or not any(named.episode.held for named in training):
             raise RigError(f"Of {len(test)} episodes to test on and {len(training)} to learn from, too few held.")
-        offset = constant_offset([f for named in training if named.episode.held for f in named.episode.frames()])
+        offset = refinement_examples.constant_offset(
+            [f for named in training if named.episode.held for f in named.episode.frames()]
+        )
         second = second_networks(arguments.refinement, test)
         found: dict[str, Method | None] = {**methods(training, offset, second)}
     except (RigError, OSError) as error:
         parser.error(str(error))
-    if all(episodes.scene_of(named.name) for named in test):
+    if all(simulated_operator.scene_of(named.name) for named in test):
         found[BOUND] = None
     results = ResultsFile(arguments.folder / "results.csv", COLUMNS)
     rows = results.rows
@@ -306,8 +316,8 @@ def main() -> None:
     with contextlib.closing(results):
         for named in tqdm(test, unit="episode"):
             missing = [name for name in found if (named.name, name) not in done]
-            at = episodes.scene_of(named.name)
-            scene = episodes.situation(*at) if at and missing else None
+            at = simulated_operator.scene_of(named.name)
+            scene = simulated_operator.situation(*at) if at and missing else None
             for name in missing:
                 results.add([row(named, scene, name, found[name], not arguments.no_lifting)])
     text = tables(rows, list(found), [name for name, _ in arguments.refinement])

@@ -16,7 +16,7 @@ import numpy as np
 
 from common.camera_model import pinhole
 from common.errors import RigError
-from grasping.lab.synthetic.sensor import FOCAL_PX
+from grasping.lab.synthetic.samples import FOCAL_PX
 from grasping.network import weights
 from grasping.network.maps import THRESHOLD
 from grasping.pipeline.pipeline import GraspPipeline, PipelineResult, PipelineSettings

@@ -12,9 +12,8 @@ import torch
 
 from common.errors import RigError
 from grasping.lab.dataset import store
-from grasping.lab.programs.make_dataset import ignore_warning
-from grasping.lab.programs.making import make_all
-from grasping.lab.synthetic import episodes
+from grasping.lab.programs.make_dataset import ignore_warning, make_all
+from grasping.lab.synthetic import simulated_operator
 from grasping.lab.synthetic.simulated_operator import SimulatedOperator
 from grasping.network import weights
 from grasping.network.networks import frozen
@@ -30,14 +29,14 @@ def network(path: Path) -> tuple[torch.jit.ScriptModule, str]:
 def make(task: tuple[Path, Path, str, int, int]) -> None:
     """Writes one episode unless it is there."""
     folder, file, split, number, frames = task
-    path = folder / (episodes.file_name(split, number) + store.SUFFIX)
+    path = folder / (simulated_operator.file_name(split, number) + store.SUFFIX)
     if path.exists():
         return
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
     ggcnn, sha256 = network(file)
-    made = episodes.episode(split, number, ggcnn, sha256, SimulatedOperator(), frames)
+    made = simulated_operator.episode(split, number, ggcnn, sha256, SimulatedOperator(), frames)
     if made is not None:
         part = path.with_suffix(".part")
         part.write_bytes(store.encode(made))

@@ -8,6 +8,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import torch
 from tqdm import tqdm
 
 from common.errors import RigError
-from grasping.lab.training.mean_trainer import MeanTrainer
+from grasping.lab.training.trainer import MeanTrainer
 
 CHECKPOINT = "checkpoint.pt"
 DEVICES = ("auto", "cpu", "cuda")
@@ -29,9 +30,8 @@ def add_options(parser: argparse.ArgumentParser, data: str, default: Any, every:
     for name, value in asdict(default).items():
         kind = (lambda text: text == "true") if isinstance(value, bool) else type(value)
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=value, help=f"default: {value}")
-    parser.add_argument(
-        "--anew", action="store_true", help="start again where RUN holds another training, which is kept"
-    )
+    anew = "start again where RUN holds another training, which is kept"
+    parser.add_argument("--anew", action="store_true", help=anew)
     parser.add_argument("--device", choices=DEVICES, default="auto", help="default: cuda where there is one")
     parser.add_argument("--every", type=int, default=every, help="steps between validations and checkpoints")
     parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
@@ -43,11 +43,8 @@ def identity(settings: dict[str, Any], *data: list[str]) -> str:
 
 
 def opened(folder: Path, wanted: str, anew: bool) -> dict[str, Any] | None:
-    """Returns the checkpoint of an earlier run, None where there is none; creates the folder.
-
-    Args:
-        anew: whether to start again where there is another training; its files are kept in a folder `before_` and a
-            number.
+    """Returns the checkpoint of an earlier run, None where there is none; creates the folder. Where there is another
+    training, `anew` starts again and keeps its files in a folder `before_` and a number.
 
     Raises:
         RigError: there is another training.
@@ -64,9 +61,7 @@ def opened(folder: Path, wanted: str, anew: bool) -> dict[str, Any] | None:
             f"{folder} holds a training on other data or with other settings: name another folder, or start again with "
             "--anew, which keeps the old files beside the new ones."
         )
-    number = 1
-    while (kept := folder / f"before_{number}").exists():
-        number += 1
+    kept = next(path for path in (folder / f"before_{n}" for n in count(1)) if not path.exists())
     kept.mkdir()
     for path in [p for p in folder.iterdir() if p.is_file()]:
         path.replace(kept / path.name)

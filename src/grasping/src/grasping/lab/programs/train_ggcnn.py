@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import nn
 from tqdm import tqdm
 
 from common.errors import RigError
 from grasping.lab.programs import runs
-from grasping.lab.training.trainer import NetworkTrainer, NetworkTraining
+from grasping.lab.training.trainer import NetworkTraining, network_trainer
 
 CURVES = runs.Curves(
     ("step", "rate", "training", "validation", "quality", "angle", "width", "hits"),
@@ -33,7 +34,7 @@ def load(folder: Path, split: str, most: int) -> tuple[dict[str, np.ndarray], li
     """Returns the samples of at most `most` shards of a split, joined, and the shards' SHA-256, hexadecimal.
 
     Raises:
-        RigError: there is none.
+        RigError: the folder holds no shard of that split.
     """
     shards = sorted(p for p in folder.glob(f"{split}_*.npz") if ".part" not in p.name)[:most]
     if not shards:
@@ -63,13 +64,10 @@ def main() -> None:
     except (RigError, OSError) as error:
         parser.error(str(error))
     train, validation = (samples for samples, _ in parts)
-    runs.train(
-        arguments.run,
-        {**asdict(settings), "scenes": len(train["depth"]), "identity": identity},
-        saved,
-        NetworkTrainer(settings, device),
-        (train, validation),
-        arguments.every,
-        lambda mean: {"weights.pt": {name: value.cpu() for name, value in mean.state_dict().items()}},
-        CURVES,
-    )
+    about = {**asdict(settings), "scenes": len(train["depth"]), "identity": identity}
+
+    def files(mean: nn.Module) -> dict[str, object]:
+        return {"weights.pt": {name: value.cpu() for name, value in mean.state_dict().items()}}
+
+    trainer, data = network_trainer(settings, device), (train, validation)
+    runs.train(arguments.run, about, saved, trainer, data, arguments.every, files, CURVES)

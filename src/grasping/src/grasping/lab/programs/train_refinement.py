@@ -9,16 +9,28 @@ out to decide when training stops.
 from __future__ import annotations
 
 import argparse
+import hashlib
+import zlib
+from collections.abc import Iterable
 from dataclasses import asdict
+from pathlib import Path
+from typing import NamedTuple
 
 import torch
+from tqdm import tqdm
 
 from common.errors import RigError
-from grasping.lab.programs import episode_reading, runs
+from grasping.lab.dataset import store
+from grasping.lab.dataset.episode import Episode
+from grasping.lab.programs import runs
 from grasping.lab.training import refinement_examples
-from grasping.lab.training.refinement_trainer import RefinementTrainer, RefinementTraining
-from grasping.network import refinement_file
+from grasping.lab.training.refinement_trainer import RefinementTraining, refinement_trainer
+from grasping.network.depth_image import VIEWS
+from grasping.network.refinement import RefinementNetwork
+from grasping.network.refinement_file import Origin, content, taste
 
+HELD_OUT = 5
+"""One in this many episodes is held out of training and decides when it stops."""
 LOSSES = ("training", "validation", "place", "depth", "turn", "opening", "tilt")
 CURVES = runs.Curves(
     ("step", *LOSSES, "miss"),
@@ -29,7 +41,66 @@ CURVES = runs.Curves(
 )
 
 
-def prepared(named: list[episode_reading.Named]) -> list[refinement_examples.Example]:
+class Named(NamedTuple):
+    """An episode, the name of its file, without the ending, and the SHA-256 of its content, hexadecimal."""
+
+    name: str
+    episode: Episode
+    sha256: str
+
+
+def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) -> list[Named]:
+    """Returns the episodes in a folder and those below it, ordered by name; only those of some things, if any are
+    named.
+
+    Raises:
+        RigError: the folder holds no such episode, or a file is not one.
+    """
+    found = []
+    for path in tqdm(sorted(folder.rglob("*" + store.SUFFIX)), unit="episode", desc="read"):
+        data = path.read_bytes()
+        try:
+            episode = store.decode(data)
+        except RigError as error:
+            raise RigError(f"{path}: {error}") from None
+        things = {thing.strip() for thing in episode.metadata.object.split(",")}
+        if (not only or things & set(only)) and not things & set(without):
+            found.append(Named(path.stem, episode, hashlib.sha256(data).hexdigest()))
+    if not found:
+        raise RigError(f"{folder} holds no episode of these things: collect some, or run make_episodes.py.")
+    return found
+
+
+def origin_of(named: list[Named], mixed: bool = False) -> Origin:
+    """Returns the rig of which all episodes are; what differs among those of several rigs, where `mixed`, is unknown.
+
+    Raises:
+        RigError: they are of several views, or of one that is not known; or of several rigs, and not to be mixed.
+    """
+    views = sorted({n.episode.view for n in named})
+    if len(views) > 1 or views[0] not in VIEWS:
+        raise RigError(
+            f"The episodes are of the views {', '.join(views)}, whose grasps have other axes: train on those of one, "
+            f"{' or '.join(VIEWS)}."
+        )
+    first, *others = (asdict(Origin.of(n.episode.metadata.configuration)) for n in named)
+    pairs = zip(named[1:], others)
+    differing = {name: n.name for n, other in pairs for name in first if first[name] != other[name]}
+    if differing and not mixed:
+        name, other = next(iter(differing.items()))
+        raise RigError(
+            f"The episodes are of several rigs, {named[0].name} and {other} differ in {name}: train on those of one, "
+            "or with --mixed."
+        )
+    return Origin(**{**first, **dict.fromkeys(differing)})
+
+
+def is_held_out(name: str) -> bool:
+    """Returns whether an episode is held out of training; depends on its name alone."""
+    return zlib.crc32(name.encode()) % HELD_OUT == 0
+
+
+def prepared(named: list[Named]) -> list[refinement_examples.Example]:
     """Returns the examples of all frames that have one."""
     found = [refinement_examples.example(f, n.episode.held) for n in named for f in n.episode.frames()]
     return [e for e in found if e is not None]
@@ -48,11 +119,11 @@ def parse() -> argparse.Namespace:
             parser.error(f"--{name.replace('_', '-')} is {getattr(arguments, name)}, but must be at least 1.")
     torch.set_num_threads(arguments.threads)
     try:
-        named = episode_reading.read(arguments.data, without=arguments.without)
-        arguments.origin = episode_reading.origin_of(named, arguments.mixed)
+        named = read_episodes(arguments.data, without=arguments.without)
+        arguments.origin = origin_of(named, arguments.mixed)
         arguments.device = runs.device(arguments.device)
-        arguments.training = [n for n in named if not episode_reading.is_held_out(n.name)][: arguments.episodes]
-        arguments.validation = [n for n in named if episode_reading.is_held_out(n.name)]
+        arguments.training = [n for n in named if not is_held_out(n.name)][: arguments.episodes]
+        arguments.validation = [n for n in named if is_held_out(n.name)]
         for part in (arguments.training, arguments.validation):
             if not any(n.episode.held for n in part):
                 raise RigError(f"Of {len(named)} episodes, too few show a grasp that held to train on some of them.")
@@ -74,25 +145,12 @@ def main() -> None:
         [f for n in arguments.training if n.episode.held for f in n.episode.frames()]
     )
     examples, validation = prepared(arguments.training), prepared(arguments.validation)
-    about = {
-        **asdict(settings),
-        **asdict(origin),
-        "episodes": len(arguments.training),
-        "frames": len(examples),
-        "offset": offset._asdict(),
-        "identity": arguments.identity,
-    }
-    runs.train(
-        arguments.run,
-        about,
-        arguments.saved,
-        RefinementTrainer(settings, offset, arguments.device),
-        (examples, validation),
-        arguments.every,
-        lambda mean: {
-            "weights.pt": refinement_file.content(mean, origin),
-            "taste.pt": refinement_file.taste(mean, origin),
-        },
-        CURVES,
-        settings.patience,
-    )
+    about = {**asdict(settings), **asdict(origin), "episodes": len(arguments.training), "frames": len(examples)}
+    about.update(offset=offset._asdict(), identity=arguments.identity)
+    trainer = refinement_trainer(settings, offset, arguments.device)
+
+    def files(mean: RefinementNetwork) -> dict[str, object]:
+        return {"weights.pt": content(mean, origin), "taste.pt": taste(mean, origin)}
+
+    data = examples, validation
+    runs.train(arguments.run, about, arguments.saved, trainer, data, arguments.every, files, CURVES, settings.patience)

@@ -4,9 +4,8 @@ In: the depth images of the node ggcnn with their camera_info, tf, reflex_takkti
 from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
 grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
 
-The network runs here, on the kept frames only. The refinement network needs its maps before smoothing, which have no
-topic: a few frames a second cost less than four published maps of 300 x 300 numbers for every image. Network and view
-have the parameters of the node ggcnn.
+The network runs here, on the kept frames only, with the parameters of the node ggcnn: its maps before smoothing, which
+the refinement network needs, have no topic.
 """
 
 from __future__ import annotations
@@ -23,22 +22,23 @@ from std_srvs.srv import SetBool, SetBoolResponse
 
 from common.errors import RigError
 from common.frames import BASE, FLANGE_MEASURED, TOOL_DESIRED
-from common.ros.conversions import pose_from_transform, pose_in
+from common.ros.conversions import pose_in
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import camera_model_from_info, depth_from_image
 from common.ros.node import run, while_running
 from common.ros.params import private_values
 from common.ros.service_calls import ServiceFailed, call
 from grasp_msgs.msg import GraspOutcome
-from grasping.execution.grasp_watch import HandMeasurement, ObservedGrasp
+from grasping.execution.grasp_watch import ObservedGrasp
 from grasping.lab.dataset.collector import Collector, Finished
 from grasping.lab.dataset.episode import Episode, Metadata
-from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, on_hand
-from grasping.lab.dataset.network_view import look
+from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, look, on_hand
 from grasping.lab.ros.collection_setup import CollectionSetup, read_setup
 from grasping.lab.ros.episode_files import EpisodeFiles
-from grasping.pipeline.rig_configuration import rig_configuration
+from grasping.pipeline.settings import rig_configuration
 from grasping.pipeline.view import NoView
+from grasping.ros.camera_input import PoseLookup
+from grasping.ros.execution_io import hand_measurement
 from reflex_msgs.msg import Hand
 
 BUFFER_BYTES = 2**22
@@ -58,8 +58,7 @@ class GraspCollection:
     def __init__(self, setup: CollectionSetup) -> None:
         self._setup = setup
         self._T_flange_tool = setup.kuka.T_flange_tool
-        self._tf = tf2_ros.Buffer()
-        tf2_ros.TransformListener(self._tf)
+        self._poses = PoseLookup()
         self._lock = threading.Lock()
         self._views, self._live = setup.ggcnn.views(), setup.ggcnn.steps(setup.up)
         self._collector = Collector(setup.frames, setup.watch, setup.up)
@@ -126,8 +125,8 @@ class GraspCollection:
         if self._info is None:
             raise ValueError(f"nobody publishes {rospy.resolve_name(self._setup.ggcnn.input.info_topic)}")
         camera = camera_model_from_info(self._info)
-        T_base_camera = self._pose(message.header.frame_id, stamp, wait)
-        T_base_tool = self._pose(FLANGE_MEASURED, stamp, wait) @ self._T_flange_tool
+        T_base_camera = self._poses.at(message.header.frame_id, stamp, wait)
+        T_base_tool = self._poses.at(FLANGE_MEASURED, stamp, wait) @ self._T_flange_tool
         self._waits_for = ""
         with self._lock:
             if not self._collector.wants(stamp.to_sec(), T_base_tool):
@@ -155,35 +154,25 @@ class GraspCollection:
             if self._collector.add(frame, Optics(view.camera, view.image.crop, camera)):
                 rospy.logwarn("The camera changed: the frames before are dropped.")
 
-    def _pose(self, frame: str, stamp: rospy.Time, wait: float) -> np.ndarray:
-        found = self._tf.lookup_transform(BASE, frame, stamp, rospy.Duration(wait))
-        return pose_from_transform(found.transform)
-
     def _desired(self, stamp: rospy.Time) -> np.ndarray:
         try:
-            return self._pose(TOOL_DESIRED, stamp, 0.0)
+            return self._poses.at(TOOL_DESIRED, stamp)
         except tf2_ros.TransformException:
             return NOWHERE
 
     def _on_hand(self, message: Hand) -> None:
         self._heard["the state of the hand"] = time.monotonic()
         now = rospy.Time.now()
-        angles = np.array([motor.joint_angle for motor in message.motor])
-        pressures = np.array([finger.pressure for finger in message.finger])
-        hand = HandMeasurement(angles[:3], pressures, np.array([motor.load for motor in message.motor[:3]]))
         with while_running():
             try:
-                found = self._tf.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
-                if abs((now - found.header.stamp).to_sec()) > STALE_S:
-                    raise ValueError(f"the pose of the tool is older than {STALE_S:g} s")
-                T_base_tool = pose_from_transform(found.transform) @ self._T_flange_tool
+                T_base_tool = self._poses.flange(STALE_S) @ self._T_flange_tool
             except (ValueError, tf2_ros.TransformException) as error:
                 rospy.logwarn_throttle(THROTTLE_S, f"The state of the hand is ignored: {_clause(error)}.")
                 return
             with self._lock:
                 self._take_time(now)
-                self._fingers = angles
-                finished = self._collector.hand(hand, T_base_tool, now.to_sec())
+                self._fingers = np.array([motor.joint_angle for motor in message.motor])
+                finished = self._collector.hand(hand_measurement(message), T_base_tool, now.to_sec())
             self._store(finished)
 
     def _on_stream(self, message: DiagnosticStatus) -> None:
@@ -220,6 +209,7 @@ class GraspCollection:
         if finished is None:
             return
         grasp, frames, setup = finished.grasp, finished.frames, self._setup
+        tool = self._T_flange_tool, setup.T_tool_grasp
         if frames is None:
             rospy.logwarn(
                 "A grasp makes no episode: no frame was kept since the operator began; in %d so far GGCNN took the "
@@ -236,31 +226,17 @@ class GraspCollection:
             source=finished.source,
             reason=grasp.reason,
             configuration=rig_configuration(
-                setup.kuka.identity,
-                self._T_flange_tool,
-                setup.T_tool_grasp,
-                frames.optics.real,
-                self._T_base_camera,
-                setup.ggcnn,
-                setup.weights_sha256,
+                setup.kuka.identity, *tool, frames.optics.real, self._T_base_camera, setup.ggcnn, setup.weights_sha256
             ),
         )
-        self._files.put(frames.episode(grasp, metadata, self._T_flange_tool, setup.T_tool_grasp))
+        self._files.put(frames.episode(grasp, metadata, *tool))
 
     def _written(self, episode: Episode, file, size: int) -> None:
         self._episodes += 1
         self._held += episode.held
-        rospy.loginfo(
-            "Episode %d (%s, %s): %s. %d frames, %.1f MB in %s. %s",
-            self._episodes,
-            episode.metadata.object,
-            episode.metadata.source,
-            "held" if episode.held else "not held",
-            len(episode),
-            1e-6 * size,
-            file,
-            episode.metadata.reason,
-        )
+        about, held = episode.metadata, "held" if episode.held else "not held"
+        written = f"{len(episode)} frames, {1e-6 * size:.1f} MB in {file}"
+        rospy.loginfo(f"Episode {self._episodes} ({about.object}, {about.source}): {held}. {written}. {about.reason}")
 
     def _on_label(self, request: SetBool) -> SetBoolResponse:
         success, sentence = self._files.keep_last(request.data)
@@ -295,7 +271,7 @@ def _play() -> None:
     """Starts the recording that is paused until this node listens.
 
     Raises:
-        RigError: no recording is there or it does not answer.
+        RigError: the player of the recording does not answer.
     """
     try:
         call(PLAYER, SetBool, False, timeout=PLAYER_S, wait=PLAYER_S)

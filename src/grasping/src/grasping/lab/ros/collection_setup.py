@@ -20,8 +20,7 @@ from common.ros.params import private_config, private_values, wait_for_param
 from grasping.execution.grasp_watch import GraspWatchConfig
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig
 from grasping.network.networks import frozen
-from grasping.pipeline.rig_configuration import grasp_in_tool
-from grasping.pipeline.settings import GgcnnSettings, overlaid, settings_from
+from grasping.pipeline.settings import GgcnnSettings, grasp_in_tool, overlaid, settings_from
 from grasping.ros.weight_files import load_network, own_yaml, package_folder
 
 SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
@@ -115,15 +114,9 @@ def revision(folder: Path) -> str:
     answers = []
     for question in (("log", "-1", "--format=%H"), ("status", "--porcelain")):
         try:
-            answers.append(
-                subprocess.run(
-                    ("git", "-C", str(folder), *question, "--", "."),
-                    capture_output=True,
-                    text=True,
-                    timeout=GIT_S,
-                    check=True,
-                ).stdout.strip()
-            )
+            command = ("git", "-C", str(folder), *question, "--", ".")
+            found = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S, check=True)
+            answers.append(found.stdout.strip())
         except (OSError, subprocess.SubprocessError):
             return ""
     commit, changes = answers

@@ -37,16 +37,7 @@ class _Packed(NamedTuple):
 
 
 class EpisodeFiles:
-    """The folder of the dataset.
-
-    Args:
-        folder: is made with the first episode.
-
-    Attributes:
-        lost: how many episodes will not be written.
-        waiting: how many the disk did not take so far.
-        fault: what is wrong, as a sentence; empty if the last episode was written.
-    """
+    """The folder of the dataset, which is made with the first episode."""
 
     def __init__(self, folder: Path, on_written: Callable[[Episode, Path, int], None]) -> None:
         self._folder, self._on_written = folder, on_written
@@ -55,7 +46,7 @@ class EpisodeFiles:
         self._aside = False
         self._lock = threading.Lock()
         self._packed: list[_Packed] = []
-        self.lost = 0
+        self.lost = 0  # how many episodes will not be written
         self._loss = self._write_fault = ""
         for file in sorted(folder.glob(".*")):
             if unfinished(file.name):
@@ -65,10 +56,12 @@ class EpisodeFiles:
 
     @property
     def waiting(self) -> int:
+        """How many episodes the disk did not take so far."""
         return len(self._packed)
 
     @property
     def fault(self) -> str:
+        """What is wrong, as a sentence; empty if the last episode was written."""
         return " ".join(filter(None, (self._loss, self._write_fault)))
 
     def put(self, episode: Episode) -> None:

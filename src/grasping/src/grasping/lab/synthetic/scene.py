@@ -60,13 +60,12 @@ def world_xml(
     for i, shape in enumerate(objects):
         geoms = []
         for j, geom in enumerate(shape):
-            attributes = f'type="{geom.kind}" size="{_text(geom.size)}"'
+            attributes = f'type="{geom.kind}" size="{xml_text(geom.size)}"'
             if geom.kind == "mesh":
-                assets.append(f'<mesh name="mesh{i}_{j}" vertex="{_text(np.ravel(geom.vertices))}"/>')
+                assets.append(f'<mesh name="mesh{i}_{j}" vertex="{xml_text(np.ravel(geom.vertices))}"/>')
                 attributes = f'type="mesh" mesh="mesh{i}_{j}"'
-            geoms.append(
-                f'<geom {attributes} pos="{_text(geom.position)}" quat="{_text(geom.quaternion)}" density="{DENSITY}"/>'
-            )
+            place = f'pos="{xml_text(geom.position)}" quat="{xml_text(geom.quaternion)}"'
+            geoms.append(f'<geom {attributes} {place} density="{DENSITY}"/>')
         xml.append(f'<body name="object{i}"><freejoint/>{"".join(geoms)}</body>')
     return WORLD.format(
         assets="".join(assets), bodies="".join(xml) + bodies, friction=friction, noslip=noslip, rest=rest
@@ -122,12 +121,8 @@ def depth_image(model: mujoco.MjModel, data: mujoco.MjData, camera: SceneCamera)
 
 
 def height_map(model: mujoco.MjModel, data: mujoco.MjData, camera: SceneCamera, cell: float, side: int) -> np.ndarray:
-    """Returns the depth below the camera in a parallel view along its axis, shape (side, side) [m].
-
-    Args:
-        camera: gives the axes; the map's middle is the optical axis.
-        cell: width of a cell [m].
-    """
+    """Returns the depth below the camera in a parallel view along its axis, shape (side, side) [m]; `camera`: gives the
+    axes; the map's middle is the optical axis; `cell`: width of a cell [m]."""
     eye = SceneCamera(camera.position - FAR_M * camera.R[:, 2], camera.R, FAR_M / cell, side)
     return _cast(model, data, eye.position, rays(eye) @ camera.R.T, side) - FAR_M
 
@@ -163,5 +158,6 @@ def _cast(
     return (distance / lengths).reshape(side, side)
 
 
-def _text(values: Iterable[float]) -> str:
+def xml_text(values: Iterable[float]) -> str:
+    """Returns numbers as an attribute of MuJoCo's XML."""
     return " ".join(f"{v:.6g}" for v in values)

@@ -71,7 +71,7 @@ def dumb_bell(rng: np.random.Generator) -> Shape:
 def ring(rng: np.random.Generator) -> Shape:
     """A flat ring of twelve pieces."""
     radius, wall, h = rng.uniform(0.03, 0.055), rng.uniform(0.006, 0.012), rng.uniform(0.008, 0.02)
-    return _wall(radius, wall, h, 0.0)
+    return _wall(radius, wall, h)
 
 
 def bottle(rng: np.random.Generator) -> Shape:
@@ -97,7 +97,7 @@ def mug(rng: np.random.Generator) -> Shape:
     grip = r + rng.uniform(0.02, 0.03)
     handle = [Geom("box", (0.5 * (grip - r), 0.005, 0.005), (0.5 * (grip + r), 0.0, z)) for z in (-0.5 * h, 0.5 * h)]
     upright = Geom("box", (0.005, 0.005, 0.5 * h + 0.005), (grip, 0.0, 0.0))
-    return (*_wall(r, wall, h, 0.0), Geom("cylinder", (r, 0.004), (0.0, 0.0, 0.004 - h)), *handle, upright)
+    return (*_wall(r, wall, h), Geom("cylinder", (r, 0.004), (0.0, 0.0, 0.004 - h)), *handle, upright)
 
 
 def hammer(rng: np.random.Generator) -> Shape:
@@ -132,16 +132,10 @@ def random_quaternion(rng: np.random.Generator) -> tuple[float, float, float, fl
     return tuple(q / np.linalg.norm(q))
 
 
-def _wall(radius: float, wall: float, half_height: float, z: float) -> Shape:
+def _wall(radius: float, wall: float, half_height: float) -> Shape:
     """Returns twelve boxes in a circle; `radius` reaches to the middle of the wall."""
     side = radius * np.tan(np.pi / 12.0) + 0.3 * wall
     angles = 2.0 * np.pi * np.arange(12) / 12.0
-    return tuple(
-        Geom(
-            "box",
-            (wall, side, half_height),
-            (radius * np.cos(a), radius * np.sin(a), z),
-            (np.cos(0.5 * a), 0.0, 0.0, np.sin(0.5 * a)),
-        )
-        for a in angles
-    )
+    places = [(radius * np.cos(a), radius * np.sin(a), 0.0) for a in angles]
+    turns = [(np.cos(0.5 * a), 0.0, 0.0, np.sin(0.5 * a)) for a in angles]
+    return tuple(Geom("box", (wall, side, half_height), place, turn) for place, turn in zip(places, turns))

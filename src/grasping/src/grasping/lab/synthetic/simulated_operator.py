@@ -1,29 +1,45 @@
-"""A simulated operator who grasps: knows what holds, has a taste and a bias, and trembles.
+"""A simulated operator who grasps, and episodes of it in the very form of the recorded ones.
 
-Stands in for a teleoperating operator where none is at hand; whatever was found with it is to be called simulated. The
-operator sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a
-constant bias and a tremor. Orientation and opening of the hand depend on the place, too: the higher it is, the more
-the wrist turns and the wider the hand opens, and the less it leans away from the operator, who sits below the image;
-and it leans with the surface. All that is visible, and is there to be learned; how people do it, nobody has measured
-here.
+Stands in for a teleoperating operator where none is at hand; whatever was found with it is to be called simulated. It
+sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a constant bias
+and a tremor. The higher the place, the more the wrist turns, the wider the hand opens, and the less it leans away from
+the operator, who sits below the image; and it leans with the surface. How people do it, nobody has measured here.
+
+Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the grasp, as wide
+open as the operator opens the hand (the recorded fingers' angles say so), and lifts.
 """
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import pinocchio as pin
 
-from common.poses import pose
-from grasping.lab.synthetic import scene
+from common.poses import inverse, pose, read_only
+from grasping.lab.dataset.episode import TELEOPERATION, Episode, Metadata, angles_of_opening
+from grasping.lab.evaluation import trials
+from grasping.lab.evaluation.lifting import lift
+from grasping.lab.synthetic import labels, samples, scene
 from grasping.lab.synthetic.labels import Labels
 from grasping.lab.synthetic.samples import GRIPPER
+from grasping.network import depth_image, maps
+from grasping.network.depth_image import CAMERA
 from grasping.network.maps import gaussian
+from grasping.network.networks import MapNetwork, infer
 
 DOWN = np.array([0.0, 0.0, -1.0])
 EYE_M = 0.02
 """Standard deviation of the blur through which the lean of a surface is seen."""
+SMOOTHING = maps.Smoothing(quality=2.0)
+MAP_SIDE = 150
+FRAME_S, REACH_S = 0.5, 2.0
+"""Between two frames; from the last one to the closing of the fingers [s]."""
+OPERATOR = "simulated"
+NAME = re.compile(r"simulated_(\w+)_(\d+)")
+SETTINGS_VERSION = 2
 
 
 class SimulatedOperator(NamedTuple):
@@ -56,12 +72,8 @@ def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
 def chosen_pixel(
     operator: SimulatedOperator, labels: Labels, height: np.ndarray, opening: np.ndarray
 ) -> tuple[int, int] | None:
-    """Returns row and column of the grasp the operator likes best, None where nothing holds.
-
-    Args:
-        height: above the table, shape (h, w) [m].
-        opening: that the grasp needs, shape (h, w) [m].
-    """
+    """Returns row and column of the grasp the operator likes best, None where nothing holds; `height`: above the table,
+    shape (h, w) [m]; `opening`: that the grasp needs, shape (h, w) [m]."""
     worth = labels.quality + operator.higher * height - operator.slender * opening
     holds = (labels.quality > operator.holds) & labels.known
     if not holds.any():
@@ -73,11 +85,8 @@ def chosen_pixel(
 
 
 def points(depth: np.ndarray, camera: scene.SceneCamera) -> np.ndarray:
-    """Returns where the pixels of a square depth image lie in the world, shape (h, w, 3) [m].
-
-    Args:
-        depth: shape (h, w) [m].
-    """
+    """Returns where the pixels of a square depth image lie in the world, shape (h, w, 3) [m]; `depth`: shape (h, w)
+    [m]."""
     scaled = camera._replace(focal=camera.focal * len(depth) / camera.side, side=len(depth))
     rays = scene.rays(scaled).reshape(*depth.shape, 3)
     return camera.position + (depth[..., None] * rays) @ camera.R.T
@@ -118,11 +127,144 @@ def grasp_pose(
 
 
 def opening(operator: SimulatedOperator, needed: float, height: float, rng: np.random.Generator) -> float:
-    """Returns how wide the operator opens the hand [m], as wide as it goes at most.
-
-    Args:
-        needed: opening that the thing needs [m].
-        height: of the place above the table [m].
-    """
+    """Returns how wide the operator opens the hand [m], as wide as it goes at most; `needed`: opening that the thing
+    needs [m]; `height`: of the place above the table [m]."""
     wanted = needed + operator.margin + operator.generous * max(0.0, height) + rng.normal(0.0, operator.tremor_m)
     return float(np.clip(wanted, needed, GRIPPER.opening))
+
+
+class EpisodeScene(NamedTuple):
+    """A scene and what an operator and a network know of it."""
+
+    view: samples.SceneView  # the scene, as the camera sees it
+    labels: Labels  # of the pixels of the network's image
+    depth: np.ndarray  # exact, in that image [m]
+    friction: float  # of the scene
+    T_base_world: np.ndarray  # shape (4, 4) [m]
+
+
+def file_name(split: str, number: int) -> str:
+    """Returns the name, without its ending, of the file of an episode."""
+    return f"simulated_{split}_{number:06d}"
+
+
+def scene_of(name: str) -> tuple[str, int] | None:
+    """Returns split and number of the scene of an episode's file; None where the file is no simulated one's."""
+    found = NAME.fullmatch(name)
+    return None if found is None else (found[1], int(found[2]))
+
+
+def situation(split: str, number: int) -> EpisodeScene:
+    """Returns scene `number` of a split: one object where the number is even, else two or three."""
+    seen = samples.view(split, number, 1 if number % 2 == 0 else 2 + number // 2 % 2)
+    side = depth_image.NETWORK_SIDE
+    exact = cv2.resize(seen.exact, (side, side), interpolation=cv2.INTER_NEAREST)
+    found = labels.best(labels.grasps(seen.surface, seen.table, samples.CELL_M, GRIPPER))
+    focal = seen.camera.focal * side / depth_image.CROP_SIDE
+    of_pixels = labels.in_image(found, seen.surface, samples.CELL_M, exact, focal)
+    friction = float(np.random.default_rng([98, number]).uniform(*trials.FRICTION))
+    return EpisodeScene(seen, of_pixels, exact, friction, inverse(base_in_world(seen.camera)))
+
+
+def intended(of: EpisodeScene, made: Episode) -> np.ndarray:
+    """Returns the grasp of an episode as the simulated operator meant it, without its tremor, T_base_grasp, shape (4,
+    4) [m]: no prediction can be expected to be nearer.
+    """
+    who = SimulatedOperator(**made.metadata.configuration["person"])
+    steady = who._replace(tremor_m=0.0, tremor_rad=0.0)
+    found = _grasp(of, steady, np.random.default_rng(0))
+    assert found is not None, "an episode is of a grasp"
+    return found[0]
+
+
+def held(of: EpisodeScene, T_base_grasp: np.ndarray, width: float = GRIPPER.opening) -> bool:
+    """Returns whether the gripper, open by `width` [m], lifts something there."""
+    T_world_grasp = inverse(of.T_base_world) @ T_base_grasp
+    return lift(of.view.scene, T_world_grasp, width, GRIPPER, of.friction).lifted
+
+
+def episode(
+    split: str,
+    number: int,
+    network: MapNetwork,
+    network_sha256: str,
+    who: SimulatedOperator,
+    frames: int,
+) -> Episode | None:
+    """Returns the episode of a scene, None where the operator finds nothing to grasp; `frames`: images, each with the
+    camera's faults drawn again."""
+    of, rng = situation(split, number), np.random.default_rng([97, number])
+    chosen = _grasp(of, who, rng)
+    if chosen is None:
+        return None
+    T_base_grasp, wide = chosen
+    T_base_camera = of.T_base_world @ pose(of.view.camera.R, of.view.camera.position)
+    stored: dict[str, list] = {"depth": [], "maps": [], "mean": [], "peak": []}
+    for _ in range(frames):
+        depth = np.nan_to_num(np.round(1000.0 * samples.observe(of.view.exact, rng))).astype(np.uint16)
+        image = depth_image.prepare(depth * np.float32(0.001), trials.CROP)
+        output = infer(network, image.input)
+        peak = maps.highest(maps.smoothed(output, image.valid, SMOOTHING))
+        small = np.stack([cv2.resize(m, (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA) for m in output])
+        for name, value in zip(stored, (depth, small.astype(np.float16), image.mean, peak)):
+            stored[name].append(value)
+    lifted = held(of, T_base_grasp, wide)
+    stamp = FRAME_S * np.arange(frames)
+    return Episode(
+        metadata=_metadata(of, who, lifted, network_sha256),
+        camera=trials.camera(),
+        crop=trials.CROP,
+        T_flange_tool=np.eye(4),
+        T_tool_grasp=np.eye(4),
+        T_base_tool_closed=read_only(T_base_grasp),
+        t_grasp=float(stamp[-1] + REACH_S),
+        held=lifted,
+        stamp=stamp,
+        depth=np.stack(stored["depth"]),
+        maps=np.stack(stored["maps"]),
+        mean=np.array(stored["mean"], np.float32),
+        peak=np.array(stored["peak"], float),
+        T_base_camera=np.stack([T_base_camera] * frames),
+        T_base_tool_measured=np.stack([T_base_grasp] * frames),
+        T_base_tool_desired=np.full((frames, 4, 4), np.nan),
+        finger_angles=np.tile(angles_of_opening(wide), (frames, 1)).astype(np.float32),
+        teleop_active=np.ones(frames, bool),
+    )
+
+
+def _grasp(of: EpisodeScene, who: SimulatedOperator, rng: np.random.Generator) -> tuple[np.ndarray, float] | None:
+    """Returns T_base_grasp, shape (4, 4) [m], and the opening of the hand before it closes [m]."""
+    camera = of.view.camera
+    places = points(of.depth, camera)
+    height = places[..., 2]
+    pixel_m = of.depth * camera.side / len(of.depth) / camera.focal
+    pixel = chosen_pixel(who, of.labels, height, of.labels.opening * pixel_m)
+    if pixel is None:
+        return None
+    angle = float(of.labels.angle[pixel]) + who.turn * max(0.0, height[pixel])
+    line = camera.R @ np.array([np.cos(angle), -np.sin(angle), 0.0])
+    leant = lean(who, height, float(pixel_m[pixel]), pixel)
+    R, p = of.T_base_world[:3, :3], of.T_base_world[:3, 3]
+    T_base_grasp = grasp_pose(who, R @ places[pixel] + p, R @ line, leant, rng)
+    needed = float(of.labels.opening[pixel] * pixel_m[pixel])
+    return T_base_grasp, opening(who, needed, float(height[pixel]), rng)
+
+
+def _metadata(of: EpisodeScene, who: SimulatedOperator, lifted: bool, network_sha256: str) -> Metadata:
+    return Metadata(
+        version="0.1.0",
+        revision="",
+        date="",
+        operator=OPERATOR,
+        object=", ".join(of.view.scene.families),
+        source=TELEOPERATION,
+        reason="lifted by a parallel gripper in simulation" if lifted else "not lifted in simulation",
+        configuration={
+            "simulated": SETTINGS_VERSION,
+            "person": who._asdict(),
+            "view": CAMERA,
+            "crop": {"side": trials.CROP.side, "rows_up": 0},
+            "table": None,
+            "weights": network_sha256,
+        },
+    )

@@ -1,20 +1,183 @@
 """Trains a grasp network with Adam: a short warm-up, a constant learning rate, and a linear decay at the end.
 
-The running mean of the weights is what is kept. It is usable at any time, so training can stop and resume at any step.
+Windows of labelled images are mirrored at random, not turned: between equally good directions the labels prefer the
+horizontal one (synthetic.labels). Unlike in the published loss, angle and width count only where there is a grasp.
 """
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Generic, Mapping, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from torch import nn
 
-from grasping.lab.training.batches import MapTargets, Samples, batch, random_batch
-from grasping.lab.training.losses import losses
-from grasping.lab.training.mean_trainer import CPU, MeanTrainer
 from grasping.network.networks import NETWORKS
+
+LONGEST_GRADIENT = 1.0
+CPU = torch.device("cpu")
+
+Network = TypeVar("Network", bound=nn.Module)
+GRASPABLE = 0.3
+"""From this quality on a pixel teaches angle and width."""
+CENTRED_SHARE = 0.8
+"""Share of the windows that are centred near a pixel that can be grasped."""
+MEAN_JITTER_M = 0.02
+
+Samples = Mapping[str, np.ndarray]
+QUALITY_WEIGHT = 10.0
+GRASP_WEIGHT = 4.0
+"""How much more a pixel of quality 1 counts than the background."""
+ANGLE_WEIGHT = 0.5
+WIDTH_WEIGHT = 2.0
+
+
+class MeanTrainer(Generic[Network]):
+    """A network in training.
+
+    Args:
+        network: before its first step.
+        memory: weight of the old mean in the new one.
+        steps: of the whole training.
+        rate: returns the learning rate of a step.
+        loss: returns the network's loss on the data in a step; the batch depends on the seed and the step alone.
+        validate: returns the losses of a network on the data, `validation` the total, and a metric.
+
+    Attributes:
+        mean: the same network with the running mean of the weights: usable at any time.
+        step: the number of steps so far.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        optimiser: torch.optim.Optimizer,
+        memory: float,
+        steps: int,
+        rate: Callable[[int], float],
+        loss: Callable[[Network, Any, int], torch.Tensor],
+        validate: Callable[[Network, Any], dict[str, float]],
+    ) -> None:
+        self.network, self.mean = network, copy.deepcopy(network)
+        self.step, self.steps = 0, steps
+        self._optimiser, self._memory = optimiser, memory
+        self._rate, self._loss, self._validate = rate, loss, validate
+
+    def rate(self) -> float:
+        """Returns the learning rate of the next step."""
+        return self._rate(self.step)
+
+    def validate(self, data: Any) -> dict[str, float]:
+        """Returns the losses of the mean network, `validation` the total, and a metric."""
+        return self._validate(self.mean, data)
+
+    def train(self, data: Any) -> float:
+        """Takes one step down the loss of the network and returns it."""
+        loss = self._loss(self.network, data, self.step)
+        for group in self._optimiser.param_groups:
+            group["lr"] = self.rate()
+        self._optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), LONGEST_GRADIENT)
+        self._optimiser.step()
+        memory = min(self._memory, (self.step + 1) / (self.step + 10))
+        with torch.no_grad():
+            for kept, new in zip(self.mean.parameters(), self.network.parameters()):
+                kept.lerp_(new, 1.0 - memory)
+        self.step += 1
+        return loss.item()
+
+    def state(self) -> dict:
+        """Returns the checkpoint for `resume`."""
+        parts = {"network": self.network, "mean": self.mean, "optimiser": self._optimiser}
+        return {"step": self.step, **{name: part.state_dict() for name, part in parts.items()}}
+
+    def resume(self, state: dict) -> None:
+        """Continues from a checkpoint of `state`."""
+        self.network.load_state_dict(state["network"])
+        self.mean.load_state_dict(state["mean"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self.step = state["step"]
+
+
+class MapTargets(NamedTuple):
+    """What the network should say; each shape (n, h, w)."""
+
+    quality: torch.Tensor  # 0 to 1
+    cos: torch.Tensor  # of twice the angle
+    sin: torch.Tensor  # of twice the angle
+    width: torch.Tensor  # in units of `WIDTH_SCALE_PX`
+    known: torch.Tensor  # where the quality counts, bool
+    graspable: torch.Tensor  # where cos, sin and width count, bool
+
+
+def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, MapTargets]:
+    """Returns `count` random windows of `side` pixels as input, shape (n, 1, side, side), and targets; `samples`:
+    arrays `depth`, `quality`, `angle`, `width`, `known`, each shape (m, 300, 300), as `synthetic.samples.Sample` has
+    them."""
+    windows = [_window(samples, rng, side) for _ in range(count)]
+    depth, target = batch({name: np.stack([w[name] for w in windows]) for name in windows[0]})
+    jitter = torch.from_numpy(rng.normal(0.0, MEAN_JITTER_M, (count, 1, 1, 1)).astype(np.float32))
+    return depth + jitter, target
+
+
+def batch(samples: Samples) -> tuple[torch.Tensor, MapTargets]:
+    """Returns whole samples as input and targets."""
+    depth = torch.from_numpy(samples["depth"].astype(np.float32)).clamp(-1.0, 1.0)[:, None]
+    angle = samples["angle"].astype(np.float32) * (2.0 * np.pi / 256.0)
+    quality = torch.from_numpy(samples["quality"].astype(np.float32) / 255.0)
+    cos, sin = torch.from_numpy(np.cos(angle)), torch.from_numpy(np.sin(angle))
+    width = torch.from_numpy(samples["width"].astype(np.float32) / 255.0)
+    known = torch.from_numpy(samples["known"])
+    return depth, MapTargets(quality, cos, sin, width, known, known & (quality > GRASPABLE))
+
+
+def _window(samples: Samples, rng: np.random.Generator, side: int) -> dict[str, np.ndarray]:
+    """Returns one window of one sample, perhaps mirrored."""
+    i = rng.integers(len(samples["depth"]))
+    h, w = samples["depth"].shape[1:]
+    row, column = rng.integers(0, h - side + 1), rng.integers(0, w - side + 1)
+    graspable = np.flatnonzero(samples["quality"][i] > GRASPABLE * 255.0)
+    if len(graspable) and rng.random() < CENTRED_SHARE:
+        y, x = divmod(int(rng.choice(graspable)), w)
+        row, column = (
+            int(np.clip(c - side // 2 + rng.integers(-side // 3, side // 3 + 1), 0, n - side))
+            for c, n in ((y, h), (x, w))
+        )
+    flips = rng.random(2) < 0.5
+    window = {}
+    for name in ("depth", "quality", "angle", "width", "known"):
+        part = samples[name][i, row : row + side, column : column + side]
+        part = part[::-1] if flips[0] else part
+        window[name] = part[:, ::-1] if flips[1] else part
+    if flips[0] != flips[1]:
+        window["angle"] = (256 - window["angle"].astype(np.int16)).astype(np.uint8)
+    return window
+
+
+class MapLosses(NamedTuple):
+    """Mean squared errors; `total` is their weighted sum."""
+
+    total: torch.Tensor
+    quality: torch.Tensor
+    angle: torch.Tensor
+    width: torch.Tensor
+
+
+def losses(maps: torch.Tensor, target: MapTargets) -> MapLosses:
+    """Returns the losses of the network's output, shape (n, 4, h, w)."""
+    quality, cos, sin, width = maps.float().unbind(1)
+    weight = target.known * (1.0 + GRASP_WEIGHT * target.quality)
+    of_quality = (weight * (quality - target.quality) ** 2).sum() / target.known.sum().clamp(min=1)
+    graspable = target.graspable
+    count = graspable.sum().clamp(min=1)
+    of_angle = (graspable * ((cos - target.cos) ** 2 + (sin - target.sin) ** 2)).sum() / count
+    of_width = (graspable * (width - target.width) ** 2).sum() / count
+    total = QUALITY_WEIGHT * of_quality + ANGLE_WEIGHT * of_angle + WIDTH_WEIGHT * of_width
+    return MapLosses(total, of_quality, of_angle, of_width)
 
 
 @dataclass(frozen=True)
@@ -33,49 +196,38 @@ class NetworkTraining:
     half: bool = True  # compute in bfloat16, which is faster where the device knows it
 
 
-class NetworkTrainer(MeanTrainer[nn.Module]):
-    """The training of a grasp network."""
+def network_trainer(settings: NetworkTraining, device: torch.device = CPU) -> MeanTrainer[nn.Module]:
+    """Returns the training of a grasp network on `Samples`; its metric is the fraction of best pixels that are grasps,
+    on whole images."""
+    s = settings
+    torch.manual_seed(s.seed)
+    network = NETWORKS[s.network]()
+    network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
 
-    def __init__(self, settings: NetworkTraining, device: torch.device = CPU) -> None:
-        """Makes the trainer on a device."""
-        self.settings, self.device = settings, device
-        torch.manual_seed(settings.seed)
-        network = NETWORKS[settings.network]()
-        network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
-        optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)
-        super().__init__(network, optimiser, settings.memory, settings.steps)
+    def said(network: nn.Module, made: tuple[torch.Tensor, MapTargets]) -> tuple[torch.Tensor, MapTargets]:
+        depth, target = made[0].to(device), MapTargets(*(value.to(device) for value in made[1]))
+        with torch.autocast(device.type, dtype=torch.bfloat16, enabled=s.half):
+            maps: torch.Tensor = network(depth.to(memory_format=torch.channels_last))
+        return maps, target
 
-    def rate(self) -> float:
-        s = self.settings
-        left = (s.steps - self.step) / max(1.0, s.decay * s.steps)
-        return s.rate * min(1.0, (self.step + 1) / s.warm_up, max(0.0, left))
+    def rate(step: int) -> float:
+        left = (s.steps - step) / max(1.0, s.decay * s.steps)
+        return s.rate * min(1.0, (step + 1) / s.warm_up, max(0.0, left))
 
-    def train(self, samples: Samples) -> float:
-        rng = np.random.default_rng([self.settings.seed, self.step])
-        depth, target = self._here(random_batch(samples, rng, self.settings.count, self.settings.side))
-        self.network.train()
-        return self.descend(losses(self._maps(self.network, depth), target).total)
+    def loss(network: nn.Module, samples: Samples, step: int) -> torch.Tensor:
+        made = random_batch(samples, np.random.default_rng([s.seed, step]), s.count, s.side)
+        return losses(*said(network.train(), made)).total
 
-    def validate(self, samples: Samples) -> dict[str, float]:
-        """Returns the losses of the mean network on whole images, and the fraction of best pixels that are grasps."""
+    def validate(network: nn.Module, samples: Samples) -> dict[str, float]:
         rows = []
         for i in range(len(samples["depth"])):
-            depth, target = self._here(batch({name: values[i : i + 1] for name, values in samples.items()}))
             with torch.no_grad():
-                maps = self._maps(self.mean, depth)
-            found = losses(maps, target)
-            rows.append([*(v.item() for v in found), _best_is_grasp(maps.float(), target)])
-        names = ("validation", "quality", "angle", "width", "hits")
-        return dict(zip(names, np.mean(rows, axis=0).tolist()))
+                maps, target = said(network, batch({name: values[i : i + 1] for name, values in samples.items()}))
+            rows.append([*(v.item() for v in losses(maps, target)), _best_is_grasp(maps.float(), target)])
+        return dict(zip(("validation", "quality", "angle", "width", "hits"), np.mean(rows, axis=0).tolist()))
 
-    def _here(self, made: tuple[torch.Tensor, MapTargets]) -> tuple[torch.Tensor, MapTargets]:
-        depth, target = made
-        return depth.to(self.device), MapTargets(*(value.to(self.device) for value in target))
-
-    def _maps(self, network: nn.Module, depth: torch.Tensor) -> torch.Tensor:
-        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.settings.half):
-            maps: torch.Tensor = network(depth.to(memory_format=torch.channels_last))
-        return maps
+    optimiser = torch.optim.Adam(network.parameters(), lr=s.rate)
+    return MeanTrainer(network, optimiser, s.memory, s.steps, rate, loss, validate)
 
 
 def _best_is_grasp(maps: torch.Tensor, target: MapTargets) -> float:

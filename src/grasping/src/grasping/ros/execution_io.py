@@ -1,0 +1,181 @@
+"""Inputs of the node grasp_execution (proposals, controller, leap_kuka, hand, tf), and what it publishes."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from common.frames import BASE
+from common.poses import translation
+from common.ros.conversions import message_from_pose, pose_in, stamped_pose
+from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
+from grasping.execution.execution import (
+    NONE,
+    OVER,
+    ControllerState,
+    Execution,
+    ExecutionObservation,
+    ExecutionOutcome,
+    ProposalList,
+    ProposedPose,
+    ToolGoal,
+)
+from grasping.execution.grasp_watch import HandMeasurement
+from grasping.ros.camera_input import PoseLookup
+from reflex_msgs.msg import Hand
+from rig_msgs.msg import KukaStatus
+
+FINGER_M, PALM_M = (0.012, 0.02, 0.06), (0.08, 0.02)
+"""A finger along x, y and z; the palm along y and z."""
+ARROW_M, TEXT_M = 0.008, 0.025
+GHOST = ColorRGBA(0.2, 0.5, 1.0, 0.5)
+NO_GRASP = Grasp()
+
+
+class ExecutionInputs:
+    """The newest of each; a state older than `silence` [s] is unknown. T_flange_tool: the tool, shape (4, 4) [m]."""
+
+    def __init__(self, T_flange_tool: np.ndarray, silence: float) -> None:
+        self._T_flange_tool, self._silence = T_flange_tool, silence
+        self.grasps: GraspList | None = None  # the newest, None if none came yet
+        self._controller: tuple[KukaStatus, float] | None = None
+        self._hand: tuple[Hand, float] | None = None
+        self._hold, self._hold_reason, self.hand_followed = NONE, "leap_kuka has not published yet", False
+        self._poses = PoseLookup()
+        rospy.Subscriber("ggcnn/out/grasps", GraspList, self._on_grasps, queue_size=1)
+        rospy.Subscriber("kuka/status", KukaStatus, self._on_controller, queue_size=1)
+        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
+        rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand, queue_size=1, tcp_nodelay=True)
+
+    @property
+    def controller(self) -> ControllerState | None:
+        """The newest state of the arm's controller, None if it is silent."""
+        status = self._fresh(self._controller)
+        return None if status is None else ControllerState(status.control_on, status.mode, status.reason)
+
+    def observe(self) -> ExecutionObservation:
+        """Returns the observed state of the rig."""
+        hand = self._fresh(self._hand)
+        return ExecutionObservation(
+            clock=rospy.get_time(),
+            controller=self.controller,
+            hold=self._hold,
+            hold_reason=self._hold_reason,
+            T_base_tool=self._tool(),
+            hand=None if hand is None else hand_measurement(hand),
+        )
+
+    def _fresh(self, heard):
+        return heard[0] if heard is not None and time.monotonic() - heard[1] <= self._silence else None
+
+    def _tool(self) -> np.ndarray | None:
+        try:
+            return self._poses.flange(self._silence) @ self._T_flange_tool
+        except (ValueError, tf2_ros.TransformException):
+            return None
+
+    def _on_grasps(self, message: GraspList) -> None:
+        self.grasps = message
+
+    def _on_controller(self, message: KukaStatus) -> None:
+        self._controller = message, time.monotonic()
+
+    def _on_hand(self, message: Hand) -> None:
+        self._hand = message, time.monotonic()
+
+    def _on_stream(self, message: DiagnosticStatus) -> None:
+        values = {value.key: value.value for value in message.values}
+        self._hold, self._hold_reason = values.get("hold", NONE), message.message
+        self.hand_followed = values.get("state") == "running"
+
+
+def proposals_from(message: GraspList, now: rospy.Time) -> ProposalList:
+    """Returns the proposals of a message."""
+    grasps = [_proposal(grasp) for grasp in message.grasps]
+    return ProposalList((now - message.header.stamp).to_sec(), grasps, message.reason)
+
+
+def _proposal(grasp: Grasp) -> ProposedPose:
+    if not grasp.pose_base.header.frame_id:
+        return ProposedPose(grasp.id, None)
+    try:
+        return ProposedPose(grasp.id, pose_in(BASE, grasp.pose_base))
+    except ValueError as error:
+        return ProposedPose(grasp.id, None, f"its pose is invalid: {error}")
+
+
+def hand_measurement(hand: Hand) -> HandMeasurement:
+    """Returns the state of index, middle and thumb in a message."""
+    motors = hand.motor[: len(hand.finger)]
+    return HandMeasurement(
+        np.array([motor.joint_angle for motor in motors]),
+        np.array([finger.pressure for finger in hand.finger]),
+        np.array([motor.load for motor in motors]),
+    )
+
+
+class ExecutionDisplay:
+    """Publishes each change of the state once, each outcome, and a ghost of the grasp while it is executed."""
+
+    def __init__(self) -> None:
+        self._state = rospy.Publisher("grasping/state", DiagnosticStatus, queue_size=10, latch=True)
+        self._outcome = rospy.Publisher("grasping/outcome", GraspOutcome, queue_size=10)
+        self._marker = rospy.Publisher("grasping/proposal_marker", MarkerArray, queue_size=10, latch=True)
+        self._shown: tuple[int, str, str] | None = None
+
+    def show(self, execution: Execution, grasp: Grasp, way: ToolGoal | None) -> None:
+        """Publishes the state if it or its reason changed; `way` is None before the first execution."""
+        shown = execution.episode, execution.state, execution.reason
+        if self._shown == shown:
+            return
+        self._shown = shown
+        rospy.loginfo("Execution %d is %s: %s", execution.episode, execution.state, execution.reason)
+        keys = "state", "proposal", "episode", "reason"
+        values = execution.state, str(grasp.id), str(execution.episode), execution.reason
+        pairs = [KeyValue(key, value) for key, value in zip(keys, values)]
+        self._state.publish(DiagnosticStatus(DiagnosticStatus.OK, "grasp_execution", execution.reason, "", pairs))
+        shapes = [] if way is None or execution.state == OVER else _ghost(grasp, way, execution.reason)
+        self._marker.publish(MarkerArray([Marker(ns="execution", action=Marker.DELETEALL), *shapes]))
+
+    def publish(self, outcome: ExecutionOutcome, grasp: Grasp) -> None:
+        """Publishes an outcome."""
+        message = GraspOutcome(episode=outcome.episode, proposal=grasp, held=outcome.held, reason=outcome.reason)
+        message.header.frame_id = BASE
+        message.header.stamp = rospy.Time.now()
+        if outcome.closed is not None:
+            message.header.stamp = rospy.Time.from_sec(outcome.closed.time)
+            message.tool = stamped_pose(outcome.closed.T_base_tool, BASE, message.header.stamp)
+        self._outcome.publish(message)
+
+
+def _ghost(grasp: Grasp, way: ToolGoal, text: str) -> list[Marker]:
+    """Returns fingers and palm around the grasp, an arrow down to it, and what happens."""
+    half, up = 0.5 * (grasp.width + FINGER_M[0]), 0.5 * FINGER_M[2]
+    palm = (grasp.width + 2.0 * FINGER_M[0], *PALM_M)
+    shapes = [
+        *(
+            _shape(Marker.CUBE, i, way.T_base_grip @ translation(x, 0.0, -up), FINGER_M)
+            for i, x in enumerate((half, -half))
+        ),
+        _shape(Marker.CUBE, 2, way.T_base_grip @ translation(0.0, 0.0, -FINGER_M[2] - 0.5 * PALM_M[1]), palm),
+        _shape(Marker.ARROW, 3, np.eye(4), (ARROW_M, 2.0 * ARROW_M, 2.0 * ARROW_M)),
+        _shape(Marker.TEXT_VIEW_FACING, 4, way.T_base_above, (0.0, 0.0, TEXT_M)),
+    ]
+    shapes[3].points = [Point(*way.T_base_above[:3, 3]), Point(*way.T_base_tool[:3, 3])]
+    shapes[4].text = text
+    return shapes
+
+
+def _shape(kind: int, number: int, T_base_shape: np.ndarray, size: tuple[float, float, float]) -> Marker:
+    marker = Marker(ns="execution", id=number, type=kind, action=Marker.ADD, color=GHOST)
+    marker.header.frame_id = BASE
+    marker.pose = message_from_pose(T_base_shape)
+    marker.scale.x, marker.scale.y, marker.scale.z = size
+    return marker
