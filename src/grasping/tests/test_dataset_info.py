@@ -91,7 +91,7 @@ def test_a_folder_without_episodes_is_said(info, tmp_path):
     (tmp_path / "empty").mkdir()
     assert info(of=tmp_path / "empty") == (1, f"{tmp_path}/empty holds no episode.\n")
     code, text = info(of=tmp_path / "absent")
-    assert code == 2 and "is no folder" in text
+    assert code == 2 and "is not a folder" in text
 
 
 def test_the_script_starts(processes, folder):
