@@ -92,7 +92,7 @@ class MeanTrainer(Generic[Network]):
 
     def state(self) -> dict:
         """Returns the checkpoint for `resume`."""
-        parts = {"network": self.network, "mean": self.mean, "optimiser": self._optimiser}
+        parts: dict[str, Any] = {"network": self.network, "mean": self.mean, "optimiser": self._optimiser}
         return {"step": self.step, **{name: part.state_dict() for name, part in parts.items()}}
 
     def resume(self, state: dict) -> None:
