@@ -189,8 +189,8 @@ def main() -> None:
     parser.add_argument("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
     splits = "test: families that training never saw; validation: new scenes of its own, to choose by"
     parser.add_argument("--split", choices=("test", "validation"), default="test", help=splits)
-    tool = "a tool_pose.yaml: try each network with that hand's preferred openings as well"
-    parser.add_argument("--tool", type=Path, metavar="FILE", help=tool)
+    preferred_help = "a tool_pose.yaml: try each network with that hand's preferred openings as well"
+    parser.add_argument("--tool", type=Path, metavar="FILE", help=preferred_help)
     parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
     parser.add_argument("--export", type=Path, metavar="FILE", help="write scenes and grasps there, lift nothing")
     arguments = parser.parse_args()

@@ -115,9 +115,13 @@ def refinement_trainer(
     network.offset[:] = torch.tensor([getattr(offset, name) for name in refinement.AXES])
     network.to(device)
 
+    def made(examples: list[Example]) -> tuple[torch.Tensor, RefinementTargets]:
+        seen, target = batch(examples, offset)
+        return seen.to(device), target.to(device)
+
     def loss(network: refinement.RefinementNetwork, examples: list[Example], step: int) -> torch.Tensor:
         chosen = np.random.default_rng([s.seed, step]).integers(0, len(examples), s.count)
-        seen, target = (part.to(device) for part in batch([examples[i] for i in chosen], offset))
+        seen, target = made([examples[i] for i in chosen])
         return losses(seen, network(seen), target).total
 
     def validate(network: refinement.RefinementNetwork, examples: list[Example]) -> dict[str, float]:
@@ -125,7 +129,7 @@ def refinement_trainer(
         rows, misses, counts = [], [], []
         for i in range(0, len(held), VALIDATION_BATCH):
             part = held[i : i + VALIDATION_BATCH]
-            seen, target = (part.to(device) for part in batch(part, offset))
+            seen, target = made(part)
             with torch.no_grad():
                 change = network(seen)
             rows.append([v.item() for v in losses(seen, change, target)])
