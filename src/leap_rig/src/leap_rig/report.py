@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
     def since(time: float | None) -> float | None:
         return None if time is None else round(time - began, 2)
 
-    summary = {
+    summary: dict[str, Any] = {
         "duration_s": since(now),
         "frames_received": recorder.frames,
         "streams": [

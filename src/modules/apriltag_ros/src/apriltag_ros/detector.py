@@ -59,8 +59,9 @@ class TagFinder:
         """Returns the tags in a grey image, shape (height, width), uint8; raises ValueError for another shape or
         type."""
         if grey.ndim != 2 or grey.dtype != np.uint8:
-            found = f"{grey.dtype} {grey.shape}"
-            raise ValueError(f"the tag finder needs a grey image of uint8, shape (height, width), not {found}")
+            raise ValueError(
+                f"the tag finder needs a grey image of uint8, shape (height, width), not {grey.dtype} {grey.shape}"
+            )
         found = [
             TagDetection(tag.tag_id, read_only(tag.corners - LIBRARY_OFFSET_PX), tag.hamming, tag.decision_margin)
             for tag in self._detector.detect(np.ascontiguousarray(grey))

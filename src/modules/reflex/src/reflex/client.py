@@ -262,7 +262,9 @@ class ReflexHand:
                 self._packets += 1
                 self._news.notify_all()
             self._on_reading(update.reading)
-        for calibration in filter(None, (update.zeros, update.offsets)):
+        for calibration in (update.zeros, update.offsets):
+            if calibration is None:
+                continue
             try:
                 self._on_note(HandNote("info", f"Calibration saved in {self._files.save(calibration)}."))
             except CalibrationFileError as error:

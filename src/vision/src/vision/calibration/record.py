@@ -52,12 +52,12 @@ class RecordHead:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationRecord(RecordHead):
-    """The content of one file."""
+    """The content of one file. For mypy the fields of the head have defaults."""
 
-    T_base_camera: np.ndarray  # in kuka/base_frame, shape (4, 4) [m]
-    T_flange_board: np.ndarray  # shape (4, 4) [m]
-    errors: np.ndarray  # error of each view [mm, deg], shape (n, 2); shape (0, 2) for LIVE
-    views: tuple[CalibrationView, ...]  # the views that it was computed from
+    T_base_camera: np.ndarray  # type: ignore[misc]  # in kuka/base_frame, shape (4, 4) [m]
+    T_flange_board: np.ndarray  # type: ignore[misc]  # shape (4, 4) [m]
+    errors: np.ndarray  # type: ignore[misc]  # error of each view [mm, deg], shape (n, 2); shape (0, 2) for LIVE
+    views: tuple[CalibrationView, ...]  # type: ignore[misc]  # the views that it was computed from
 
     @property
     def accuracy(self) -> str:
