@@ -1,9 +1,7 @@
 """A pinhole camera with the distortion that ROS calls plumb_bob, as `sensor_msgs/CameraInfo` describes it.
-
-Optical frame: x right, y down, z forward. Pixel coordinates (u, v) have the CENTRE of the first pixel at (0, 0), as
-in OpenCV and CameraInfo; the image reaches from -0.5 to width - 0.5. AprilTag libraries count from the pixel's corner:
-their coordinates are larger by 0.5.
-"""
+Optical frame: x right, y down, z forward. Pixel coordinates (u, v) have the CENTRE of the first pixel at (0, 0), as in
+OpenCV and CameraInfo; the image reaches from -0.5 to width - 0.5. AprilTag libraries count from the pixel's corner:
+their coordinates are larger by 0.5."""
 
 from __future__ import annotations
 
@@ -40,11 +38,8 @@ class CameraModel:
         return self._distort(points[..., :2] / points[..., 2:]) * self._focal + self.K[:2, 2]
 
     def rays(self, pixels: ArrayLike) -> np.ndarray:
-        """Returns the directions x, y, 1, shape (..., 3), of the pixels, shape (..., 2) [px].
-
-        Raises:
-            ValueError: the distortion is not invertible there.
-        """
+        """Returns the directions x, y, 1, shape (..., 3), of the pixels, shape (..., 2) [px]; raises ValueError where
+        the distortion is not invertible."""
         distorted = (np.asarray(pixels, dtype=float) - self.K[:2, 2]) / self._focal
         direction = distorted
         for _ in range(MAX_ITERATIONS):
@@ -81,11 +76,7 @@ def pinhole(name: str, width: int, height: int, K: ArrayLike) -> CameraModel:
 
 
 def from_calibration(values: Mapping[str, Any]) -> CameraModel:
-    """Returns the camera that the yaml mapping of camera_calibration_parsers describes.
-
-    Raises:
-        ConfigError: with all faults.
-    """
+    """Returns the camera in a yaml mapping of camera_calibration_parsers; raises ConfigError with all faults."""
     faults: list[str] = []
     if not isinstance(values, Mapping):
         raise ConfigError([f"The calibration is {values!r}, but must be a mapping."])

@@ -1,15 +1,13 @@
 """How the arm is mounted, the operator's directions that follow from it in the base frame, and the tool on its flange.
-
 The parameter `mounting` is the orientation of kuka/base_frame in an upright world, as roll, pitch and yaw. The
 workspace belongs to the arm and stays in the base frame; what the operator calls up and forward follows the world:
 
 up: the world's vertical.
 forward: center_line as seen from above. Where center_line rises or falls by more than STEEP_DEG, as it may on a wall,
-    the base's z axis as seen from above: away from the wall.
+the base's z axis as seen from above: away from the wall.
 home tool: z down, x along forward or against it, whichever leaves joint 7 nearer to zero at home.
 
-For an arm on the floor these are the base's z axis, center_line, and against center_line if center_line.x >= 0.
-"""
+For an arm on the floor these are the base's z axis, center_line, and against center_line if center_line.x >= 0."""
 
 from __future__ import annotations
 
@@ -67,13 +65,8 @@ class MountingFrame:
 
 
 def mounting_frame(center_line: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)) -> MountingFrame:
-    """Returns the operator's directions.
-
-    `center_line` is horizontal in the base frame, shape (3,), of any length; `mounting` is roll, pitch, yaw [deg].
-
-    Raises:
-        ValueError: center_line is zero.
-    """
+    """Returns the operator's directions. `center_line` is horizontal in the base frame, shape (3,), of any length,
+    `mounting` is roll, pitch, yaw [deg]. Raises ValueError if center_line is zero."""
     line = unit(center_line)
     up = rotation_of_mounting(mounting)[2]
     level = line - (line @ up) * up
@@ -89,10 +82,7 @@ def mounting_frame(center_line: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class ToolConfig:
-    """The parameters of the tool.
-
-    Most tools are a length along the flange's z axis. A rotated or offset tool is given as a whole pose instead.
-    """
+    """The tool: a length along the flange's z axis for most; a whole pose for a rotated or offset one."""
 
     tool_length: float = number("m", low=0.0, doc="from the flange to the tool point, along the flange's z axis")
     tool_transform: np.ndarray = vector(

@@ -10,11 +10,7 @@ TRIES = 200
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """Returns a port of the loopback address, `SOCK_STREAM` for TCP or `SOCK_DGRAM` for UDP, that is free now.
-
-    Raises:
-        OSError: no free port was found.
-    """
+    """Returns a free loopback port of TCP (`SOCK_STREAM`) or UDP (`SOCK_DGRAM`); raises OSError if none was found."""
     generator = random.SystemRandom()
     for _ in range(TRIES):
         port = generator.randint(FIRST, LAST)

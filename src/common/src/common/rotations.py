@@ -1,8 +1,6 @@
 """Rotations as 3x3 matrices and unit quaternions (x, y, z, w), refused when they are not rotations.
-
 Pinocchio does the arithmetic; this module adds the conventions of the rig and the checks of its inputs. `R_a_b` is the
-orientation of b in a: its columns are the axes of b written in a.
-"""
+orientation of b in a: its columns are the axes of b written in a."""
 
 from __future__ import annotations
 
@@ -10,16 +8,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-UNIT_TOLERANCE = 1e-3
-"""How far the norm of a quaternion or axis may be from 1 for it to be normalised instead of refused."""
+UNIT_TOLERANCE = 1e-3  # the norm of a quaternion or axis may be this far from 1 to be normalised instead of refused
 
 
 def unit(vector: ArrayLike) -> np.ndarray:
-    """Returns vector / |vector|, shape (n,).
-
-    Raises:
-        ValueError: the vector is zero or not finite.
-    """
+    """Returns vector / |vector|, shape (n,); raises ValueError if the vector is zero or not finite."""
     v = np.asarray(vector, dtype=float)
     norm = np.linalg.norm(v)
     if not np.isfinite(norm) or norm < 1e-12:
@@ -37,11 +30,8 @@ def rotation_about(axis: int, angle: float) -> np.ndarray:
 
 
 def check_rotation(R: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
-    """Returns R as a float array, shape (3, 3).
-
-    Raises:
-        ValueError: R is not finite, not orthonormal within `tolerance`, or a reflection.
-    """
+    """Returns R as a float array, shape (3, 3); raises ValueError if R is not finite, not orthonormal within
+    `tolerance`, or a reflection."""
     R = np.asarray(R, dtype=float)
     if R.shape != (3, 3) or not np.all(np.isfinite(R)):
         raise ValueError(f"a rotation needs 3 x 3 finite numbers, not {R.tolist()}")
@@ -59,11 +49,8 @@ def quaternion_from_rotation(R: ArrayLike) -> np.ndarray:
 
 
 def rotation_from_quaternion(q: ArrayLike) -> np.ndarray:
-    """Returns the rotation, shape (3, 3), of the quaternion x, y, z, w, shape (4,).
-
-    Raises:
-        ValueError: not four finite numbers, or the norm is off by more than `UNIT_TOLERANCE`.
-    """
+    """Returns the rotation, shape (3, 3), of the quaternion x, y, z, w, shape (4,); raises ValueError if its numbers
+    are not finite, or its norm is off by more than `UNIT_TOLERANCE`."""
     q = np.asarray(q, dtype=float)
     if q.shape != (4,) or not np.all(np.isfinite(q)):
         raise ValueError(f"a quaternion needs four finite numbers, not {q.tolist()}")

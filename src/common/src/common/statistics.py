@@ -1,7 +1,5 @@
 """Proportions, medians and differences with their 95 % confidence intervals.
-
-Kept instead of scipy.stats: scipy would be 40 MB more to install for these formulas.
-"""
+Kept instead of scipy.stats: scipy would be 40 MB more to install for these formulas."""
 
 from __future__ import annotations
 
@@ -33,11 +31,7 @@ class Proportion(NamedTuple):
 
 
 def proportion(outcomes: ArrayLike) -> Proportion:
-    """Returns the proportion of true outcomes.
-
-    Raises:
-        ValueError: there are no outcomes.
-    """
+    """Returns the proportion of true outcomes; raises ValueError if there are no outcomes."""
     hits = np.asarray(outcomes, dtype=bool)
     n, k = len(hits), int(hits.sum())
     if n == 0:
@@ -65,11 +59,7 @@ class Estimate(NamedTuple):
 
 
 def median(values: ArrayLike, seed: int = 0) -> Estimate:
-    """Returns the median of independent values.
-
-    Raises:
-        ValueError: there are no values.
-    """
+    """Returns the median of independent values; raises ValueError if there are no values."""
     values = np.asarray(values, dtype=float)
     if not len(values):
         raise ValueError("no values: their median is undefined")
@@ -81,13 +71,8 @@ def paired_difference(
     one: ArrayLike, other: ArrayLike, statistic: Callable[..., np.ndarray] = np.mean, seed: int = 0
 ) -> Estimate:
     """Returns the statistic (numpy's mean or median) of `one` less that of `other`, both for the same cases.
-
-    The bootstrap draws whole cases, so that what is common to both, such as the difficulty of a case, does not widen
-    the interval.
-
-    Raises:
-        ValueError: no cases, or different numbers of values.
-    """
+    The bootstrap draws whole cases, so that what is common to both, such as a case's difficulty, does not widen the
+    interval. Raises ValueError for no cases or different numbers of values."""
     pairs = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     n = len(pairs[0])
     if not n or len(pairs[1]) != n:

@@ -18,20 +18,13 @@ def stamped_transform(T: np.ndarray, parent: str, child: str, stamp: rospy.Time)
 
 
 def pose_from_transform(transform: Transform) -> np.ndarray:
-    """Returns the pose, shape (4, 4), of a Transform message.
-
-    Raises:
-        ValueError: a number is not finite, or the quaternion is not a unit quaternion.
-    """
+    """Returns the pose, shape (4, 4), of a Transform message; raises ValueError if a number is not finite, or the
+    quaternion is not a unit quaternion."""
     return _pose(transform.translation, transform.rotation)
 
 
 def pose_from_message(message: Pose) -> np.ndarray:
-    """Returns the pose, shape (4, 4), of a Pose message.
-
-    Raises:
-        ValueError: a number is not finite, or the quaternion is not a unit quaternion.
-    """
+    """Returns the pose, shape (4, 4), of a Pose message; raises ValueError as pose_from_transform does."""
     return _pose(message.position, message.orientation)
 
 

@@ -9,13 +9,8 @@ from pathlib import Path
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Replaces a file, a text in UTF-8, which stays as it is if that fails; makes its folder.
-
-    A process that is killed meanwhile leaves a file named by a dot, the file's name, and eight characters.
-
-    Raises:
-        OSError: the file cannot be written, for example on a full disk.
-    """
+    """Replaces a file, a text in UTF-8, and makes its folder; raises OSError if that fails, such as on a full disk: the
+    file stays as it is. A killed process leaves a file named by a dot, the file's name, and eight characters."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}", dir=str(path.parent))
     try:

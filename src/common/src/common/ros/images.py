@@ -25,11 +25,8 @@ RGBD_FRAMES = {"rgb": RGB_OPTICAL, "depth": DEPTH_OPTICAL, "depth_registered": R
 
 
 def image_message(array: np.ndarray, encoding: str, frame: str, stamp: rospy.Time) -> Image:
-    """Returns the message of an image, shape (height, width) or (height, width, channels).
-
-    Raises:
-        ValueError: the array does not have the encoding's type and channels.
-    """
+    """Returns the message of an image, shape (height, width) or (height, width, channels); raises ValueError if the
+    array does not have the encoding's type and channels."""
     kind, channels = TYPES[encoding]
     if array.dtype != kind or array.shape[2:] != ((channels,) if channels > 1 else ()):
         raise ValueError(f"an array of {array.dtype}, shape {array.shape}, does not have the encoding {encoding}")
@@ -43,11 +40,8 @@ def image_message(array: np.ndarray, encoding: str, frame: str, stamp: rospy.Tim
 
 
 def array_from_image(message: Image) -> np.ndarray:
-    """Returns the image in a message: a read-only view of its data, shape (height, width[, channels]).
-
-    Raises:
-        ValueError: unknown encoding, or the data do not have the stated size.
-    """
+    """Returns a read-only view of the image in a message, shape (height, width[, channels]); raises ValueError for an
+    unknown encoding, or if the data do not have the stated size."""
     if message.encoding not in TYPES:
         raise ValueError(f"the encoding {message.encoding!r} is unknown; supported are {', '.join(TYPES)}")
     kind, channels = TYPES[message.encoding]
@@ -70,11 +64,8 @@ def metres_from_millimetres(depth: np.ndarray) -> np.ndarray:
 
 
 def colour_from_image(message: Image) -> np.ndarray:
-    """Returns the colour image in a message, shape (height, width, 3), red first.
-
-    Raises:
-        ValueError: another encoding, or incomplete data.
-    """
+    """Returns the colour image in a message, shape (height, width, 3), red first; raises ValueError for another
+    encoding or incomplete data."""
     if message.encoding not in ("rgb8", "bgr8"):
         raise ValueError(f"the colour image has the encoding {message.encoding}, not rgb8 or bgr8")
     array = array_from_image(message)
@@ -82,11 +73,8 @@ def colour_from_image(message: Image) -> np.ndarray:
 
 
 def depth_from_image(message: Image) -> np.ndarray:
-    """Returns the depth image in a message, shape (height, width), float32 [m], not finite = none.
-
-    Raises:
-        ValueError: another encoding, or incomplete data.
-    """
+    """Returns the depth image in a message, shape (height, width), float32 [m], not finite = none; raises ValueError
+    for another encoding or incomplete data."""
     array = array_from_image(message)
     if array.dtype == np.uint16:
         return metres_from_millimetres(array)
@@ -106,11 +94,7 @@ def camera_info_message(model: CameraModel, frame: str, stamp: rospy.Time) -> Ca
 
 
 def camera_model_from_info(message: CameraInfo) -> CameraModel:
-    """Returns the camera that a message describes.
-
-    Raises:
-        ValueError: the camera is not calibrated, or has another distortion model.
-    """
+    """Returns the camera of a message; raises ValueError without a calibration or for another distortion model."""
     D = np.asarray(message.D, dtype=float)
     if message.distortion_model not in (PLUMB_BOB, "") or D.shape not in ((5,), (0,)):
         raise ValueError(f"the distortion model {message.distortion_model!r} with {D.tolist()} is not {PLUMB_BOB}")
@@ -124,15 +108,10 @@ def camera_model_from_info(message: CameraInfo) -> CameraModel:
 
 
 class RgbdTopics:
-    """Publishes the images of an RGB-D camera, each only while it has subscribers, as openni2_camera names them.
-
+    """Publishes the images of an RGB-D camera, each only while it has subscribers, as openni2_camera names them:
     `rgb/image_raw` (rgb8); `depth/image_raw` (16UC1, mm, 0 = none) and `depth/image` (32FC1, m, NaN = none);
     `depth_registered/image_raw` (16UC1, in the colour camera's pixels); `camera_info` beside each of the three images.
-
-    Args:
-        rgb, depth: intrinsics of the two cameras.
-        outgoing: applied to each image message before it is published.
-    """
+    `rgb` and `depth` are the cameras' intrinsics; `outgoing` is applied to each image message before that."""
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, outgoing: Outgoing = lambda message: message) -> None:
         self._outgoing = outgoing

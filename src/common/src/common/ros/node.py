@@ -20,14 +20,12 @@ CLOCK_POLL_S = 0.05
 
 
 def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
-    """Starts the node `name`, runs `main` and exits the process.
-
-    The exit code is 0 when main returns or ROS shuts down, 1 after a RigError: its sentence goes to the log and to the
-    standard error stream. Any other exception is a defect of the program and keeps its traceback.
+    """Starts the node `name`, runs `main` and exits the process: with 0 when main returns or ROS shuts down, with 1
+    after a RigError, whose sentence goes to the log and to stderr.
+    Any other exception is a defect of the program and keeps its traceback.
 
     A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
-    main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
-    """
+    main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds."""
     try:
         rospy.init_node(name)
     except rospy.exceptions.ROSInitException:
@@ -82,12 +80,9 @@ def _wait_for_clock() -> None:
 
 
 def _shut_down_beside_the_main_thread(leave: bool) -> None:
-    """Takes SIGINT and SIGTERM out of rospy's hands.
-
-    rospy's handler closes the topics in the main thread. If that thread is publishing, it holds the lock of a topic's
-    queue, and the handler waits for this lock for ever: the node neither exits nor continues. With `leave` the process
-    exits afterwards.
-    """
+    """Takes SIGINT and SIGTERM out of rospy's hands, whose handler closes the topics in the main thread: if that thread
+    is publishing, it holds the lock that the handler waits for, and the node hangs.
+    With `leave` the process exits afterwards."""
 
     def shut_down(reason: str) -> None:
         rospy.signal_shutdown(reason)

@@ -1,9 +1,7 @@
 """Service calls that return in time, whatever the node that offers the service and the ROS master do.
-
 `rospy.ServiceProxy` waits for ever for a node that hangs, and asks the master before every call. Here each call runs in
 a thread of its own, and a `ServiceClient` keeps the service's address. The request is sent after the node has answered
-the handshake, and only if the caller still waits: a node that hangs never executes a call that was given up before.
-"""
+the handshake, and only if the caller still waits: a node that hangs never executes a call that was given up before."""
 
 from __future__ import annotations
 
@@ -29,10 +27,7 @@ class MasterLost(RigError):
 
 
 class ServiceFailed(DeviceError):
-    """A call of `service` brought no answer; if the request was `sent`, the node may execute it.
-
-    The message is the end of a sentence.
-    """
+    """No answer from `service` (the message ends a sentence); if the request was `sent`, the node may execute it."""
 
     def __init__(self, service: str, reason: str, sent: bool) -> None:
         super().__init__(f"the service {service} {reason}")
@@ -55,10 +50,7 @@ class ServiceClient:
 
     def look_up(self) -> None:
         """Asks the master for the address; a service that it does not know keeps its last one.
-
-        Raises:
-            MasterLost: the master does not answer.
-        """
+        Raises MasterLost if the master does not answer."""
         uri = ask_master("lookupService", rospy.resolve_name(self.name))
         if uri is not None:
             family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
@@ -69,22 +61,13 @@ class ServiceClient:
             self._address = found[0][4][:2]
 
     def __call__(self, *values, timeout: float, wait: float = 0.0):
-        """Returns the response to a request with these fields, within `timeout` [s].
-
-        Before that it waits up to `wait` [s] for a node that offers the service.
-
-        Raises:
-            ServiceFailed: no node offers the service, it failed, or it did not answer in time.
-        """
+        """Returns the response to a request with these fields, within `timeout` [s] after up to `wait` [s] for a node
+        that offers the service; raises ServiceFailed if no node offers it, it failed, or it did not answer in time."""
         attempt = _Attempt(self, rospy.ServiceProxy(self.name, self._kind), self._kind._request_class(*values), wait)
         return attempt.response(wait + timeout)
 
     def connected(self, proxy: rospy.ServiceProxy) -> TCPROSTransport:
-        """Returns a connection to the node, which has answered the handshake.
-
-        Raises:
-            ServiceAbsent: no node offers the service.
-        """
+        """Returns a connection to the node, after the handshake; raises ServiceAbsent if none offers the service."""
         known, reason = self._address, "nobody offers it"
         if known is not None:
             try:
@@ -155,11 +138,8 @@ def _connection(proxy: rospy.ServiceProxy, address: tuple[str, int]) -> TCPROSTr
 
 
 def ask_master(method: str, *arguments):
-    """Calls a method of the ROS master's interface and returns its value, None if the master has none.
-
-    Raises:
-        MasterLost: the master does not answer within `MASTER_TIMEOUT_S`.
-    """
+    """Returns the value of a method of the ROS master's interface, None if the master has none; raises MasterLost if it
+    does not answer within `MASTER_TIMEOUT_S`."""
     uri = rosgraph.get_master_uri()
     master = xmlrpc.client.ServerProxy(uri, transport=_HttpWithTimeout())
     try:
