@@ -2,8 +2,7 @@
 
 with ReflexHand(interface="eth0") as hand:
     hand.close()
-    print(hand.state.joint_angles)
-"""
+    print(hand.state.joint_angles)"""
 
 from __future__ import annotations
 
@@ -32,30 +31,20 @@ STILL_PACKETS = 4
 
 class ReflexHand:
     """One hand; also a context manager, which connects at its beginning and lets the fingers go at its end.
-
     Angles are turns of the tendon spools [rad], 0 open, of f1 (index), f2 (middle), f3 (thumb) and preshape (spread).
+
     Any thread may call any method. A command that the hand cannot follow raises CommandRefused, with the reason; what
-    waits raises HandSilent if the hand falls silent.
-
-    Args:
-        interface: network interface of the hand, such as eth0; lo for the simulated hand.
-        port: UDP port of hand and host.
-        settings: of the state machine.
-        files: calibration of this hand; None: in ~/.ros/reflex/<interface>, as for the ROS driver.
-        on_reading: called from the receive thread with every reading; must not call a method that waits.
-        on_note: called with news, from any thread that calls a method; the same holds.
-
-    Raises:
-        WireFault: there is no such interface, it has no IPv4 address, or the port is taken.
-        CalibrationFileError: a calibration file cannot be read or holds something else.
-    """
+    waits raises HandSilent if the hand falls silent. The constructor raises WireFault if the interface does not exist
+    or has no IPv4 address, or the port is taken, CalibrationFileError if a calibration file cannot be read or holds
+    something else."""
 
     def __init__(
         self,
-        interface: str,
-        port: int = PORT,
+        interface: str,  # network interface of the hand, such as eth0; lo for the simulated hand
+        port: int = PORT,  # UDP port of hand and host
         settings: HandSettings | None = None,
-        files: CalibrationFiles | None = None,
+        files: CalibrationFiles | None = None,  # None: in ~/.ros/reflex/<interface>, as for the ROS driver
+        # Called from the receive thread with every reading, and with news from any calling thread; must not wait.
         on_reading: Callable[[HandReading], None] = lambda reading: None,
         on_note: Callable[[HandNote], None] = lambda note: None,
     ) -> None:
@@ -143,10 +132,8 @@ class ReflexHand:
         self.move((angle, angle, angle, self.state.joint_angles[3]), timeout)
 
     def move(self, angles: Sequence[float], timeout: float = 5.0) -> None:
-        """Moves the motors to four angles [rad], clamped to their travel.
-
-        Returns when they stand still, wherever that is, and after `timeout` seconds at the latest.
-        """
+        """Moves the motors to four angles [rad], clamped to their travel; returns when they stand still, wherever that
+        is, and after `timeout` seconds at the latest."""
         self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, timeout)
         self.command(angles)
         last, still, deadline = self.state.joint_angles, 0, time.monotonic() + timeout
@@ -177,10 +164,8 @@ class ReflexHand:
         self._request(lambda now: self._logic.disable_torque())
 
     def calibrate_fingers(self, wait: bool = True) -> None:
-        """Calibrates the fingers, which must be open and free, and saves the result.
-
-        With `wait` a calibration that failed raises CommandRefused.
-        """
+        """Calibrates the fingers, which must be open and free, and saves the result; with `wait`, a calibration that
+        failed raises CommandRefused."""
         self._request(self._logic.calibrate_fingers)
         if not wait:
             return

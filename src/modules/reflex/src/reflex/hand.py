@@ -1,9 +1,7 @@
 """The hand as one state machine: packets and requests go in, packets to send and readings come out.
-
 Pure: every call takes the time `now` [s, monotonic] and returns a HandUpdate; it sends, saves and logs nothing. Angles
 are joint angles [rad] of the motors f1, f2, f3, preshape; 0 is open. A target goes only to a hand that sends packets,
-has torque and whose angles fit its calibration. Everything else is refused with a sentence.
-"""
+has torque and whose angles fit its calibration. Everything else is refused with a sentence."""
 
 from __future__ import annotations
 
@@ -49,11 +47,8 @@ class HandUpdate:
 
 
 class HandLogic:
-    """State machine of one hand.
-
-    `calibrated` says whether the zeros are those of this hand; if not, it refuses commands until it is calibrated.
-    `reading` is the last reading.
-    """
+    """State machine of one hand, with its last `reading`; unless the zeros are this hand's own (`calibrated`), it
+    refuses commands until it is calibrated."""
 
     def __init__(self, settings: HandSettings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
         self._settings, self._zeros, self._offsets = settings, zeros, offsets
