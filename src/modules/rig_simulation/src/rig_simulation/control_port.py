@@ -1,10 +1,7 @@
 """The control port of a simulated device: its true state, and physical interventions by users and tests.
-
 Loopback TCP, one JSON object a line in each direction. `{"do": "state"}` is answered by `{"ok": true, ...}` with what
 the handler of that name returns, a request that fails by `{"ok": false, "error": "one sentence"}`. The handbook offers
-this wire form to users (docs/decisions/control-ports.md), so no RPC library takes its place. A real rig has no such
-port.
-"""
+this wire form to users (docs/decisions/control-ports.md), so no RPC library replaces it. A real rig has none."""
 
 from __future__ import annotations
 
@@ -23,12 +20,9 @@ from typing import Any, Callable
 from common.errors import DeviceError, RigError
 
 MAX_LINE_BYTES = 65536
-BACKLOG = 50
-"""Clients that may wait for acceptance; Java's default, as of the toolbox's server."""
-CLOSE_TIMEOUT_S = 10.0
-"""Longest wait for a running request; to build a world takes seconds on a busy machine."""
-Handler = Callable[..., Any]
-"""Takes the other fields of a request by name, and returns the fields of the answer or None."""
+BACKLOG = 50  # clients that may wait for acceptance; Java's default, as of the toolbox's server
+CLOSE_TIMEOUT_S = 10.0  # longest wait for a running request; to build a world takes seconds on a busy machine
+Handler = Callable[..., Any]  # takes the other fields of a request by name; returns the fields of the answer or None
 
 
 class PortClosedError(DeviceError):
@@ -36,15 +30,9 @@ class PortClosedError(DeviceError):
 
 
 class ControlPort(contextlib.AbstractContextManager):
-    """Serves requests from its own threads until `close`.
-
-    Args:
-        handlers: by request name. A ValueError or RigError becomes the error of the answer.
-        port: 0 takes any free port; see the attribute `port`.
-
-    Raises:
-        DeviceError: the address is not a loopback address, or the port is taken.
-    """
+    """Serves the requests of `handlers`, by name, from its own threads until `close`; a handler's ValueError or
+    RigError becomes the error of the answer. Port 0 takes any free one, see the attribute. Raises DeviceError if the
+    address is not a loopback address, or the port is taken."""
 
     def __init__(self, handlers: Mapping[str, Handler], host: str = "127.0.0.1", port: int = 0) -> None:
         self._handlers = {name: (handler, inspect.signature(handler)) for name, handler in handlers.items()}
@@ -58,9 +46,7 @@ class ControlPort(contextlib.AbstractContextManager):
 
     def close(self) -> None:
         """Closes all connections and frees the port; may be called twice.
-
-        Running requests finish first: a thread still inside the physics would crash the program at its exit.
-        """
+        Running requests finish first: a thread still inside the physics would crash the program at its exit."""
         with self._lock:
             self._closed = True
             clients = dict(self._clients)
@@ -146,12 +132,8 @@ class ControlClient(contextlib.AbstractContextManager):
         self._lock = threading.Lock()
 
     def ask(self, do: str, **fields: Any) -> dict[str, Any]:
-        """Returns the fields of the answer to the request `do`, without "ok".
-
-        Raises:
-            PortClosedError: nothing listens there.
-            DeviceError: no answer came in time, or the device refused the request.
-        """
+        """Returns the fields of the answer to the request `do`, without "ok"; raises PortClosedError if nothing listens
+        there, DeviceError if no answer came in time or the device refused the request."""
         with self._lock:
             answer = self._exchange({"do": do, **fields})
         if not isinstance(answer, dict) or answer.pop("ok", None) is not True:
@@ -192,15 +174,9 @@ class ControlClient(contextlib.AbstractContextManager):
 
 
 def listen(host: str, port: int, purpose: str) -> socket.socket:
-    """Returns a listening TCP socket on a loopback address; other machines must not reach a simulator.
-
-    Args:
-        port: 0 takes any free port.
-        purpose: of the port, for the error message, such as "the control port".
-
-    Raises:
-        DeviceError: the address is not a loopback address, or the port is taken.
-    """
+    """Returns a listening TCP socket on a loopback address, since other machines must not reach a simulator; port 0
+    takes any free one. Raises DeviceError, with the port's `purpose`, such as "the control port", if the address is not
+    a loopback address, or the port is taken."""
     try:
         loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:

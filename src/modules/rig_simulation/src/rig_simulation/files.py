@@ -1,7 +1,5 @@
 """The files of the simulation: robot and meshes of rig_description, scenes and marker boards of this package.
-
-They are found in the source tree and, with ROS, where ROS knows their package.
-"""
+They are found in the source tree and, with ROS, where ROS knows their package."""
 
 from __future__ import annotations
 
@@ -14,8 +12,7 @@ from common.errors import ConfigError
 
 ROBOTS = ("LBR7R800", "LBR14R820")
 FLANGES = ("MF_elektrisch", "MF_pneumatisch", "MF_IO_pneumatisch", "MF_touch_pneumatisch")
-SOURCE_TREE = Path(__file__).resolve().parents[2]
-"""The folder of this package."""
+SOURCE_TREE = Path(__file__).resolve().parents[2]  # the folder of this package
 
 
 def read_urdf(robot: str, flange: str, ring: bool = False) -> str:

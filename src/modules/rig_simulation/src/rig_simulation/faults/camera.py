@@ -45,12 +45,8 @@ class ImageStream:
         self._last_time = float("-inf")
 
     def next(self, expose: Callable[[], Exposure], stamp: Any, now: float) -> Exposure | None:
-        """Returns the exposure to publish at the time `now` [s], or None.
-
-        Args:
-            expose: takes new images; not called when a fault prevents it.
-            stamp: the present time, for old images that pretend to be new.
-        """
+        """Returns the exposure to publish at the time `now` [s], or None. `expose` takes new images, unless a fault
+        prevents it; `stamp`: the present time, for old images that pretend to be new."""
         active = self._faults.active()
         if "vanished" in active or ("slow" in active and now < self._last_time + 1.0 / active["slow"]):
             return None

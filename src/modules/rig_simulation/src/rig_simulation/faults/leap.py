@@ -31,8 +31,7 @@ LEAP_FAULTS = (
     Fault("low_confidence", "the hand is poorly visible", FaultValue("confidence", 0.02, 0.0, 1.0)),
 )
 OF_HANDS = {"hand_lost", "hand_swapped", "hand_moved", "second_hand", "outliers", "low_confidence"}
-NEW_ID, SECOND_ID = 1000, 500
-"""Offsets of hand ids: the service never uses an id twice."""
+NEW_ID, SECOND_ID = 1000, 500  # offsets of hand ids: the service never uses an id twice
 OUTLIER_PERIOD = 40
 
 

@@ -1,9 +1,7 @@
 """The hand model of the Leap service: one scaled template with a rigid palm and hinged fingers.
-
 Millimetres in Leap axes (x to the user's right, y up, z towards the user), or in palm axes where stated: x to the
 pinky's side, y out of the back of the hand, z to the wrist. Palm axes of a left hand are mirrored, so one template
-serves both hands; so are the bases of its bones, as on the wire of the service.
-"""
+serves both hands; so are the bases of its bones, as on the wire of the service."""
 
 from __future__ import annotations
 
@@ -15,8 +13,7 @@ from common.rotations import rotation_about, unit
 
 PALM_WIDTH_MM = 84.25
 ARM_LENGTH_MM, ARM_WIDTH_MM = 250.0, 59.0
-TIP_ON_DISTAL = 0.77
-"""Position of the finger tip's centre on the last bone in service 2; newer services end the bone there."""
+TIP_ON_DISTAL = 0.77  # position of the finger tip's centre on the last bone in service 2; newer ones end the bone there
 BONE_LENGTHS_MM = np.array(
     [
         [0.0, 46.22, 31.57, 21.67],
@@ -35,8 +32,7 @@ KNUCKLES_MM = np.array(
     [[-19.34, -6.00, 53.17], [-23.18, 2.00, -23.15], [-2.79, 4.00, -23.25], [17.45, 4.00, -17.28], [35.34, 0.00, -9.73]]
 )
 WRIST_MM = np.array([7.06, 4.0, 50.0])
-THUMB_TWIST = np.radians(45.0)
-"""Turn of the thumb's hinges about its bones: it bends across the palm, not down."""
+THUMB_TWIST = np.radians(45.0)  # turn of the thumb's hinges about its bones: it bends across the palm, not down
 FLEXION_SUM_EXTENDED = np.radians(85.0)
 OPEN = np.radians([[-5, 4, 4], [2, 5, 4], [1, 5, 4], [2, 5, 4], [3, 6, 5]])
 FIST = np.radians([[25, 40, 50], [85, 85, 62], [87, 86, 62], [87, 86, 62], [86, 85, 62]])
@@ -77,17 +73,8 @@ def fingers_for(curl: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 class HandModel:
-    """A hand of one size and side.
-
-    Args:
-        side: "right" or "left".
-        scale: size against the template; adults have 1.03 to 1.10.
-        ends_at_tip: whether the last bone ends at the tip centre, as with newer services.
-
-    Attributes:
-        finger_lengths, finger_widths: of thumb to pinky, shape (5,) [mm].
-        arm_width, palm_width: [mm].
-    """
+    """A hand of one side, "right" or "left", of `scale` against the template (adults have 1.03 to 1.10); `ends_at_tip`:
+    whether the last bone ends at the tip centre, as with newer services."""
 
     def __init__(self, side: str = "right", scale: float = 1.05, ends_at_tip: bool = False) -> None:
         if side not in ("right", "left"):
@@ -97,10 +84,10 @@ class HandModel:
         if ends_at_tip:
             self.lengths[:, 3] *= TIP_ON_DISTAL
         tips = TIP_ON_DISTAL * scale * BONE_LENGTHS_MM[:, 3]
-        self.finger_lengths = 0.5 * self.lengths[:, 1] + self.lengths[:, 2] + tips
+        self.finger_lengths = 0.5 * self.lengths[:, 1] + self.lengths[:, 2] + tips  # thumb to pinky [mm]
         self.finger_lengths[0] -= 0.5 * self.lengths[0, 1]
-        self.finger_widths, self.arm_width = FINGER_WIDTHS_MM * scale, ARM_WIDTH_MM * scale
-        self.palm_width = PALM_WIDTH_MM * scale
+        self.finger_widths, self.arm_width = FINGER_WIDTHS_MM * scale, ARM_WIDTH_MM * scale  # [mm]
+        self.palm_width = PALM_WIDTH_MM * scale  # [mm]
         self._carps, self._knuckles, self._wrist = CARPS_MM * scale, KNUCKLES_MM * scale, WRIST_MM * scale
         self._metacarpals = np.array([_across(carp - knuckle) for carp, knuckle in zip(CARPS_MM, KNUCKLES_MM)])
 

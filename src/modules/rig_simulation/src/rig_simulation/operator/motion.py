@@ -1,9 +1,7 @@
 """A scripted visit above the Leap: the hand comes in flat, holds still, draws a figure, grips, tilts, and leaves.
-
 A visit is a sequence of segments that start and end at rest: moves from pose to pose follow the minimum-jerk law of
 human reaching (Flash and Hogan 1985), figures have a smooth start and end. A state is x, y, z [mm] from the centre of
-the workspace, pitch, yaw, roll [rad], and curl (0 open, 1 fist).
-"""
+the workspace, pitch, yaw, roll [rad], and curl (0 open, 1 fist)."""
 
 from __future__ import annotations
 
@@ -12,14 +10,10 @@ from typing import Callable, Mapping
 
 import numpy as np
 
-MIN_JERK_PEAK = 1.875
-"""Ratio of the highest to the mean speed of a minimum-jerk move."""
-RAMP = 0.15
-"""Fraction of a figure's time for its acceleration, and for its deceleration."""
-HOLD_S = 2.5
-"""Time for which the hand waits at the centre until the arm follows."""
-EDGE_MM = 200.0
-"""Distance from the centre, on the operator's side, at which the hand enters and leaves the view."""
+MIN_JERK_PEAK = 1.875  # ratio of the highest to the mean speed of a minimum-jerk move
+RAMP = 0.15  # fraction of a figure's time for its acceleration, and for its deceleration
+HOLD_S = 2.5  # time for which the hand waits at the centre until the arm follows
+EDGE_MM = 200.0  # distance from the centre, on the operator's side, at which the hand enters and leaves the view
 FAR_MM = 320.0
 SHORTEST_MOVE_S = 0.6
 TILT_SPEED = np.radians(40.0)

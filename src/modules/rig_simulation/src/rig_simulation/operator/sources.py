@@ -1,5 +1,4 @@
 """Sources of frames: no hand, an operator who follows a script, or a recording; and their playback with ids and times.
-
 A source yields (interval, frame): the time since the last frame [s], and a frame without the `id` and `timestamp` of
 the service. The service counts hand ids, so a source gets the first free one."""
 
@@ -22,10 +21,8 @@ from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 
 PERIOD_S = 1.0 / 115.3
 JITTER_S = 0.08e-3
-LOST_FRAME = 0.005
-"""Probability that the sensor loses a frame: the interval is double, the id continues."""
-PAUSE_S = 1.5
-"""Empty frames between two rounds of a recording."""
+LOST_FRAME = 0.005  # probability that the sensor loses a frame: the interval is double, the id continues
+PAUSE_S = 1.5  # empty frames between two rounds of a recording
 
 
 class RecordingError(RigError):
@@ -88,15 +85,8 @@ class ScriptedOperator:
 
 class Recording:
     """A file of recorded frames, one JSON object a line, as text or compressed by gzip.
-
-    Args:
-        rate: playback speed.
-        offset: added to every position [mm].
-        loop: whether it repeats, after a pause, with new hand ids.
-
-    Raises:
-        RecordingError: the file cannot be read, or a line is not a frame.
-    """
+    `rate`: playback speed; `offset`: added to every position [mm]; `loop`: whether it repeats, after a pause, with new
+    hand ids. Raises RecordingError if the file cannot be read, or a line is not a frame."""
 
     def __init__(self, path: Path, rate: float = 1.0, offset: Sequence[float] = (0, 0, 0), loop: bool = False) -> None:
         self._lines = _read(path)
@@ -183,11 +173,8 @@ class PlayedFrame:
 
 class Playback:
     """The clock and counters of the service: frames of the source get rising ids and time stamps.
-
-    Playing starts the source from its beginning; paused, and before, the frames are empty. The same seed of the
-    noise and
-    the same calls give the same frames. `fields`: field set of the empty frames.
-    """
+    Playing starts the source from its beginning; paused, and before, the frames are empty, with the field set `fields`.
+    The same seed of the noise and the same calls give the same frames."""
 
     def __init__(self, source: Source, seed: int = 0, fields: str = "2.x", playing: bool = True) -> None:
         self._source, self._seed = source, seed

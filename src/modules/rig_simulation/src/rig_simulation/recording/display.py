@@ -1,9 +1,7 @@
 """What displays of the world share: contact forces, plain shapes for programs without MuJoCo, options, the free camera.
-
 Forces: one arrow and one label for each pair of bodies, for all their contacts together. Arrows are placed where they
 are visible: forces of the robot end where they act, outside its fingers; all others start there, so that the force of a
-table rises out of the object.
-"""
+table rises out of the object."""
 
 from __future__ import annotations
 
@@ -90,8 +88,7 @@ def short(body: str) -> str:
 
 BOX, BALL, CYLINDER = "box", "ball", "cylinder"
 _KINDS = {mujoco.mjtGeom.mjGEOM_BOX: BOX, mujoco.mjtGeom.mjGEOM_SPHERE: BALL, mujoco.mjtGeom.mjGEOM_CYLINDER: CYLINDER}
-SMALLEST_M = 0.004
-"""Smaller balls, the feet of objects, are not shown."""
+SMALLEST_M = 0.004  # smaller balls, the feet of objects, are not shown
 
 
 @dataclass(frozen=True)
@@ -106,10 +103,8 @@ class Shape:
 
 
 def beyond(parts: Sequence[Shape], towards: np.ndarray, clearance: float) -> np.ndarray:
-    """Returns the point from the middle of a body in a direction, `clearance` [m] beyond its farthest point.
-
-    `parts`: all shapes of the body; `towards`: unit vector in kuka/base_frame, shape (3,).
-    """
+    """Returns the point from the middle of a body, given by all its shapes, in the direction `towards`, a unit vector
+    in kuka/base_frame, shape (3,), `clearance` [m] beyond the body's farthest point."""
     middle = np.mean([part.T_base_shape[:3, 3] for part in parts], axis=0)
     ends = [
         towards @ part.T_base_shape[:3, 3] + np.abs(towards @ part.T_base_shape[:3, :3]) @ part.size / 2.0
@@ -146,14 +141,11 @@ def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
 HOST = "127.0.0.1"
 TIMEOUT_S = 2.0
 RETRY_S = 0.2
-PATIENCE_S = 20.0
-"""Longest time without an answer from a running world."""
+PATIENCE_S = 20.0  # longest time without an answer from a running world
 ABOVE_TABLE_M = 0.25
-NICENESS = 10
-"""Displays must not take the processor from the rig."""
+NICENESS = 10  # displays must not take the processor from the rig
 WIDTH_M = 0.009
-DRAWN_LENGTH = 2.0
-"""MuJoCo 3.2.3 draws an arrow at half the length of its connector."""
+DRAWN_LENGTH = 2.0  # MuJoCo 3.2.3 draws an arrow at half the length of its connector
 OF_ROBOT, OF_OTHERS = np.array([1.0, 0.45, 0.0, 1.0]), np.array([0.35, 0.65, 1.0, 1.0])
 
 

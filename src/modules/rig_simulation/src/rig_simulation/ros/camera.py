@@ -1,7 +1,5 @@
 """The simulated RGB-D camera as a node, with the topics of openni2_camera (`common.ros.images`).
-
-It takes only images with subscribers; all images of one moment have one stamp.
-"""
+It takes only images with subscribers; all images of one moment have one stamp."""
 
 from __future__ import annotations
 
@@ -27,16 +25,12 @@ from rig_simulation.world.model import WorldCopy
 
 RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 1.0
-SMOOTHING = 0.1
-"""Weight of the newest value in the durations of the diagnostics."""
+SMOOTHING = 0.1  # weight of the newest value in the durations of the diagnostics
 SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
 
 
 class CameraNode:
-    """Follows the world, takes images and publishes them.
-
-    `open_topics` opens the topics; its argument changes each outgoing image message.
-    """
+    """Follows the world, takes images and publishes them; the argument of `open_topics` changes each outgoing image."""
 
     def __init__(
         self, config: CameraConfig, camera: RgbdCamera, open_topics: Callable[[Outgoing], RgbdTopics], faults: Faults

@@ -1,5 +1,4 @@
 """Nodes that reach the simulated devices through their control ports: monitors of their truth, the fault service.
-
 The arm, node simulation_monitor: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status`
 (stops, goals, mode, speed of the tool: now, highest since the last status, highest since the start) [m/s]. Services:
 `simulation/release`, the run key after a safety stop; `simulation/back_off`, the jog keys, which move a pressing arm
@@ -8,8 +7,7 @@ The world, node world_monitor: `simulation/object_states` in kuka/base_frame; on
 the world. Services: `simulation/reset` puts the objects back to their poses of the scene, `simulation/set_scene` loads
 another scene; arm and hand keep their state.
 The camera, node camera_truth: its true pose, the result of a perfect calibration.
-The service `simulation/fault`, node simulation_faults: switches the faults of all simulated devices.
-"""
+The service `simulation/fault`, node simulation_faults: switches the faults of all simulated devices."""
 
 from __future__ import annotations
 
@@ -49,15 +47,12 @@ from rig_simulation.world.scene import scene_from
 RETRY_PERIOD_S = 0.5
 REMIND_S = 10.0
 TIMEOUT_S = 2.0
-START_S = 5.0
-"""Time in which a device may start or restart without a warning."""
+START_S = 5.0  # time in which a device may start or restart without a warning
 
 
 def poll(publish: Callable[[], None], period: float) -> None:
-    """Calls `publish` until ROS shuts down, every `period` [s] while it answers.
-
-    `publish` asks the device and publishes its answer; it raises DeviceError while the device does not answer.
-    """
+    """Calls `publish`, which asks the device and publishes its answer, until ROS shuts down: every `period` [s] while
+    it answers. It raises DeviceError while the device does not answer."""
     due = answered = time.monotonic()
     while not rospy.is_shutdown():
         try:
@@ -135,8 +130,7 @@ def arm_monitor() -> None:
 
 
 STATE_PERIOD_S = 0.5
-SLOW = 0.95
-"""Fraction of the desired speed below which the world counts as slow."""
+SLOW = 0.95  # fraction of the desired speed below which the world counts as slow
 
 
 class WorldMonitor:
@@ -215,11 +209,9 @@ def camera_in_base(fields: dict) -> np.ndarray:
 
 
 def camera_truth() -> None:
-    """Runs the node camera_truth with its private parameters: publishes the true pose of the camera, static.
-
-    It does so at the start and after each change of the scene. The node replaces camera_place, which publishes the same
-    transform kuka/base_frame -> camera_link from a calibration; start only one of the two.
-    """
+    """Runs the node camera_truth with its private parameters: publishes the true pose of the camera, static, at the
+    start and after each change of the scene. The node replaces camera_place, which publishes the same transform
+    kuka/base_frame -> camera_link from a calibration; start only one of the two."""
     config = private_config(WorldConfig)
     client = ControlClient(config.host, config.port, TIMEOUT_S)
     broadcaster = tf2_ros.StaticTransformBroadcaster()

@@ -1,9 +1,7 @@
 """The scenarios of the simulated operator on the running rig: its observations, actions and progress.
-
 Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
 are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up.
-assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`.
-"""
+assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`."""
 
 from __future__ import annotations
 
@@ -35,25 +33,16 @@ there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
 AT_HOME, FOLLOWING = "home", "servo"
 LOST_S, AWAY_S, MOST_VISITS = 2.0, 2.0, 3
 """After a lost stream: delay until the operator reacts, time of the hand out of view, and most entries into view."""
-FRESH_S = 2.0
-"""Proposals of an older image are ignored."""
+FRESH_S = 2.0  # proposals of an older image are ignored
 SERVICE_TIMEOUT_S = 10.0
 HOLD_S = 2.0
-NETWORK_START_S = 180.0
-"""On a busy machine, the libraries of the network take more than a minute to load."""
+NETWORK_START_S = 180.0  # on a busy machine, the libraries of the network take more than a minute to load
 
 
 class Scenario:
-    """A scenario: it observes the rig, moves the operator's hand, and publishes the progress when it changes.
-
-    Args:
-        name: of the scenario.
-        leapd: control port of the simulated Leap service, which must run guided.
-        world: control port of the simulated world.
-
-    Raises:
-        RigError: the arm is not upright.
-    """
+    """The scenario `name`: observes the rig, moves the operator's hand, and publishes the progress when it changes.
+    `leapd` and `world` are the control ports of the simulated Leap service, which must run guided, and of the world.
+    Raises RigError if the arm is not upright."""
 
     def __init__(self, name: str, leapd: ControlClient, world: ControlClient) -> None:
         self._name, self._leapd, self._world = name, leapd, world

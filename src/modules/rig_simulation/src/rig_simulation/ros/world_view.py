@@ -1,8 +1,6 @@
 """Shows the simulated world in RViz: table, objects and contact forces.
-
 Topics, both visualization_msgs/MarkerArray in kuka/base_frame: `simulation/objects`, and `simulation/contacts` with an
-arrow for each pair of touching bodies, 6 cm a newton, and beside each body the forces on it, in N.
-"""
+arrow for each pair of touching bodies, 6 cm a newton, and beside each body the forces on it, in N."""
 
 from __future__ import annotations
 
@@ -24,8 +22,7 @@ from rig_simulation.world.model import WorldCopy
 
 NAME = "world_view"
 TIMEOUT_S = 1.0
-LIFETIME_S = 1.0
-"""Markers of a stopped world disappear after this time."""
+LIFETIME_S = 1.0  # markers of a stopped world disappear after this time
 KINDS = {display.BOX: Marker.CUBE, display.BALL: Marker.SPHERE, display.CYLINDER: Marker.CYLINDER}
 SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.012, 0.024, 0.03, 0.03, 0.11
 OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)

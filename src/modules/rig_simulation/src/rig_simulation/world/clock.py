@@ -7,13 +7,8 @@ from collections import deque
 
 
 class Clock:
-    """Time of the world [s].
-
-    With speed 1 it equals the system's monotonic clock, with another speed it does not.
-
-    Args:
-        speed: seconds of the world in a second; None: it moves only by `move`.
-    """
+    """Time of the world [s]: at speed 1 the system's monotonic clock, else `speed` seconds of the world in a second;
+    with None it moves only by `move`."""
 
     def __init__(self, speed: float | None) -> None:
         self.speed = speed

@@ -1,5 +1,4 @@
 """The rig's ReFlex hand on a vertical slide above a given scene: down to a grasp, close, lift.
-
 The hand points down with half-closed fingers and descends to the palm distance of the rig's tool, or until the straight
 fingers' tips are just above the table. Then each finger closes up to a given motor load, and the hand rises. The hand
 is that of the shared world, with its springs, tendons and rubber."""
@@ -32,21 +31,15 @@ from rig_simulation.world.parts import PhysicalMechanics
 TIMESTEP_S = 0.001
 P_HAND_GRIP = np.array([0.0152, 0.0, 0.150])
 """Position of the surface between the fingers in the hand's frame, as on the rig [m]."""
-TIPS_M = 0.196
-"""From the hand's base to the tips of its straight fingers."""
-GROUND_M = 0.004
-"""Lowest height of the tips above the table."""
-START_M = 0.10
-"""Start height above the grasp."""
+TIPS_M = 0.196  # from the hand's base to the tips of its straight fingers
+GROUND_M = 0.004  # lowest height of the tips above the table
+START_M = 0.10  # start height above the grasp
 LIFT_M = 0.10
-RISE_M = 0.06
-"""An object that rises by this much, and stays up, counts as lifted."""
-HALF_CLOSED_RAD = 1.6
-"""Turn of a finger during the descent: the tips are about 0.11 m apart."""
+RISE_M = 0.06  # an object that rises by this much, and stays up, counts as lifted
+HALF_CLOSED_RAD = 1.6  # turn of a finger during the descent: the tips are about 0.11 m apart
 CLOSING_RAD_S = 1.5
 FARTHEST_RAD = 3.6
-LOAD = 300.0
-"""Effort at which a motor stops closing [0.1 %]: about 10 N at a finger's tip."""
+LOAD = 300.0  # effort at which a motor stops closing [0.1 %]: about 10 N at a finger's tip
 DOWN_S, CLOSE_S, LIFT_S, HOLD_S = 0.8, 1.6, 1.0, 0.5
 SLIDE_N = 120.0
 FINGERS = 3
@@ -63,15 +56,9 @@ class LiftTrial(NamedTuple):
 
 def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:
     """Simulates a grasp.
-
-    Args:
-        scene: MJCF of objects with free joints, without other joints, on a table whose top is z = 0.
-        qpos: their poses.
-        T_world_grasp: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above.
-
-    Raises:
-        ValueError: the line through the fingers is vertical, or `qpos` does not match the scene.
-    """
+    `scene`: MJCF of objects with free joints, without other joints, on a table whose top is z = 0; `qpos`: their poses;
+    `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above.
+    Raises ValueError if the line through the fingers is vertical, or `qpos` does not match the scene."""
     model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp)))
     if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
         raise ValueError(f"The scene with the hand has {model.nq} positions, but {len(qpos)} were given.")
@@ -146,8 +133,7 @@ DESCRIPTION = (
     " --export`. Prints a table of success rates; with --results it keeps each trial in a file and resumes from it."
 )
 SCHEMA = 1
-NARROW_M = 0.045
-"""Openings below this are of slender parts: the hand's two fingers stand 52 mm apart."""
+NARROW_M = 0.045  # openings below this are of slender parts: the hand's two fingers stand 52 mm apart
 
 
 def read(path: Path) -> list[dict[str, Any]]:

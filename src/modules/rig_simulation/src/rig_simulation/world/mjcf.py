@@ -1,8 +1,6 @@
 """Elements of MuJoCo's model format and of URDF, and the arm and the hand as bodies of the physics.
-
 Lengths in m, angles in rad, poses as 4x4 matrices. The robot has frames, masses, shapes and names of its URDF. Contacts
-use the collision shapes of the URDF; arm and hand do not touch each other. Meshes are visual only.
-"""
+use the collision shapes of the URDF; arm and hand do not touch each other. Meshes are visual only."""
 
 from __future__ import annotations
 
@@ -44,24 +42,15 @@ def geom(
     name: str,
     touch: Touch,
     kind: str,
-    size: Iterable[float] | None,
-    p: Iterable[float] = (0, 0, 0),
+    size: Iterable[float] | None,  # as in MuJoCo: half lengths of a box, radius and half length of a cylinder
+    p: Iterable[float] = (0, 0, 0),  # with R its pose in the body
     R: np.ndarray | None = None,
-    friction: float | None = None,
-    mass: float = 0.0,
-    colour: Iterable[float] | None = None,
-    **more: str,
+    friction: float | None = None,  # sliding friction
+    mass: float = 0.0,  # [kg]; 0 if the body has a mass of its own
+    colour: Iterable[float] | None = None,  # red, green, blue
+    **more: str,  # further attributes of MuJoCo
 ) -> ET.Element:
-    """Adds a geom.
-
-    Args:
-        size: as MuJoCo defines it: half lengths of a box, radius and half length of a cylinder.
-        p, R: its pose in the body.
-        friction: sliding friction.
-        mass: [kg]; 0 if the body has a mass of its own.
-        colour: red, green, blue.
-        more: further attributes of MuJoCo.
-    """
+    """Adds a geom to the body `parent`."""
     values = {"name": name, "type": kind, "pos": numbers(p), "mass": numbers([mass])}
     values.update(contype=str(touch.kind), conaffinity=str(touch.partners), group=str(touch.group))
     if size is not None:
@@ -112,16 +101,10 @@ _COLLADA = {"c": "http://www.collada.org/2005/11/COLLADASchema"}
 
 
 def surface_from_collada(text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the surface of one colour in a COLLADA file of rig_description, whose vertices have one normal each.
-
-    Twenty lines read what rig_description writes; trimesh with pycollada would add two packages and their start time.
-
-    Returns:
-        vertices, shape (n, 3), in the file's unit; triangles, shape (m, 3); red, green, blue from 0 to 1, shape (3,).
-
-    Raises:
-        ValueError: the text lacks positions, triangles or the colour.
-    """
+    """Returns the surface of one colour in a COLLADA file of rig_description, whose vertices have one normal each:
+    vertices, shape (n, 3), in the file's unit; triangles, shape (m, 3); red, green, blue from 0 to 1, shape (3,).
+    Raises ValueError if the text lacks positions, triangles or the colour. Twenty lines read what rig_description
+    writes; trimesh with pycollada would add two packages and their start time."""
     root = ET.fromstring(text)
     paths = ".//c:source[@id='positions']/c:float_array", ".//c:triangles/c:p", ".//c:diffuse/c:color"
     positions, indices, colour = (root.findtext(path, namespaces=_COLLADA) for path in paths)
@@ -136,23 +119,13 @@ ARM_STIFFNESS = (10000.0, 10000.0, 10000.0, 10000.0, 6000.0, 6000.0, 6000.0)
 """Of the arm's gears [Nm/rad], of the published order for such arms, 6000 to 15000."""
 ARM_DAMPING = (100.0, 100.0, 60.0, 60.0, 15.0, 15.0, 15.0)
 """Of the arm's gears [Nm s/rad]: a blow decays within one or two oscillations."""
-ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001
-"""Inertia added to each joint [kg m^2] for numerical stability."""
+ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001  # inertia added to each joint [kg m^2] for numerical stability
 
 
 def add_robot(root: ET.Element, world: ET.Element, urdf: str, R_world_base: np.ndarray, visuals: bool) -> None:
-    """Adds the robot of a URDF.
-
-    Args:
-        root: the model, whose assets take the meshes.
-        world: its world body.
-        urdf: text of the description.
-        R_world_base: orientation of the base, shape (3, 3).
-        visuals: with visual shapes.
-
-    Raises:
-        ValueError: the URDF is not a tree, or has an unsupported shape.
-    """
+    """Adds the robot of a URDF's text, with or without visual shapes, to the world body; the assets of the model `root`
+    take the meshes. `R_world_base`: orientation of the base, shape (3, 3). Raises ValueError if the URDF is not a tree,
+    or has an unsupported shape."""
     description = ET.fromstring(urdf)
     links = {attribute(link, "name"): link for link in description.findall("link")}
     waiting = description.findall("joint")

@@ -1,12 +1,9 @@
 """The MuJoCo model of robot, table, objects, marker board, camera and light, from a description of the world.
-
 Processes that build it from the same description have the same model; a `WorldCopy` follows the original's state. The
 world frame is upright with its origin in the arm's base; with an upright arm it is `kuka/base_frame`.
-
 Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint of that
 name; `panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`,
-which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a turn about x.
-"""
+which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a turn about x."""
 
 from __future__ import annotations
 
@@ -28,8 +25,7 @@ from rig_simulation.world.hand_model import prepare_hand
 from rig_simulation.world.mjcf import BOARD, ROBOT, VISUAL, add_mesh, add_robot, body, child, geom, numbers
 from rig_simulation.world.scene import CameraPose, MarkerBoard, add_object, add_table, board_from, scene_from, tag_mesh
 
-TIMESTEP_S = 0.001
-"""The cycle of the simulated controller."""
+TIMESTEP_S = 0.001  # the cycle of the simulated controller
 FLOOR_BELOW_TABLE = 0.75
 SKY, HAZE = (0.85, 0.89, 0.93), (0.62, 0.67, 0.72)
 WHITE, BLACK, FLOOR_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4)
@@ -38,8 +34,7 @@ R_FLANGE_BOARD = ((-1, 0, 0), (0, 0, 1), (0, 1, 0))
 PLATE_THICKNESS = 0.004
 RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.018, 0.0)
 CAMERA_SIZE = (0.018, 0.090, 0.018)
-FOVY_DEG = 45.0
-"""From the data sheet; the renderers set the intrinsics of their cameras."""
+FOVY_DEG = 45.0  # from the data sheet; the renderers set the intrinsics of their cameras
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,15 +50,9 @@ class WorldDescription:
 
 
 def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.MjModel:
-    """Returns the model.
-
-    Args:
-        visuals: with visual shapes, which the physics does not need; joints and bodies are the same without them.
-
-    Raises:
-        ConfigError: the scene or the marker board is invalid.
-        FileNotFoundError: there is no description of this robot.
-    """
+    """Returns the model; visual shapes change neither joints nor bodies, and the physics does not need them.
+    Raises ConfigError if the scene or the marker board is invalid, FileNotFoundError if there is no description of this
+    robot."""
     return mujoco.MjModel.from_xml_string(mjcf(description, visuals))
 
 
@@ -143,10 +132,7 @@ class WorldCopy:
 
     def follow(self) -> bool:
         """Copies the present state of the world; returns whether the model is new.
-
-        Raises:
-            DeviceError: the world gives no valid answer; the next call rebuilds the model.
-        """
+        Raises DeviceError if the world gives no valid answer; the next call then rebuilds the model."""
         load, self._load = self._load, None
         try:
             snapshot = self._client.ask("snapshot")

@@ -1,10 +1,8 @@
 """The arm and the ReFlex hand as parts of the world. Lengths in m, angles in rad, forces in N.
-
 The simulated controller has the motor-side angles of the arm, the physics the link-side angles. Between them is the
 elasticity of the gears: `tau = K (q - q_physics) + D (v - v_physics)`, added to the torques of gravity and of the
 planned motion. So the arm does not sink, follows exactly in free space, and is stopped by a table; the torque of the
 springs is what the joint torque sensors of the real arm measure.
-
 The hand's servos pull the tendons of the physics, and its sensors measure them. Wire and control requests are those of
 the simulated hand; here its moving parts have masses and contacts."""
 
@@ -22,15 +20,11 @@ from rig_simulation.world.hand_model import PARTS, pad_name, tendon_name
 from rig_simulation.world.mjcf import ARM_DAMPING, ARM_STIFFNESS
 from rig_simulation.world.physics import Part, World
 
-OBSERVER_TIME_S = 0.01
-"""Time constant of the filter with which the controller estimates external torques from measured ones."""
+OBSERVER_TIME_S = 0.01  # time constant of the filter by which the controller estimates external torques
 
 
 class ArmJoints(Part):
-    """The link side of the arm; the environment of the controller's arm.
-
-    It steps the world with each step of the arm, so both share one time.
-    """
+    """The link side of the arm, the environment of the controller's arm: each of its steps steps the world."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -43,9 +37,7 @@ class ArmJoints(Part):
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Steps the world once, to the end angles q and speeds v of the drives; see ArmEnvironment.
-
-        Raises ValueError if dt differs from the world's time step.
-        """
+        Raises ValueError if dt differs from the world's time step."""
         if abs(dt - self._timestep) > 1e-9:
             raise ValueError(f"The arm steps by {dt} s, but the world by {self._timestep} s.")
         self._v_next = v
@@ -84,12 +76,9 @@ def _run(addresses: list[int]) -> slice:
 
 
 EFFORT_PER_NM = MAX_EFFORT / MAX_TORQUE_NM
-FINGER_RATIO, SWIVEL_RATIO = 1.42, 1.5
-"""Turns of a motor for one turn of its spool."""
-COUNTS_PER_N = 25.0
-"""For a force in the middle of a taxel. An assumption: the vendor counts 20 as a touch and shows at most 80."""
-TAXEL_REACH_M = 0.005
-"""Standard deviation of the sensitivity beside a taxel; it falls to one half at 5.9 mm."""
+FINGER_RATIO, SWIVEL_RATIO = 1.42, 1.5  # turns of a motor for one turn of its spool
+COUNTS_PER_N = 25.0  # in the middle of a taxel. An assumption: the vendor counts 20 as a touch and shows at most 80
+TAXEL_REACH_M = 0.005  # standard deviation of the sensitivity beside a taxel; it falls to one half at 5.9 mm
 _TIP_TILT_RAD = np.radians(30.0)
 _TAXEL_POSITIONS = {
     "proximal": [(x, 0.0, 0.0154) for x in (0.0189, 0.0268, 0.0347, 0.0426, 0.0506)],

@@ -1,8 +1,6 @@
 """The physics of the world: one model, one state, one clock. Not thread-safe: its owner holds a lock.
-
 Parts drive the robot's joints: the arm, the hand. In each step the world computes positions and speeds, lets each part
-write its efforts (`data.ctrl`, `data.qfrc_applied` of its own joints), and integrates.
-"""
+write its efforts (`data.ctrl`, `data.qfrc_applied` of its own joints), and integrates."""
 
 from __future__ import annotations
 
@@ -19,8 +17,7 @@ from common.rotations import quaternion_from_rotation, rotation_about
 from rig_simulation.world.model import WorldDescription, build_model
 from rig_simulation.world.scene import SceneObject, WorldScene, scene_from, table_pose
 
-DROP_M = 0.0008
-"""Height above the table at which objects start; they settle on it."""
+DROP_M = 0.0008  # height above the table at which objects start; they settle on it
 DEEPEST_TOUCH_M = 0.001
 PLACEMENTS = 200
 ROBOT = ("kuka/", "reflex/", "panel")
@@ -54,25 +51,14 @@ class ObjectState:
 
 
 class World:
-    """The world.
-
-    Args:
-        seed: of the poses of scattered objects.
-
-    Attributes:
-        model, data: of MuJoCo; new ones after a change of the scene.
-        steps: number of steps since the start.
-        loads: number of models since the start; a copy of the model must be rebuilt when it changes.
-
-    Raises:
-        ConfigError: the scene or the marker board is invalid.
-        FileNotFoundError: there is no description of this robot.
-    """
+    """The world; `seed`: of the poses of scattered objects.
+    `model` and `data`, of MuJoCo, are new after a change of the scene. Raises ConfigError if the scene or the marker
+    board is invalid, FileNotFoundError if there is no description of this robot."""
 
     def __init__(self, description: WorldDescription, seed: int = 0) -> None:
         self._parts: list[Part] = []
         self._rng = np.random.default_rng(seed)
-        self.steps = self.loads = 0
+        self.steps = self.loads = 0  # steps, and models, since the start; rebuild a copy when `loads` changes
         self._load(description)
 
     @property
@@ -105,9 +91,7 @@ class World:
 
     def reset(self) -> None:
         """Puts all objects back to their poses of the scene, at rest; arm and hand keep their state.
-
-        Raises ValueError if the robot is in the way of an object; nothing has changed then.
-        """
+        Raises ValueError, with nothing changed, if the robot is in the way of an object."""
         placed = self._placed(self.model, self._scene, self.data)
         self.data.qpos[:] = placed.qpos
         self.data.qvel[:] = placed.qvel
@@ -116,11 +100,7 @@ class World:
 
     def set_scene(self, values: Mapping[str, Any]) -> None:
         """Changes the scene to a mapping as in a scene's yaml; arm and hand keep their state.
-
-        Raises:
-            ConfigError: the scene is invalid; nothing has changed.
-            ValueError: the robot is in the way of the table or of an object; nothing has changed.
-        """
+        Raises ConfigError if the scene is invalid, ValueError if the robot is in the way; nothing has changed then."""
         self._load(dataclasses.replace(self.description, scene=values))
         for part in self._parts:
             part.bind(self)
@@ -136,11 +116,8 @@ class World:
         return {name: self._object(name, touches[name]) for name in self._scene.objects}
 
     def contacts(self) -> list[dict[str, Any]]:
-        """Returns all contacts with a force, as the control port answers them.
-
-        Each has the names of both bodies, position [m], normal from the first to the second, the force along it [N],
-        and the depth of penetration [m].
-        """
+        """Returns all contacts with a force, as the control port answers them: the names of both bodies, position [m],
+        normal from the first to the second, the force along it [N], and the depth of penetration [m]."""
         found = []
         force = np.zeros(6)
         for i, bodies in enumerate(_pairs(self.data, self._geom_bodies)):

@@ -1,5 +1,4 @@
 """The program `world.py`: the simulated arm, the simulated hand and the objects between them in one physics.
-
 The server of the arm drives the time: when it advances, the arm steps, the world with it, and the hand in the world. So
 one clock and one lock are enough. The devices speak the same protocols as when they run as programs of their own."""
 
@@ -33,8 +32,7 @@ from rig_simulation.world.physics import Part, World
 
 NAME = "world"
 MOST_STEPS = 1000
-STEPS_AT_ONCE = 20
-"""Fewer than the arm catches up in one go."""
+STEPS_AT_ONCE = 20  # fewer than the arm catches up in one go
 
 
 class WorldRequests:

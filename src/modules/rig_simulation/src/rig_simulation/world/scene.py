@@ -1,8 +1,6 @@
 """The content of the simulated world besides the rig: schema and records of a scene's yaml, and its bodies.
-
 Lengths in m, angles in deg. The world is upright with its origin in the arm's base. Positions of objects are from the
-table's centre along its sides; the origin of an object is the middle of its height.
-"""
+table's centre along its sides; the origin of an object is the middle of its height."""
 
 from __future__ import annotations
 
@@ -217,8 +215,7 @@ TABLE_THICKNESS, TABLE_COLOUR = 0.03, (0.72, 0.6, 0.45)
 WALL_PLATES = 16
 FEET, FOOT_RADIUS, FOOT_OUT = 8, 0.0025, 0.0005
 """A round bottom stands on small balls: a cylinder on a box has few, unsteady contact points."""
-BOTTOM_FRACTION = 0.25
-"""Fraction of a cup's mass in its bottom."""
+BOTTOM_FRACTION = 0.25  # fraction of a cup's mass in its bottom
 TAG_THICKNESS = 0.0002
 _CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
 _FACES = np.array(list("031023457476015054273267046062137175"), dtype=int).reshape(-1, 3)
@@ -284,15 +281,9 @@ def _bottle(element: ET.Element, prefix: str, bottle: Bottle, look: dict[str, An
 
 
 def tag_mesh(tag: int, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the black cells of a tag as thin plates on z = 0: exact edges, which no renderer can blur or mirror.
-
-    Args:
-        tag: id, an index of common.tag36h11.CODES.
-        size: edge of the black square [m].
-
-    Returns:
-        vertices, shape (n, 3) [m], and triangles, shape (m, 3); origin in the middle, x to the right, y up.
-    """
+    """Returns the black cells of a tag as thin plates on z = 0, exact edges that no renderer can blur or mirror:
+    vertices, shape (n, 3) [m], and triangles, shape (m, 3); origin in the middle, x to the right, y up.
+    `tag`: id, an index of common.tag36h11.CODES; `size`: edge of the black square [m]."""
     cell = size / CELLS
     vertices: list[np.ndarray] = []
     for row, cells in enumerate(black_cells(tag)):

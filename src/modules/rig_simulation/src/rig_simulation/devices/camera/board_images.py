@@ -1,8 +1,6 @@
 """The program `panel_pictures.py`: colour and depth images of the marker board with their true poses.
-
 The arm holds the board face up, and the camera moves around it: at each distance and tilt, for several units of the
-sensor, each with its own errors. Images are PNG files; `pictures.json` describes them completely.
-"""
+sensor, each with its own errors. Images are PNG files; `pictures.json` describes them completely."""
 
 from __future__ import annotations
 
@@ -31,12 +29,10 @@ from rig_simulation.world.model import WorldDescription, build_model
 
 NAME = "panel_pictures"
 INDEX = "pictures.json"
-HOLDING_DEG = (0.0, 30.0, 0.0, -60.0, 0.0, 0.0, 90.0)
-"""Joints of the arm: the forearm level, the board on top of the flange, face up, well above the table."""
+HOLDING_DEG = (0.0, 30.0, 0.0, -60.0, 0.0, 0.0, 90.0)  # forearm level, board on top, face up, above the table
 TURN_OVER = rotation_about(0, np.pi)
 """From MuJoCo's cameras, which look along -z with y up, to optical frames; and from a board to its viewer."""
-HALF_VIEW = np.array([0.50, 0.38])
-"""Tangents of half the common field of view of both cameras."""
+HALF_VIEW = np.array([0.50, 0.38])  # tangents of half the common field of view of both cameras
 
 
 class BoardScene:
@@ -72,13 +68,8 @@ class BoardScene:
 
 
 def random_pose(distance: float, tilt: float, size: float, rng: np.random.Generator) -> np.ndarray:
-    """Returns a random pose of the board, wholly in the image of the colour camera, shape (4, 4) [m].
-
-    Args:
-        distance: of its centre from the camera [m].
-        tilt: between its normal and the line of sight [rad].
-        size: edge of the board [m].
-    """
+    """Returns a random pose, shape (4, 4) [m], of a board of edge `size` [m], wholly in the image of the colour camera:
+    its centre at `distance` [m], its normal at `tilt` [rad] to the line of sight."""
     room = np.clip(HALF_VIEW - size / np.sqrt(2.0) / distance, 0.0, None)
     sight = unit([*(room * rng.uniform(-1.0, 1.0, 2)), 1.0])
     right = unit(np.cross((0.0, 1.0, 0.0), sight))

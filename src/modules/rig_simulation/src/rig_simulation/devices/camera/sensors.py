@@ -1,11 +1,8 @@
 """The lenses of the camera, and its colour and depth sensors.
-
 The renderer has pinhole cameras only. A lens defines the pinhole window that contains the camera's view, and for each
 pixel of the camera its position in that window. Windows come from OpenGL: their rows run from the bottom up.
-
 Depth is computed in inverse depth w = 1/z, in which planes are linear in the pixel, and in disparity d = f b w, in
-which the sensor measures: noise, unit errors and quantisation are added there.
-"""
+which the sensor measures: noise, unit errors and quantisation are added there."""
 
 from __future__ import annotations
 
@@ -17,8 +14,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from rig_simulation.node_parameters import ColourConfig, DepthConfig
 
-MARGIN_PX = 4
-"""Margin of the window around the camera's view, for interpolation and for the jitter of edges."""
+MARGIN_PX = 4  # margin of the window around the camera's view, for interpolation and for the jitter of edges
 
 
 @dataclass(frozen=True)
@@ -35,10 +31,8 @@ class PixelWindow:
 
 
 class CameraLens:
-    """Maps the window's image to the camera's.
-
-    `sample_offset`: position of the window's samples in their pixels, right and up from the centre [px].
-    """
+    """Maps the window's image to the camera's; `sample_offset`: position of the window's samples in their pixels, right
+    and up from the centre [px]."""
 
     def __init__(self, camera: CameraModel, sample_offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self.camera = camera
@@ -63,28 +57,20 @@ class CameraLens:
         return cv2.remap(image, positions, fractions, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
     def distort_nearest(self, image: np.ndarray, shift: np.ndarray | np.int16) -> np.ndarray:
-        """Returns the camera's image of the window's nearest pixels, each `shift` beside its own position.
-
-        `shift`: to the right and up, shape (height, width, 2) or one number for all, int16 [px].
-        """
+        """Returns the camera's image of the window's nearest pixels, each `shift` beside its own position: to the right
+        and up, shape (height, width, 2) or one number for all, int16 [px]."""
         nothing = np.empty(0, np.uint16)
         return cv2.remap(image, self._nearest + shift, nothing, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
 
 
-SPARE_PX = 1024
-"""Excess of the large field over a cut, in both directions."""
+SPARE_PX = 1024  # excess of the large field over a cut, in both directions
 
 
 class NoiseField:
-    """Noise of mean 0 and standard deviation 1 at the cost of a copy an image: random cuts from one large field.
-
+    """Noise of mean 0 and standard deviation 1 at the cost of a copy an image: random cuts of `height` x `width` [px]
+    with 1 to 4 `channels` from one large field.
     Two cuts share values, but rarely at the same pixel, so a pixel's values in successive images are independent.
-
-    Args:
-        height, width: of a cut [px].
-        channels: 1 to 4.
-        correlation: standard deviation of the Gaussian that the white noise is smoothed with [px]; 0 = none.
-    """
+    `correlation`: standard deviation of the Gaussian that smooths the noise [px]; 0 = white."""
 
     def __init__(self, height: int, width: int, channels: int, correlation: float, rng: np.random.Generator) -> None:
         field: np.ndarray = rng.standard_normal((height + SPARE_PX, width + SPARE_PX, channels), dtype=np.float32)
@@ -134,15 +120,12 @@ class ColourSensor:
 
 
 MILLIMETRES = 1000.0
-EDGE = 0.01
-"""Relative change of inverse depth over a pixel's jitter above which a surface counts as an edge."""
+EDGE = 0.01  # relative change of inverse depth over a pixel's jitter above which a surface counts as an edge
 SHADOW_TOLERANCE_PX = 0.25
-SIGNAL_SPREAD = 0.2
-"""Relative standard deviation of the returned light, which makes borders of regions without depth ragged."""
+SIGNAL_SPREAD = 0.2  # relative standard deviation of the returned light: borders of regions without depth are ragged
 STEEP = np.radians(60.0)
 ANGLE_STEPS = 255
-WARP_NODES = (4, 5)
-"""Nodes of a unit's smooth warp, over height and width of the image."""
+WARP_NODES = (4, 5)  # nodes of a unit's smooth warp, over height and width of the image
 
 
 def axial_sigma(z: float | np.ndarray) -> float | np.ndarray:
@@ -151,24 +134,17 @@ def axial_sigma(z: float | np.ndarray) -> float | np.ndarray:
 
 
 def steep_sigma(angle: float | np.ndarray) -> np.ndarray:
-    """Returns the standard deviation added by a steep surface, times sqrt(z) [m sqrt(m)] (the same paper).
-
-    `angle`: between the surface's normal and the line of sight [rad].
-    """
+    """Returns the standard deviation added by a surface whose normal has this `angle` to the line of sight [rad], times
+    sqrt(z) [m sqrt(m)] (the same paper)."""
     angle = np.minimum(angle, np.radians(85.0))
     return np.where(angle > STEEP, 0.0001 * angle**2 / (np.pi / 2.0 - angle) ** 2, 0.0)
 
 
 def hidden(w: np.ndarray, fb: float) -> np.ndarray:
-    """Returns which pixels are occluded as seen from a point beside the camera.
-
-    The rays of an image row lie in one plane with that point. From there, pixel u appears at u - fb w; pixels that
-    overtake their neighbour in that order are hidden.
-
-    Args:
-        w: inverse depth, shape (height, width) [1/m].
-        fb: focal length times the point's distance to the right of the camera, negative to the left [px m].
-    """
+    """Returns which pixels are occluded as seen from a point beside the camera, from the inverse depth w, shape
+    (height, width) [1/m]. The rays of an image row lie in one plane with that point: from there, pixel u appears at
+    `u - fb w`, and pixels that overtake their neighbour in that order are hidden. `fb`: focal length times the point's
+    distance to the right of the camera, negative to the left [px m]."""
     u = np.arange(w.shape[1], dtype=np.float32)
     shifted = u - np.float32(fb) * w
     if fb > 0.0:
@@ -179,13 +155,9 @@ def hidden(w: np.ndarray, fb: float) -> np.ndarray:
 
 
 class DepthSensor:
-    """Takes depth images.
-
-    Args:
-        rng: source of the unit's errors, drawn first, and of the noise.
-        infrared_offset: of the infrared camera to the right of the lens [m]: 0 for its own image, the negative
-            distance between the cameras for depth registered to the colour image.
-    """
+    """Takes depth images. `rng` gives the unit's errors, drawn first, and the noise; `infrared_offset` is that of the
+    infrared camera to the right of the lens [m]: 0 for its own image, the negative distance between the cameras for
+    depth registered to the colour image."""
 
     def __init__(
         self, lens: CameraLens, config: DepthConfig, rng: np.random.Generator, infrared_offset: float = 0.0
@@ -218,12 +190,9 @@ class DepthSensor:
             self._millimetres = self._depth(np.arange(last + 1) * config.quantisation)
 
     def take(self, inverse_depth: np.ndarray, brightness: np.ndarray) -> np.ndarray:
-        """Returns the sensor's image, shape (height, width), uint16 [mm], 0 = no depth.
-
-        Args:
-            inverse_depth: the lens's window, rows from the bottom, float32 [1/m].
-            brightness: the window's colour image, in place of the infrared reflection.
-        """
+        """Returns the sensor's image, shape (height, width), uint16 [mm], 0 = no depth, from the lens's window of
+        inverse depth, rows from the bottom, float32 [1/m], and its colour image, whose `brightness` replaces the
+        infrared reflection."""
         config = self._config
         w = self._with_edges(inverse_depth)
         cosine = self._cosine(w)

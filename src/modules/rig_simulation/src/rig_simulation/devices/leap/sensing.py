@@ -1,8 +1,6 @@
 """The tracking of a hand: noise, confidence, filtered velocities, ids, and the behaviour at entry and exit.
-
 The noise levels come from recordings of real hands: a still hand is reported within 0.02 to 0.07 mm, ten times worse
-when it moves fast or is poorly recognised. The noise is low-pass: errors of successive frames are similar.
-"""
+when it moves fast or is poorly recognised. The noise is low-pass: errors of successive frames are similar."""
 
 from __future__ import annotations
 
@@ -17,10 +15,8 @@ ANGLE_NOISE = np.radians(0.04)
 FLEXION_NOISE = np.radians(0.1)
 WANDER_MM = 1.2
 WANDER_ANGLE = np.radians(0.5)
-NOISE_MEMORY, WANDER_MEMORY = 0.86, 0.992
-"""Fraction of a filter's value that remains from frame to frame."""
-NOISE_SPEED_MM_S = 40.0
-"""At this speed of the palm the noise is twice that at rest."""
+NOISE_MEMORY, WANDER_MEMORY = 0.86, 0.992  # fraction of a filter's value that remains from frame to frame
+NOISE_SPEED_MM_S = 40.0  # at this speed of the palm the noise is twice that at rest
 FIST_CONFIDENCE = 0.72
 SETTLE_S = 0.3
 FIRST_VELOCITY_MM_S = 1.19209e-07
@@ -85,14 +81,8 @@ class Tracker:
         self._last: ReportedHand | None = None
 
     def report(self, pose: HandPose, curl: float, speed: float, age: float, left: float) -> ReportedHand:
-        """Returns the report of the hand in its true pose.
-
-        Args:
-            curl: 0 open to 1 fist.
-            speed: of the palm [mm/s].
-            age: time since it came into view [s].
-            left: time until it leaves the view [s].
-        """
+        """Returns the report of the hand in its true pose: `curl` 0 open to 1 fist, `speed` of the palm [mm/s], `age`
+        since it came into view [s], `left` until it leaves the view [s]."""
         confidence = self._confidence(curl, age, left)
         measured = self._measured(pose, (1.0 + speed / NOISE_SPEED_MM_S) * (4.0 - 3.0 * confidence))
         hand = ReportedHand.at_rest(self._id, self._model, measured, confidence, age)

@@ -23,10 +23,8 @@ from rig_simulation.faults.injection import Faults
 from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 from rig_simulation.operator.sources import Playback
 
-LATE_S = 0.05
-"""Later frames are dropped: the clock does not wait for a busy machine."""
-LONGEST_LAG_S = 0.5
-"""A lag beyond this is dropped: frames then come at a low rate, where otherwise none would be in time."""
+LATE_S = 0.05  # later frames are dropped: the clock does not wait for a busy machine
+LONGEST_LAG_S = 0.5  # a lag beyond this is dropped: frames then come at a low rate; else none would be in time
 CLOSE_TIMEOUT_S = 0.5
 LONGEST_SLEEP_S = 0.2
 GATED_FROM_VERSION = 4
@@ -70,17 +68,8 @@ class _Client:
 
 
 class LeapService:
-    """Plays frames to all clients.
-
-    Args:
-        port, control_port: 0 takes any free port; see the attributes.
-        fields: field set, which the header announces.
-        lenient: serve clients without a request, as the bridge for current services does.
-        requests: further requests of the control port.
-
-    Raises:
-        DeviceError: a port is taken.
-    """
+    """Plays frames to all clients; port 0 takes any free one, see the attributes.
+    Raises DeviceError if a port is taken."""
 
     def __init__(
         self,
@@ -88,9 +77,9 @@ class LeapService:
         host: str,
         port: int,
         control_port: int,
-        fields: str = "2.x",
-        lenient: bool = False,
-        requests: Mapping[str, Handler] | None = None,
+        fields: str = "2.x",  # field set, which the header announces
+        lenient: bool = False,  # serve clients without a request, as the bridge for current services does
+        requests: Mapping[str, Handler] | None = None,  # further ones of the control port
     ) -> None:
         self._playback, self._fields, self._lenient = playback, fields, lenient
         self._clients: set[_Client] = set()

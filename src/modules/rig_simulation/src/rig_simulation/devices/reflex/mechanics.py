@@ -1,5 +1,4 @@
 """The servos of the hand, and its mechanics: spools wind tendons, tendons turn the links of the fingers.
-
 Fingers count from 0 (f1, f2, f3), motors too (f1, f2, f3, preshape). Angles in rad, 0 = open. Effort and motion of a
 servo are positive in the direction of rising positions."""
 
@@ -14,8 +13,7 @@ POWER_UP_TICKS = 13000
 SPEED_UNIT_RAD_S = 0.114 * 2 * math.pi / 60
 NO_LOAD_SPEED_RAD_S = 55 * 2 * math.pi / 60
 MAX_EFFORT = 1000
-MAX_TORQUE_NM = 2.5
-"""At 12 V."""
+MAX_TORQUE_NM = 2.5  # at 12 V
 OVERLOAD_EFFORT = 950
 OVERLOAD_TIME_S = 2.0
 OVERLOAD_BIT = 1 << 5
@@ -27,9 +25,7 @@ _SPEED_MASK = 1023
 
 class DynamixelServo:
     """A Dynamixel MX-28 as the firmware uses it: multi-turn positions of 1024 ticks a turn, speed, load, torque.
-
-    `shaft`: its position [ticks], of any turn; after power-up the servo reports the position within one turn.
-    """
+    `shaft`: its position [ticks], of any turn; after power-up the servo reports the position within one turn."""
 
     def __init__(self, shaft: float) -> None:
         self.shaft = shaft
@@ -64,11 +60,8 @@ class DynamixelServo:
 
     def step(self, dt: float, low: float, high: float, resistance: float) -> None:
         """Moves for `dt` [s] towards the goal, between the stops `low` and `high` [ticks of the shaft].
-
-        Resistance, the effort against the load [0.1 %], slows it down, to a standstill at its largest torque;
-        too long near
-        that, it switches its torque off. The gear holds a shaft without torque.
-        """
+        Resistance, the effort against the load [0.1 %], slows it down, to a standstill at its largest torque; too long
+        near that, it switches its torque off."""
         before = self.shaft
         if not self.torque:
             self.velocity, self.effort = 0.0, 0.0
@@ -101,18 +94,14 @@ class DynamixelServo:
         return min(_SPEED_MASK, round(abs(effort))) + _RISING_BIT * (effort > 0)
 
 
-KNUCKLE_FRACTION = 1 / 1.4
-"""Fraction of the tendon's turn that the knuckle takes, the outer link the rest; once the inner link is blocked, the
-outer link takes all further turn."""
+KNUCKLE_FRACTION = 1 / 1.4  # of the tendon's turn; the outer link takes the rest, or all once the inner link is blocked
 TAXELS = 9
 FINGERS = 3
 
 
 class Mechanics:
-    """The moving parts of one hand: here in free space, with kinematics alone, and links that weigh nothing.
-
-    The physical world has one with masses and contacts.
-    """
+    """The moving parts of one hand: here in free space, with kinematics alone and massless links; the physical world
+    has one with masses and contacts."""
 
     def __init__(self) -> None:
         self._ends: list[float | None] = [None] * FINGERS

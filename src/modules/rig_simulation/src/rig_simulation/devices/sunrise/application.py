@@ -1,10 +1,8 @@
 """One run of the toolbox's server application, from its start to the command `end`. No sockets; time is handed in.
-
 The real program has two threads that share one command word. The reader answers goals, joint positions and outputs at
 any time. The main thread answers the other commands one by one and wipes the word afterwards: commands that arrive
-while it moves the arm are lost. Here both are rules of one object (docs/handbook/wire-protocols.md, "Arm: Sunrise
-Toolbox").
-"""
+while it moves the arm are lost. Here both are rules of one object ("Arm: Sunrise Toolbox" in
+docs/handbook/wire-protocols.md)."""
 
 from __future__ import annotations
 
@@ -20,8 +18,7 @@ from rig_simulation.devices.sunrise.motions import Goals, finite, frame_from_pos
 from rig_simulation.devices.sunrise.paths import PlannedMotion
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
-SERVO_START_S = 0.1
-"""From the answer to a start until the mode runs, with the present joints as goal; earlier goals are lost."""
+SERVO_START_S = 0.1  # from the answer to a start until the mode runs; goal: the present joints, earlier goals are lost
 IMPEDANCE_FRACTION = 0.1
 IMPEDANCE_MAX_TORQUE_NM = 10.0
 MAX_STIFFNESS = (5000.0, 300.0)
@@ -30,8 +27,7 @@ OUTPUT_PINS = (1, 2, 11, 12)
 VERSIONS = ("1.7", "2019-03", "2019-05")
 """Versions of the server, newest last: 1.7 of 2018, and the two states of the LTS that differ on the wire."""
 
-Command = Callable[[List[str]], str]
-"""Takes the words of a line behind its command; returns what to answer at once."""
+Command = Callable[[List[str]], str]  # takes the words of a line behind its command; returns what to answer at once
 Planner = Callable[[SimulatedArm, Goals], Optional[PlannedMotion]]
 Condition = Callable[[SimulatedArm], bool]
 
@@ -45,26 +41,15 @@ class ControllerIO:
 
 
 class Application:
-    """Answers lines.
-
-    Args:
-        arm: moved by this application alone; its tool is detached.
-        wiped_window: after an answer of the main thread, commands for it are lost for this long [s].
-        encoders: reported joint angles as a function of the true ones, both shape (7,) [rad].
-        version: one of VERSIONS.
-
-    Attributes:
-        mode: idle, ptp, servo, cartesian_servo, velocity_servo or impedance_servo; a servo mode lasts from the answer
-            to its start until the arm is at rest again.
-        ended: whether `end` was received; nothing is answered any more.
-    """
+    """Answers lines until `end` was received (`ended`). The `mode` is idle, ptp, servo, cartesian_servo, velocity_servo
+    or impedance_servo; a servo mode lasts from the answer to its start until the arm is at rest again."""
 
     def __init__(
         self,
-        arm: SimulatedArm,
+        arm: SimulatedArm,  # moved by this application alone; its tool is detached
         io: ControllerIO,
-        wiped_window: float = 0.0,
-        encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,
+        wiped_window: float = 0.0,  # for so long after an answer of the main thread commands for it are lost [s]
+        encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,  # reported of true joint angles, shape (7,) [rad]
         version: str = VERSIONS[-1],
     ) -> None:
         self.mode = "idle"

@@ -1,7 +1,5 @@
 """The arm of the simulated controller: joints that move, a safety stop, torques. No threads; time is handed in.
-
-Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torques in Nm.
-"""
+Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torques in Nm."""
 
 from __future__ import annotations
 
@@ -16,21 +14,15 @@ from common.poses import read_only
 from rig_simulation.devices.sunrise.paths import PlannedMotion
 from rig_simulation.devices.sunrise.robot import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Law, Robot, plain_law
 
-FULL_SPEED_TIME_S = 0.1
-"""Time in which a joint at its acceleration limit reaches full speed; the data sheet gives no acceleration."""
-MOTION_FRACTION = 0.4
-"""Fraction of the acceleration limit for planned motions; the rest is reserved for braking on the path."""
-PAUSE_TIME_S = 0.25
-"""Time in which a planned motion stops, and in which it regains its speed."""
+FULL_SPEED_TIME_S = 0.1  # time until a joint at its acceleration limit reaches full speed; the data sheet has none
+MOTION_FRACTION = 0.4  # of the acceleration limit for planned motions; the rest is reserved for braking on the path
+PAUSE_TIME_S = 0.25  # time in which a planned motion stops, and in which it regains its speed
 SAFETY_PERIOD_STEPS = 4
 MAX_CATCH_UP_S = 1.0
-MAX_CATCH_UP_IN_ENVIRONMENT_S = 0.05
-"""Steps in an environment take longer, and requests wait until the arm has caught up: it rather loses time."""
+MAX_CATCH_UP_IN_ENVIRONMENT_S = 0.05  # the arm rather loses time: steps take longer there, and requests wait
 BACK_OFF_SPEED_RAD_S = 0.05
-BACK_OFF_FRACTION = 0.1
-"""A planned motion backs off at this fraction of its speed."""
-FREE_FRACTION = 0.5
-"""The arm backs off until every external torque is below this fraction of the limit."""
+BACK_OFF_FRACTION = 0.1  # a planned motion backs off at this fraction of its speed
+FREE_FRACTION = 0.5  # the arm backs off until every external torque is below this fraction of the limit
 TRAIL_STEP_RAD = 1e-3
 TRAIL_LENGTH = 1000
 
@@ -49,36 +41,25 @@ class ArmEnvironment(Protocol):
     """What the arm touches."""
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Advances by dt [s] to where the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,).
-
-        Returns the torques of contacts and load on the joints, shape (7,) [Nm].
-        """
+        """Advances by dt [s] to where the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,); returns
+        the torques of contacts and load on the joints, shape (7,) [Nm]."""
 
 
 class SimulatedArm:
-    """The arm; starts at rest in the zero position. Without an environment it touches nothing.
-
-    Attributes:
-        time: up to which the arm has moved [s].
-        q, v, a: joint angles [rad], speeds, accelerations, shape (7,).
-        T_flange_tool: the attached tool, shape (4, 4).
-        goal, goal_speed: last goals of the servo modes, shape (7,) [rad], [rad/s].
-        safety_stop: cause of the active safety stop, or None.
-        stops: number of safety stops so far.
-        max_tool_speed: highest speed of the tool point so far [m/s].
-    """
+    """The arm; starts at rest in the zero position. Without an environment it touches nothing. `goal` [rad] and
+    `goal_speed` [rad/s], shape (7,), are the last goals of the servo modes."""
 
     def __init__(self, robot: Robot, settings: ArmSettings, environment: ArmEnvironment | None = None) -> None:
         self.robot = robot
         self.settings = settings
         self._environment = environment
-        self.time: float | None = None
-        self.q, self.v, self.a = np.zeros(7), np.zeros(7), np.zeros(7)
-        self.T_flange_tool = np.eye(4)
+        self.time: float | None = None  # up to which the arm has moved [s]
+        self.q, self.v, self.a = np.zeros(7), np.zeros(7), np.zeros(7)  # joint angles [rad], speeds, accelerations
+        self.T_flange_tool = np.eye(4)  # the attached tool
         self.goal, self.goal_speed, self._last_goal_speed = np.zeros(7), np.zeros(7), np.zeros(7)
-        self.safety_stop: str | None = None
-        self.stops = 0
-        self.tool_speed = self.max_tool_speed = 0.0
+        self.safety_stop: str | None = None  # cause of the active safety stop
+        self.stops = 0  # safety stops so far
+        self.tool_speed = self.max_tool_speed = 0.0  # of the tool point, now and highest so far [m/s]
         self.acceleration = read_only(robot.max_speed / FULL_SPEED_TIME_S)
         self.motion_acceleration = read_only(MOTION_FRACTION * self.acceleration)
         self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
@@ -94,10 +75,8 @@ class SimulatedArm:
         self._steps = 0
 
     def advance(self, now: float) -> None:
-        """Moves the arm up to the time `now` [s].
-
-        After a longer delay it skips all but `MAX_CATCH_UP_S`, or `MAX_CATCH_UP_IN_ENVIRONMENT_S`.
-        """
+        """Moves the arm up to the time `now` [s]; after a longer delay it skips all but `MAX_CATCH_UP_S`, or
+        `MAX_CATCH_UP_IN_ENVIRONMENT_S`."""
         longest = MAX_CATCH_UP_S if self._environment is None else MAX_CATCH_UP_IN_ENVIRONMENT_S
         if self.time is None or now - self.time > longest + CYCLE_S:
             self.time = now if self.time is None else now - longest
@@ -162,12 +141,8 @@ class SimulatedArm:
 
     def start_servo(self, law: str | None = None, fraction: float = 1.0, integrates: bool = False) -> None:
         """Starts a servo mode with the present joint angles as goal.
-
-        Args:
-            law: name of the law; None: that of the settings.
-            fraction: of the speed and acceleration limits that the mode uses.
-            integrates: the goal follows `goal_speed`, which starts at zero.
-        """
+        `law`: its name, None for that of the settings; `fraction`: of the speed and acceleration limits that the mode
+        uses; `integrates`: the goal follows `goal_speed`, which starts at zero."""
         drives = self._drives
         if fraction != 1.0:
             limits = fraction * self.robot.max_speed, fraction * self.acceleration
@@ -197,9 +172,7 @@ class SimulatedArm:
 
     def release(self) -> None:
         """Ends a safety stop, as the run key does; a planned motion resumes.
-
-        Raises ValueError if no stop is active, its cause persists, or the arm still brakes.
-        """
+        Raises ValueError if no stop is active, its cause persists, or the arm still brakes."""
         if self.safety_stop is None:
             raise ValueError("No safety stop is active; kuka/status reports what the arm waits for.")
         cause = self._torque_fault()
@@ -211,10 +184,8 @@ class SimulatedArm:
         self._backing_off = False
 
     def back_off(self) -> None:
-        """Moves an arm in a safety stop slowly back along its path, as with the jog keys of the smartPad.
-
-        It stops once no external torque exceeds FREE_FRACTION of the limit. Raises ValueError if no stop is active.
-        """
+        """Moves an arm in a safety stop slowly back along its path, as with the smartPad's jog keys, until no external
+        torque exceeds FREE_FRACTION of the limit; raises ValueError if no stop is active."""
         if self.safety_stop is None:
             raise ValueError("No safety stop is active, so there is nothing to back off from.")
         self._backing_off = True

@@ -1,5 +1,4 @@
 """Motions planned in advance: joint moves, and lines and circles of the tool turned into joint motions.
-
 A motion is smooth in speed and synchronises all joints; it is a function of its own time, which the arm may slow down,
 stop and resume."""
 
@@ -15,10 +14,8 @@ from rig_simulation.devices.sunrise.robot import Robot
 
 
 class SmoothStep:
-    """The path parameter s from 0 to 1: its speed rises as sin^2 over a ramp, stays, and falls likewise.
-
-    `speed`, `acceleration`: highest ones [1/s], [1/s^2].
-    """
+    """The path parameter s from 0 to 1: its speed rises as sin^2 over a ramp, stays, and falls likewise; `speed` [1/s]
+    and `acceleration` [1/s^2] are the highest ones."""
 
     def __init__(self, speed: float, acceleration: float) -> None:
         self._speed = min(speed, (2.0 * acceleration / np.pi) ** 0.5)
@@ -39,10 +36,8 @@ class SmoothStep:
 
 
 class JointMove:
-    """A line in joint space between two different sets of joint angles, shape (7,) [rad].
-
-    `speed`, `acceleration`: limits of each joint, shape (7,) [rad/s], [rad/s^2].
-    """
+    """A line in joint space between two different sets of joint angles, shape (7,) [rad], within the limits `speed` and
+    `acceleration` of each joint, shape (7,) [rad/s], [rad/s^2]."""
 
     def __init__(self, start: np.ndarray, end: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> None:
         self._start, self._end = read_only(start), read_only(end)
@@ -60,13 +55,9 @@ class JointMove:
 
 
 class PathMove:
-    """A path through joint angles at equal steps of s, slowed down until every joint keeps its limits.
-
-    Args:
-        nodes: joint angles, shape (n, 7) [rad], n >= 2.
-        step: desired course of s from 0 to 1.
-        speed, acceleration: limits of each joint, shape (7,) [rad/s], [rad/s^2].
-    """
+    """A path through `nodes`, joint angles at equal steps of s, shape (n, 7) [rad], n >= 2, slowed down until every
+    joint keeps its limits `speed` and `acceleration`, shape (7,) [rad/s], [rad/s^2].
+    `step`: desired course of s from 0 to 1."""
 
     SAMPLES = 500
 
@@ -131,9 +122,7 @@ class Line:
 
 class Circle:
     """An arc from a pose through the position of a second to a third; the orientation turns evenly.
-
-    Raises Unreachable if the three positions are collinear.
-    """
+    Raises Unreachable if the three positions are collinear."""
 
     def __init__(self, start: np.ndarray, via: np.ndarray, end: np.ndarray) -> None:
         p, u, w = start[:3, 3], via[:3, 3] - start[:3, 3], end[:3, 3] - start[:3, 3]
@@ -158,25 +147,15 @@ class Circle:
 
 
 def plan(
-    path: Line | Circle,
-    speed: float,
+    path: Line | Circle,  # starts at the present pose of the tool
+    speed: float,  # of the tool point [m/s]
     robot: Robot,
-    T_flange_tool: np.ndarray,
-    q: np.ndarray,
-    joint_acceleration: np.ndarray,
+    T_flange_tool: np.ndarray,  # the tool, shape (4, 4)
+    q: np.ndarray,  # present joint angles, shape (7,) [rad]
+    joint_acceleration: np.ndarray,  # limits, shape (7,) [rad/s^2]
 ) -> PathMove | None:
-    """Returns the joint motion that moves the tool along the path, or None for a path without length.
-
-    Args:
-        path: starts at the present pose of the tool.
-        speed: of the tool point [m/s].
-        T_flange_tool: the tool, shape (4, 4).
-        q: present joint angles, shape (7,) [rad].
-        joint_acceleration: limits, shape (7,) [rad/s^2].
-
-    Raises:
-        Unreachable: the speed is not positive, or a pose of the path has no joint angles near the last ones.
-    """
+    """Returns the joint motion that moves the tool along the path, or None for a path without length; raises
+    Unreachable if the speed is not positive, or a pose of the path has no joint angles near the last ones."""
     if not 0.0 < speed < np.inf:
         raise Unreachable(f"the speed is {speed} m/s, but must be positive")
     if not np.isfinite(path.length + path.angle):

@@ -1,12 +1,9 @@
 """Kinematics, dynamics and drives of the arm, from the URDF of the rig; the rig itself has its own closed form.
-
 Positions in metres in the frame `kuka/base_frame`; the hand's joints stand at zero.
-
 The server's loop gives DirectServo a destination every cycle: measured joint + f(goal - measured joint). The model of
 DirectServo: each joint moves towards its destination with the mid-point speed of a smooth move of the minimum
 trajectory time (distance / (2/3 T)), never faster than it can brake before the destination, and within its speed and
-acceleration limits. So it approaches a step in the goal from one side, without overshoot.
-"""
+acceleration limits. So it approaches a step in the goal from one side, without overshoot."""
 
 from __future__ import annotations
 
@@ -28,18 +25,9 @@ MIN_STEP = 1e-12
 
 
 class Robot:
-    """One arm with its media flange and the hand on it.
-
-    Args:
-        urdf: text of the URDF.
-        mounting: roll, pitch and yaw of the base in an upright world [deg]; gravity follows it.
-
-    Attributes:
-        lower, upper, max_speed: joint ranges and speed limits, shape (7,) [rad], [rad/s].
-
-    Raises:
-        ValueError: the URDF lacks one of the seven joints or the flange.
-    """
+    """One arm with its media flange and the hand on it, from the text of the URDF; raises ValueError if that lacks one
+    of the seven joints or the flange.
+    `mounting`: roll, pitch and yaw of the base in an upright world [deg]; gravity follows it."""
 
     def __init__(self, urdf: str, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         full = pin.buildModelFromXML(urdf)
@@ -55,9 +43,9 @@ class Robot:
         frame = self._model.frames[self._model.getFrameId(FLANGE)]
         self._last_joint = frame.parent
         self._flange_in_joint = frame.placement
-        self.lower = read_only(self._model.lowerPositionLimit)
+        self.lower = read_only(self._model.lowerPositionLimit)  # joint range, shape (7,) [rad]
         self.upper = read_only(self._model.upperPositionLimit)
-        self.max_speed = read_only(self._model.velocityLimit)
+        self.max_speed = read_only(self._model.velocityLimit)  # shape (7,) [rad/s]
 
     def within_range(self, q: np.ndarray) -> bool:
         """Returns whether all joint angles, shape (7,) [rad], are numbers within the joint range."""
@@ -81,10 +69,8 @@ class Robot:
         return (self._flange_in_joint * pin.SE3(T_flange_tool)).actionInverse @ J
 
     def wrench(self, q: np.ndarray, T_flange_tool: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        """Returns force [N] and moment [Nm] at the tool point, in the tool's axes, shape (6,), from joint torques.
-
-        Damped least squares: there are seven torques for six unknowns, and a singularity hides some of them.
-        """
+        """Returns force [N] and moment [Nm] at the tool point, in the tool's axes, shape (6,), from joint torques by
+        damped least squares: there are seven torques for six unknowns, and a singularity hides some of them."""
         J = self.jacobian(q, T_flange_tool)
         return np.linalg.solve(J @ J.T + DAMPING * np.eye(6), J @ torque)
 
@@ -93,10 +79,8 @@ class Robot:
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 
     def solve(self, T_base_tool: np.ndarray, T_flange_tool: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
-        """Returns joint angles, shape (7,) [rad], near the seed that bring the tool to the pose, or None.
-
-        Damped least squares find the solution in the seed's arm configuration.
-        """
+        """Returns joint angles, shape (7,) [rad], near the seed that bring the tool to the pose, or None: damped least
+        squares find the solution in the seed's arm configuration."""
         target = pin.SE3(T_base_tool @ inverse(T_flange_tool))
         q = np.array(seed, dtype=float)
         for _ in range(MAX_ITERATIONS):
@@ -120,8 +104,7 @@ LTS_REACH_RAD = 0.07
 LTS_WIDTH_RAD = 0.0525
 MIN_TRAJECTORY_TIME_S = 0.04
 CYCLE_S = 1e-3
-BRAKING_FRACTION = 0.8
-"""Braking uses this fraction of the acceleration limit; the server's law needs the rest."""
+BRAKING_FRACTION = 0.8  # braking uses this fraction of the acceleration limit; the server's law needs the rest
 Law = Callable[[np.ndarray], np.ndarray]
 
 
@@ -140,12 +123,8 @@ LAWS = {"lts": lts_law, "none": plain_law}
 
 
 class Drives:
-    """Computes the speed of the joints after one step.
-
-    Args:
-        speed, acceleration: limits of each joint, shape (7,) [rad/s], [rad/s^2].
-        trajectory_time: DirectServo's minimum trajectory time [s].
-    """
+    """Computes the speed of the joints after one step within the limits `speed` and `acceleration` of each joint, shape
+    (7,) [rad/s], [rad/s^2]; `trajectory_time`: DirectServo's minimum trajectory time [s]."""
 
     def __init__(self, speed: np.ndarray, acceleration: np.ndarray, trajectory_time: float) -> None:
         self._speed = speed
@@ -155,10 +134,8 @@ class Drives:
         self._linear_range = self._braking * self._lag**2
 
     def towards(self, distance: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Returns the speed, shape (7,) [rad/s], after a step of dt [s] towards a destination.
-
-        `distance`: destination - measured, shape (7,) [rad]; `v`: present speed, shape (7,) [rad/s].
-        """
+        """Returns the speed, shape (7,) [rad/s], after a step of dt [s] towards a destination at `distance` from the
+        measured joints, shape (7,) [rad]; `v`: present speed, shape (7,) [rad/s]."""
         path = np.abs(distance)
         far = np.maximum(path, self._linear_range)
         wanted = np.minimum(path / self._lag, np.sqrt(2.0 * self._braking * (far - 0.5 * self._linear_range)))

@@ -26,10 +26,8 @@ from rig_simulation.faults.injection import Faults
 MOVING_TICK_S = 0.002
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
-AT_ONCE_S = 0.02
-"""Longest time that the arm catches up before the server looks after its client again."""
-LONGEST_LAG_S = 0.2
-"""A lag beyond this is dropped: the arm moves in slow motion, but the server answers."""
+AT_ONCE_S = 0.02  # longest time that the arm catches up before the server looks after its client again
+LONGEST_LAG_S = 0.2  # a lag beyond this is dropped: the arm moves in slow motion, but the server answers
 MOTION = "doPTP"
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
@@ -48,21 +46,8 @@ class ServerSettings:
 
 
 class SunriseServer:
-    """Serves the arm until `stop` is called or the settings end it.
-
-    Args:
-        port, control_port: 0 takes any free port; see the attributes.
-        log: takes one sentence about each change of state.
-        clock: the arm's time [s]; it may run faster, slower or in steps.
-        at_once: longest time that the arm advances in one go [s]; infinite for a clock that waits for the arm.
-
-    Attributes:
-        lock: held while the arm or its environment changes.
-        faults: those of ARM_FAULTS; may be switched at any time.
-
-    Raises:
-        DeviceError: a port is taken.
-    """
+    """Serves the arm until `stop` is called or the settings end it; port 0 takes any free one, see the attributes.
+    Raises DeviceError if a port is taken."""
 
     def __init__(
         self,
@@ -71,17 +56,17 @@ class SunriseServer:
         host: str,
         port: int,
         control_port: int,
-        log: Callable[[str], None] = lambda _: None,
-        clock: Callable[[], float] = time.monotonic,
-        at_once: float = AT_ONCE_S,
+        log: Callable[[str], None] = lambda _: None,  # takes one sentence about each change of state
+        clock: Callable[[], float] = time.monotonic,  # the arm's time [s]; may run faster, slower or in steps
+        at_once: float = AT_ONCE_S,  # longest advance in one go [s]; infinite for a clock that waits for the arm
     ) -> None:
         self._arm, self._settings, self._log = arm, settings, log
         self._clock, self._at_once = clock, at_once
         self._behind = False
         self._io = ControllerIO()
-        self.faults = Faults(ARM_FAULTS)
+        self.faults = Faults(ARM_FAULTS)  # may be switched at any time
         self._answers, self._encoders = ArmAnswers(self.faults), Encoders(self.faults)
-        self.lock = threading.RLock()
+        self.lock = threading.RLock()  # held while the arm or its environment changes
         self._stop = threading.Event()
         self._client: socket.socket | None = None
         self._lines = JavaLineSplitter()
