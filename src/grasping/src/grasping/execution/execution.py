@@ -19,14 +19,11 @@ from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMea
 from grasping.pipeline.settings import grasp_in_tool
 from grasping.pipeline.tool_pose import ToolPoseConfig, above, tool_pose
 
-UNABLE = ("starting", "zero", "stopped")
-"""Modes of the arm's controller in which it follows no desired tool frame."""
+UNABLE = ("starting", "zero", "stopped")  # modes of the arm's controller in which it follows no desired tool frame
 IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
-NONE, HELD, TAKEN = "none", "held", "taken"
-"""leap_kuka's state of the tool: not held, held for a hand, taken over by one."""
+NONE, HELD, TAKEN = "none", "held", "taken"  # leap_kuka's tool: not held, held for a hand, taken over by one
 
-FOLLOWING, AWAY = ("pick_up", "servo"), ("returning", "homing", "home")
-"""Modes of the arm's controller on the way to the desired tool frame and there; and away from it."""
+FOLLOWING, AWAY = ("pick_up", "servo"), ("returning", "homing", "home")  # modes towards the goal and there; and away
 
 
 @dataclass(frozen=True)
@@ -144,13 +141,8 @@ class ExecutionOutcome:
 
 
 class Execution:
-    """The execution with its state; `up` is the vertical in the base frame, shape (3,).
-
-    Attributes:
-        state: IDLE before the first execution, OVER after each.
-        reason: one sentence: the current step, or how the execution ended.
-        episode: number of the execution, from 1 on.
-    """
+    """The execution: its `state` (IDLE at first, OVER after each), the `reason` (one sentence: the current step, or how
+    it ended) and the number of the `episode`, from 1 on. `up` is the vertical in the base frame, shape (3,)."""
 
     def __init__(self, config: ExecutionConfig, watch: GraspWatchConfig, up: np.ndarray) -> None:
         self._config = config
@@ -167,11 +159,8 @@ class Execution:
         return self.state not in (IDLE, OVER)
 
     def start(self, T_base_above: np.ndarray, now: float) -> None:
-        """Begins an execution at the monotonic time `now` [s]: leap_kuka holds the tool at a pose, shape (4, 4) [m].
-
-        Raises:
-            ValueError: one runs already.
-        """
+        """Begins at the monotonic time `now` [s]: leap_kuka holds the tool at a pose, shape (4, 4) [m]. Raises
+        ValueError if an execution is running."""
         if self.running:
             raise ValueError(f"the execution {self.episode} is not over")
         self._T_base_above, self._began = T_base_above, now

@@ -1,11 +1,8 @@
 """Detects from the hand's state and the tool's height when an operator grasped something, and whether it was held.
-
 The fingers have closed when the thumb and a finger beside it are bent and none moves any more. Then the tool has to be
 lifted: the hand holds something if the thumb and a finger still feel it a moment after the tool is up.
-
 A finger feels something if a taxel is pressed more than when the hand was last open, so that drift has no effect, or if
-its motor pulls harder than the finger's springs need where it is bent as much and holds nothing.
-"""
+its motor pulls harder than the finger's springs need where it is bent as much and holds nothing."""
 
 from __future__ import annotations
 
@@ -16,8 +13,7 @@ import numpy as np
 
 from common.config import number
 
-THUMB = 2
-"""Of the fingers index, middle, thumb."""
+THUMB = 2  # of the fingers index, middle, thumb
 TORQUE = "0.1 % of the largest torque"
 
 

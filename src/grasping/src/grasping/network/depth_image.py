@@ -1,12 +1,9 @@
 """From a depth image to the network's input: crop, fill holes, scale to 300 x 300, take off the mean; and its planes.
-
 The steps are those of the published node (ggcnn_kinova_grasping), except that holes are filled before the image is
 scaled: a missing pixel would otherwise spoil all that are interpolated from it.
-
 A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X: the unit vector along it points away from the
 camera, its length is one over the distance. Along a pixel's ray (x, y, 1) the inverse depth is a . ray, linear in a,
-and the noise of a structured-light camera is nearly constant there.
-"""
+and the noise of a structured-light camera is nearly constant there."""
 
 from __future__ import annotations
 
@@ -15,24 +12,17 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-CAMERA, TABLE = "camera", "table"
-"""The views by their names in ggcnn.yaml, in datasets and in weight files of the refinement network."""
+CAMERA, TABLE = "camera", "table"  # views as named in ggcnn.yaml, in datasets and in weight files
 VIEWS = (CAMERA, TABLE)
 NETWORK_SIDE = 300
 CROP_SIDE = 400
-TRIPLES = 64
-"""Of pixels, each a hypothesis: with a third of the pixels in the plane, one triple without an outlier is among them in
-nine of ten images."""
+TRIPLES = 64  # hypotheses: with a third of the pixels in the plane, one triple has no outlier in nine of ten images
 GATE_SD = 3.0
 ROUNDS = 3
-FLAT = 1e-9
-"""A smaller determinant is of three pixels in a row."""
-NOISE = 0.003
-"""Standard deviation of a pixel's inverse depth [1/m]."""
-EVERY = 5
-"""Step between the rows and columns that are used."""
-FARTHEST_M = 10.0
-"""Of a table that is seen nearly edge on."""
+FLAT = 1e-9  # a smaller determinant is of three pixels in a row
+NOISE = 0.003  # standard deviation of a pixel's inverse depth [1/m]
+EVERY = 5  # step between the rows and columns that are used
+FARTHEST_M = 10.0  # of a table that is seen nearly edge on
 
 
 class Crop(NamedTuple):
@@ -54,11 +44,7 @@ class NetworkImage(NamedTuple):
 
 
 def centre_crop(shape: tuple[int, ...], side: int = CROP_SIDE, rows_up: int = 0) -> Crop:
-    """Returns the window in the middle of an image of `shape`, moved up by `rows_up`.
-
-    Raises:
-        ValueError: it does not lie in the image.
-    """
+    """Returns the middle window of an image of `shape`, moved up by `rows_up`; raises ValueError if it does not fit."""
     row, column = (shape[0] - side) // 2 - rows_up, (shape[1] - side) // 2
     if side < 1 or row < 0 or column < 0 or row + side > shape[0]:
         raise ValueError(f"a crop of {side} x {side}, moved up by {rows_up}, does not fit {shape[1]} x {shape[0]}")
@@ -66,12 +52,8 @@ def centre_crop(shape: tuple[int, ...], side: int = CROP_SIDE, rows_up: int = 0)
 
 
 def prepare(depth: np.ndarray, crop: Crop, side: int = NETWORK_SIDE) -> NetworkImage:
-    """Returns the network's image of a window of the depth image; `depth`: the camera's image, shape (h, w) [m]; NaN,
-    infinite and non-positive values mean no reading.
-
-    Raises:
-        ValueError: the window holds no reading at all.
-    """
+    """Returns the network's image of a window of the camera's, shape (h, w) [m]; not finite or not positive = no
+    reading. Raises ValueError if the window holds no reading."""
     window = depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side].astype(np.float32)
     valid = np.isfinite(window) & (window > 0.0)
     if not valid.any():
@@ -83,8 +65,7 @@ def prepare(depth: np.ndarray, crop: Crop, side: int = NETWORK_SIDE) -> NetworkI
 
 
 def fill_holes(depth: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Returns the image with its holes filled by Navier-Stokes inpainting, shape as `depth`, float32 [m]; `depth`:
-    shape (h, w), float32 [m]; `valid`: where `depth` holds a reading; at least one pixel does."""
+    """Returns the image inpainted (Navier-Stokes) where not `valid`, shape (h, w), float32 [m]; one pixel must be."""
     if valid.all():
         return depth
     # The method leaves the outermost pixels alone: a mirrored border of one pixel makes them inner ones.
@@ -114,15 +95,9 @@ class PlaneFound(NamedTuple):
 
 
 def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound | None:
-    """Returns the plane that most pixels lie in, None when there are too few.
-
-    The same pixels give the same plane: the triples are drawn from a generator with a fixed seed.
-
-    Args:
-        rays: of the pixels, shape (n, 3), with 1 as their third number.
-        depth: shape (n,) [m], finite and positive.
-        noise: standard deviation of the inverse depth [1/m].
-    """
+    """Returns the plane that most pixels lie in, None if there are too few; the same pixels give the same plane.
+    `rays`: of the pixels, x, y, 1, shape (n, 3); `depth`: shape (n,) [m], finite and positive; `noise`: standard
+    deviation of the inverse depth [1/m]."""
     if len(depth) < 3:
         return None
     inverse = 1.0 / np.asarray(depth, dtype=float)
@@ -146,8 +121,7 @@ def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound 
 
 
 def table_depth(image: NetworkImage) -> np.ndarray:
-    """Returns the depth of the plane that most of the image lies in, shape (h, w), float32 [m]; the image's mean
-    where no plane is found."""
+    """Returns the depth of the image's largest plane, shape (h, w), float32 [m]; the image's mean if there is none."""
     h, w = image.depth.shape
     row, column = np.indices((h, w))
     # A plane's inverse depth is linear in rows and columns, whatever the camera's focal length.

@@ -1,8 +1,6 @@
 """From the network's four maps to grasps in the network's image: smooth, find the best pixels.
-
-The steps are those of the published node, except that cos and sin are smoothed and not the angle, which would be
-spoilt where it jumps from +90 to -90 degrees.
-"""
+The steps are those of the published node, except that cos and sin are smoothed and not the angle, which would be spoilt
+where it jumps from +90 to -90 degrees."""
 
 from __future__ import annotations
 
@@ -14,8 +12,7 @@ import numpy as np
 
 from grasping.network.networks import WIDTH_SCALE_PX
 
-THRESHOLD = 0.2
-"""Lowest quality of a peak where nothing else is configured."""
+THRESHOLD = 0.2  # lowest quality of a peak where nothing else is configured
 
 
 @dataclass(frozen=True)
@@ -31,8 +28,7 @@ class Maps(NamedTuple):
     """What the network says of each pixel, each shape (h, w)."""
 
     quality: np.ndarray  # about 0 to 1
-    angle: np.ndarray
-    """Of the line through both fingers, from the image's horizontal, anticlockwise, in [-pi/2, pi/2] [rad]."""
+    angle: np.ndarray  # of the line through both fingers, from the horizontal, anticlockwise, [-pi/2, pi/2] [rad]
     width: np.ndarray  # opening [px]
 
 
@@ -64,8 +60,7 @@ def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def peaks(maps: Maps, count: int, distance: int = 20, threshold: float = THRESHOLD) -> list[Peak]:
-    """Returns the best local maxima of the quality, best first; `distance`: rows or columns between two peaks, and from
-    the border."""
+    """Returns the best local maxima of quality, best first, `distance` rows or columns apart and from the border."""
     quality = maps.quality
     highest = cv2.dilate(quality, np.ones((2 * distance + 1, 2 * distance + 1), np.uint8))
     is_peak = (quality == highest) & (quality > threshold)

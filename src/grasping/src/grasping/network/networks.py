@@ -1,12 +1,9 @@
 """GG-CNN and GG-CNN2 of Morrison, Corke and Leitner (RSS 2018; GG-CNN2 is the later, wider-sighted kind).
-
 The layer names are those of the published files, so that those load. For the CPU's sake the four heads are one
 convolution, and GG-CNN's last transposed convolution, three quarters of the time in its plain form, is an ordinary one
 at a third of the size followed by a pixel shuffle; the outputs are the same to rounding.
-
 Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality
-(about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `WIDTH_SCALE_PX`.
-"""
+(about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `WIDTH_SCALE_PX`."""
 
 from __future__ import annotations
 
@@ -21,12 +18,10 @@ from torch import nn
 
 from grasping.network.depth_image import NETWORK_SIDE
 
-MapNetwork = Callable[[torch.Tensor], torch.Tensor]
-"""From network images, shape (n, 1, h, w), to maps, shape (n, 4, h, w)."""
+MapNetwork = Callable[[torch.Tensor], torch.Tensor]  # from images, shape (n, 1, h, w), to maps, shape (n, 4, h, w)
 MAPS = ("quality", "cos", "sin", "width")
 HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
-WIDTH_SCALE_PX = 150.0
-"""The opening, in pixels of the network's image, that the width map calls 1."""
+WIDTH_SCALE_PX = 150.0  # the opening, in pixels of the network's image, that the width map calls 1
 
 
 class Borders(NamedTuple):
@@ -130,19 +125,10 @@ def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> torch.jit.ScriptModu
 
 
 def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:
-    """Returns the transposed convolution with stride 3 and a 9 x 9 kernel, by a convolution and a pixel shuffle.
-
-    Output row 3 q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row 3 m + r: for each remainder r
-    an ordinary convolution with three taps.
-
-    Args:
-        x: shape (n, i, h, w).
-        weight: kernel of the transposed convolution, shape (i, o, 9, 9).
-        bias: shape (o,), or None.
-
-    Returns:
-        Shape (n, o, 3 h + 6, 3 w + 6).
-    """
+    """Returns the transposed convolution with stride 3 and a 9 x 9 kernel, by a convolution and a pixel shuffle. Output
+    row 3 q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row 3 m + r: for each remainder r an
+    ordinary convolution with three taps. Shapes: `x` (n, i, h, w), `weight` (i, o, 9, 9), `bias` (o,) or None, result
+    (n, o, 3 h + 6, 3 w + 6)."""
     i, o = weight.shape[:2]
     taps = weight.reshape(i, o, 3, 3, 3, 3).flip(2, 4)  # (i, o, m, r, m, r), m reversed: a convolution correlates
     kernel = taps.permute(1, 3, 5, 0, 2, 4).reshape(9 * o, i, 3, 3)

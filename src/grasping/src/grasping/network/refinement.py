@@ -1,16 +1,13 @@
 """The refinement network: adapts GG-CNN's maps to what an operator did, and adds the rest of the pose.
-
 A small network sees, pixel by pixel, GGCNN's quality and opening and the height above the table, here and in the
 neighbourhood. It says how much more or less than GGCNN the operator likes to grasp there; how much deeper, turned and
 wider open; how much the approach leans, about the axes of the image and with the surface; and how sure it is: a Laplace
 distribution of depth, opening and lean, one of von Mises of twice the angle, as half a turn makes the same grasp, and
 over the pixels a softmax of the quality. Untrained it gives GGCNN's maps back bit by bit. What the operator does
 always, like grasping a centimetre to the right, is a constant offset beside it.
-
 Turning or shifting the image changes nothing but the lean about its axes: an operator stays where they stand. The maps
 are those of the network's image, before they are smoothed. Constant offset and lean have the axes of the camera that
-sees it, x right and y down, real or imagined above the table: a weight file (`refinement_file`) names its view.
-"""
+sees it, x right and y down, real or imagined above the table: a weight file (`refinement_file`) names its view."""
 
 from __future__ import annotations
 
@@ -26,27 +23,19 @@ from grasping.network.depth_image import NETWORK_SIDE, NetworkImage, table_depth
 from grasping.network.maps import gaussian
 from grasping.network.networks import WIDTH_SCALE_PX
 
-SHRINK = 4
-"""Pixels of the network's image, in rows and in columns, to one of the refinement network's."""
+SHRINK = 4  # pixels of the network's image, in rows and in columns, to one of the refinement network's
 SIDE = NETWORK_SIDE // SHRINK
-LOWEST_M, HIGHEST_M = -0.01, 0.25
-"""Heights beyond are holes badly filled, or the arm."""
-QUALITY_BLURS, HEIGHT_BLURS = (1.25, 2.5), (1.25, 3.0, 6.0)
-"""Standard deviations of the neighbourhoods [px of the refinement network's maps]; one is about 7 mm."""
-LEAN_BLUR = HEIGHT_BLURS.index(3.0)
-"""Of the heights whose slope is the surface's."""
-SLOPE_PX = 100.0
-"""About the focal length of the refinement network's image [px]: makes slopes of differences of heights."""
-REACH_PX = 15
-"""Width of the neighbourhood whose highest point is looked at."""
-HEIGHT = 1 + len(QUALITY_BLURS)
-"""Place of the height among the features."""
+LOWEST_M, HIGHEST_M = -0.01, 0.25  # heights beyond are holes badly filled, or the arm
+QUALITY_BLURS, HEIGHT_BLURS = (1.25, 2.5), (1.25, 3.0, 6.0)  # standard deviations [px of its maps]; 1 px is about 7 mm
+LEAN_BLUR = HEIGHT_BLURS.index(3.0)  # of the heights whose slope is the surface's
+SLOPE_PX = 100.0  # about the refinement network's focal length [px]: turns differences of heights into slopes
+REACH_PX = 15  # width of the neighbourhood whose highest point is looked at
+HEIGHT = 1 + len(QUALITY_BLURS)  # place of the height among the features
 FEATURE_SCALE = (*[1.0] * (1 + len(QUALITY_BLURS)), *[10.0] * (2 + len(HEIGHT_BLURS)), 2.0, 1.0)
 """Makes all that the network looks at about 1: heights [m] are small."""
-OPENING = len(FEATURE_SCALE) - 2
-COS, SIN, LEAN_X, LEAN_Y = range(len(FEATURE_SCALE), len(FEATURE_SCALE) + 4)
-"""Places of GGCNN's opening, and of what stands behind the features: its line, and the lean with the surface."""
-CHANGES = {
+OPENING = len(FEATURE_SCALE) - 2  # place of GGCNN's opening among the features
+COS, SIN, LEAN_X, LEAN_Y = range(len(FEATURE_SCALE), len(FEATURE_SCALE) + 4)  # places behind the features: line, lean
+CHANGES = {  # what the network says of a pixel, as `RefinementOutput` has it, and what makes it about 1
     "quality": 1.0,
     "depth": 0.05,
     "turn_cos": 3.0,
@@ -59,17 +48,12 @@ CHANGES = {
     "opening_scale": 1.0,
     "tilt_scale": 1.0,
 }
-"""What the network says of a pixel, as `RefinementOutput` has it, and what makes it about 1."""
-CONCENTRATION = 4.0
-DEPTH_M, OPENING_UNITS, TILT_RAD = 0.01, 0.05, 0.1
-"""How sure an untrained network is: concentration of twice the angle, and scales of the Laplace distributions."""
-SHARPNESS = 20.0
-"""Logits of the softmax over the pixels by quality."""
-LOBE_PX = 5
-"""Grasps within this radius [px of the refinement network's image] count as one choice."""
+CONCENTRATION = 4.0  # of twice the angle, in an untrained network
+DEPTH_M, OPENING_UNITS, TILT_RAD = 0.01, 0.05, 0.1  # Laplace scales in an untrained network
+SHARPNESS = 20.0  # logits of the softmax over the pixels by quality
+LOBE_PX = 5  # grasps within this radius [px of the refinement network's image] count as one choice
 HIDDEN = 32
-AXES = ("x", "y", "depth", "angle", "tilt_x", "tilt_y", "opening")
-"""Entries of the constant offset, with the units of `training.refinement_examples.OperatorOffset`."""
+AXES = ("x", "y", "depth", "angle", "tilt_x", "tilt_y", "opening")  # of the constant offset, units of `OperatorOffset`
 
 
 class RefinementOutput(NamedTuple):
@@ -77,9 +61,7 @@ class RefinementOutput(NamedTuple):
 
     quality: torch.Tensor  # to be added to GGCNN's
     depth: torch.Tensor  # how much deeper than the surface [m]
-    turn_cos: torch.Tensor
-    """With turn_sin a vector: its direction is twice the turn against GGCNN's line, anticlockwise, and its length the
-    concentration of the distribution of von Mises."""
+    turn_cos: torch.Tensor  # with turn_sin: twice the turn from GGCNN's line, anticlockwise; length: concentration
     turn_sin: torch.Tensor  # likewise
     opening: torch.Tensor  # to be added to GGCNN's [its unit x m: divided by the distance it is GGCNN's unit]
     tilt_x: torch.Tensor  # of the approach about the camera's x axis [rad]
@@ -104,9 +86,7 @@ class RefinementOutput(NamedTuple):
 class RefinedMaps(NamedTuple):
     """GGCNN's maps after the refinement network, each further one of shape (h, w)."""
 
-    output: np.ndarray
-    """Quality, cos, sin, width as the first network gives them, shape (4, h, w); the width is the opening that the
-    grasp needs."""
+    output: np.ndarray  # of GGCNN, shape (4, h, w): quality, cos, sin, width (the opening that the grasp needs)
     dz: np.ndarray  # how much deeper than the surface at the pixel the grasp is, along the optical axis [m]
     tilt_x: np.ndarray  # of the approach about the camera's x axis [rad]
     tilt_y: np.ndarray  # likewise about its y axis
@@ -152,13 +132,9 @@ class RefinementNetwork(nn.Module):
 
 
 def features(output: np.ndarray, image: NetworkImage) -> np.ndarray:
-    """Returns what the refinement network looks at, and behind it GGCNN's line (cos and sin of twice its angle, length
-    1) and the lean of the surface about the image's axes [rad, never a right angle]; shape (LEAN_Y + 1, SIDE, SIDE),
-    float32. The quality is the first, the height above the table [m] stands at `HEIGHT`.
-
-    Args:
-        output: of the first network, shape (4, h, w); h and w are multiples of `SIDE`.
-    """
+    """Returns the network's features, first the quality, at `HEIGHT` the height above the table [m], and behind them
+    GGCNN's line (cos and sin of twice its angle, length 1) and the surface's lean about the image's axes [rad, never a
+    right angle]; shape (LEAN_Y + 1, SIDE, SIDE), float32. `output`: of GGCNN, shape (4, h, w), multiples of `SIDE`."""
     quality, cos, sin, width, height = (shrunk(m) for m in (*output, table_depth(image) - image.depth))
     height = np.clip(height, LOWEST_M, HIGHEST_M)
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (REACH_PX, REACH_PX))

@@ -1,9 +1,7 @@
 """Weight files of the refinement network: a torch state dict with a description of the rig that it was trained on.
-
 A refinement network fits one first network, view, crop, table and hand: with another crop a constant offset in pixels
 is another distance, and another first network has other maps. So a file is refused where they differ. Values that a
-file does not contain are not compared.
-"""
+file does not contain are not compared."""
 
 from __future__ import annotations
 
@@ -20,10 +18,8 @@ from grasping.network.refinement import HIDDEN, MapRefiner, RefinementNetwork
 from grasping.network.weights import WeightsError
 
 VERSION = 2
-ABOUT = "about"
-"""Entry of a weight file beside the weights: the characters' codes of a JSON text."""
-TABLE_KEYS = ("extent", "distance")
-"""Of the settings of the view from above, those that make its image another one."""
+ABOUT = "about"  # entry of a weight file beside the weights: the characters' codes of a JSON text
+TABLE_KEYS = ("extent", "distance")  # of the settings of the view from above, those that make its image another one
 
 
 @dataclass(frozen=True)
@@ -52,10 +48,7 @@ class Origin:
         )
 
     def mismatch(self, other: Origin) -> str:
-        """Returns why what was learned here is wrong there, a clause; empty if it is not.
-
-        What one of them does not know is not compared.
-        """
+        """Returns why what was learned here is wrong there, a clause, or an empty string; skips unknown parts."""
         for field in fields(self):
             ours, theirs = getattr(self, field.name), getattr(other, field.name)
             if None not in (ours, theirs) and ours != theirs:
@@ -74,12 +67,8 @@ def taste(network: RefinementNetwork, origin: Origin) -> dict[str, torch.Tensor]
 
 
 def load(data: bytes, sha256: str | None = None) -> tuple[MapRefiner, Origin]:
-    """Returns the refinement network of a weight file and the rig that it was trained on; no code in the file is run.
-    `sha256`: what its hash must be, hexadecimal; not checked when left out.
-
-    Raises:
-        WeightsError: another hash, no torch file, of another version, or not of this network.
-    """
+    """Returns a weight file's refinement network and the rig of its training; runs no code of the file. Raises
+    WeightsError for another `sha256` (if given, hexadecimal), no torch file, another version, or another network."""
     weights.checked_sha256(data, sha256)
     state = weights.torch_state(data)
     about = _about(state.pop(ABOUT, None))

@@ -1,8 +1,6 @@
 """Weight files of the grasp networks: this package's and the published ones. No code in a file is run.
-
 Read are torch state dicts, whole pickled torch models and Keras HDF5 files. A file says by the names and shapes of its
-arrays which network it belongs to; nothing is guessed or cut to fit.
-"""
+arrays which network it belongs to; nothing is guessed or cut to fit."""
 
 from __future__ import annotations
 
@@ -29,15 +27,13 @@ KNOWN = {"07ed61da2f5b5aa5d8d10a85c0a26023bae489c3b15fe16e58227c14738a3770": "GG
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 ZIP_MAGIC = b"PK\x03\x04"
 PICKLE_MAGIC = b"\x80"
-PROGRAM = "constants.pkl"
-"""Record by which torch tells a TorchScript archive, whose code it would run while it reads it."""
-KERAS_LAYERS = {
+PROGRAM = "constants.pkl"  # record that marks a TorchScript archive, whose code torch would run while reading
+KERAS_LAYERS = {  # layers of the Keras file and what they are called here
     **{f"conv2d_{i}": f"conv{i}" for i in (1, 2, 3)},
     **{f"conv2d_transpose_{i}": f"convt{i}" for i in (1, 2, 3)},
     **{f"{name}_out": f"{name}_output" for name in ("pos", "cos", "sin", "width")},
 }
-"""Layers of the Keras file and what they are called here."""
-REBUILDERS = {
+REBUILDERS = {  # all that a pickled model may call; whatever else it names becomes an empty stub
     ("collections", "OrderedDict"): OrderedDict,
     ("torch._utils", "_rebuild_tensor"): torch._utils._rebuild_tensor,
     ("torch._utils", "_rebuild_tensor_v2"): torch._utils._rebuild_tensor_v2,
@@ -46,7 +42,6 @@ REBUILDERS = {
     ("torch", "LongStorage"): torch.LongStorage,
     ("torch.cuda", "FloatStorage"): torch.FloatStorage,
 }
-"""All that a pickled model may call; whatever else it names becomes an empty stub."""
 Network = TypeVar("Network", bound=nn.Module)
 
 
@@ -64,12 +59,8 @@ class Loaded(NamedTuple):
 
 
 def load(data: bytes, sha256: str | None = None) -> Loaded:
-    """Returns the network that a weight file holds; `sha256`: what its hash must be, hexadecimal; not checked when left
-    out.
-
-    Raises:
-        WeightsError: another hash, no weight file, or none of a network in `NETWORKS`.
-    """
+    """Returns a weight file's network; raises WeightsError for another `sha256` (if given, hexadecimal), no weight
+    file, or none of a network in `NETWORKS`."""
     found = checked_sha256(data, sha256)
     if data.startswith(HDF5_MAGIC):
         name, state = "ggcnn_keras", _keras_state(data)
@@ -82,11 +73,7 @@ def load(data: bytes, sha256: str | None = None) -> Loaded:
 
 
 def checked_sha256(data: bytes, wanted: str | None) -> str:
-    """Returns the SHA-256 of a file's content, hexadecimal.
-
-    Raises:
-        WeightsError: it is not the one that is wanted, if any is.
-    """
+    """Returns the content's SHA-256, hexadecimal; raises WeightsError if another one is wanted."""
     found = hashlib.sha256(data).hexdigest()
     if wanted is not None and found != wanted:
         raise WeightsError(f"The weight file has the SHA-256 {found}, but {wanted} was expected.")
@@ -95,10 +82,7 @@ def checked_sha256(data: bytes, wanted: str | None) -> str:
 
 def filled(network: Network, name: str, state: dict[str, torch.Tensor]) -> Network:
     """Returns the network with the weights of a state dict, ready to be evaluated.
-
-    Raises:
-        WeightsError: the state dict is not of such a network, here called `name`, or not finite.
-    """
+    Raises WeightsError if the state dict is not of such a network, here called `name`, or not finite."""
     wanted = network.state_dict()
     if state.keys() != wanted.keys():
         raise WeightsError(f"The weight file lacks {', '.join(sorted(wanted.keys() - state.keys()))} of {name}.")
@@ -113,11 +97,7 @@ def filled(network: Network, name: str, state: dict[str, torch.Tensor]) -> Netwo
 
 
 def listed_sha256(sums: str, name: str) -> str:
-    """Returns the hash of the file `name` in the text of a list as `sha256sum` writes it.
-
-    Raises:
-        WeightsError: the list does not name the file.
-    """
+    """Returns the hash of a file in a `sha256sum` list; raises WeightsError if the list does not name it."""
     for line in sums.splitlines():
         found, _, file = line.partition("  ")
         if file == name:
@@ -159,11 +139,8 @@ def _collect(into: dict[str, np.ndarray], path: str, item: Any) -> None:
 
 
 def torch_state(data: bytes) -> dict[str, torch.Tensor]:
-    """Returns the state dict of a torch file, which may hold the whole model.
-
-    Raises:
-        WeightsError: it holds neither, or torch would not read it with the pickle given here.
-    """
+    """Returns the state dict of a torch file or of the whole model in it.
+    Raises WeightsError if it holds neither, or torch cannot read it with the pickle given here."""
     try:
         # Of the records asks torch's own reader: another one may see others in a malformed archive.
         if data.startswith(ZIP_MAGIC) and PROGRAM in torch._C.PyTorchFileReader(io.BytesIO(data)).get_all_records():

@@ -10,12 +10,10 @@ import numpy as np
 from grasping.network.maps import Maps
 from grasping.pipeline.pipeline import GraspProposal, PipelineResult
 
-SCALE = 2
-"""Pixels of the heat map to one of the network's, in rows and columns."""
+SCALE = 2  # pixels of the heat map to one of the network's, in rows and columns
 BEST, OTHER, REFUSED, DISC = (255, 255, 255), (0, 190, 255), (80, 80, 255), (0, 255, 0)
 DISC_RADIUS, FINGER_PX = 5, 6.0
-DARK = 60
-"""Grey of what is farthest away, and of all that is farther than FAR times the image's median depth."""
+DARK = 60  # grey of what is farthest away, and of all that is farther than FAR times the image's median depth
 FAR = 1.3
 LINE_LETTERS = 66
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
@@ -37,13 +35,9 @@ def with_disc(image: np.ndarray, best: GraspProposal | None) -> np.ndarray:
 
 
 def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarray:
-    """Returns the network's image in grey under the quality in colours, with the grasps: a bar from finger to
-    finger, its ends the fingers, number and quality beside it; shape (600, 600, 3), uint8, blue first.
-
-    Args:
-        refused: numbers of the grasps that the arm's controller refuses.
-        reason: written below where there is one.
-    """
+    """Returns the network's image in grey under the quality in colours, shape (600, 600, 3), uint8, blue first, with
+    the grasps: a bar from finger to finger, number and quality beside it; the `refused` numbers in another colour;
+    below it the `reason`, if any."""
     assert result.view is not None and result.maps is not None, "there is something to draw"
     quality = result.maps.quality
     colours = cv2.applyColorMap((255.0 * np.clip(quality, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_JET)
@@ -63,8 +57,7 @@ def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarr
 
 
 def grey(depth: np.ndarray) -> np.ndarray:
-    """Returns a depth image in grey, the nearest white, the background dark, no reading black, uint8; `depth`: shape
-    (h, w) [m], not finite = no reading; one pixel at least has one."""
+    """Returns a depth image, shape (h, w) [m], with a reading, in grey, uint8: nearest white, not finite black."""
     known = np.isfinite(depth)
     low, high = float(depth[known].min()), min(float(depth[known].max()), FAR * float(np.median(depth[known])))
     bright = DARK + (255 - DARK) * (high - np.where(known, depth, high)) / max(1e-6, high - low)
@@ -72,13 +65,8 @@ def grey(depth: np.ndarray) -> np.ndarray:
 
 
 def gripper(image: np.ndarray, ends: np.ndarray, label: str, colour: tuple[int, int, int], thickness: int) -> None:
-    """Draws a gripper into an image: a bar with a finger at each end.
-
-    Args:
-        image: shape (h, w, 3), uint8, changed.
-        ends: where the fingers are, u and v, shape (2, 2) [px].
-        thickness: of the bar [px].
-    """
+    """Draws a gripper into an image, shape (h, w, 3), uint8: a bar, `thickness` [px], with a finger at each of its
+    `ends`, u and v, shape (2, 2) [px]."""
     across = ends[1] - ends[0]
     finger = FINGER_PX * np.array([-across[1], across[0]]) / max(1e-6, float(np.hypot(*across)))
     cv2.line(image, _pixel(ends[0]), _pixel(ends[1]), colour, thickness, cv2.LINE_AA)

@@ -1,9 +1,7 @@
 """From depth images to grasps: view, network, averaging, refinement, maxima, projection, approach, limits, tracking.
-
 One object runs all steps, live and offline. The defaults of `PipelineSettings` are the offline use: no step remembers
 an earlier image, nothing is rejected, and the single best pixel is the grasp. Poses are in the camera's optical frame
-and, where the camera's pose is known, in kuka/base_frame. A result without grasps gives the reason.
-"""
+and, where the camera's pose is known, in kuka/base_frame. A result without grasps gives the reason."""
 
 from __future__ import annotations
 
@@ -47,8 +45,7 @@ class PipelineSettings:
     approach: projection.ApproachConfig | None = None  # None is along the axis of the view
     limits: LimitsConfig | None = None  # a grasp outside them is rejected
     tool: ToolPoseConfig | None = None  # the hand, with its preferred and largest opening
-    up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    """The vertical in kuka/base_frame, shape (3,)."""
+    up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # vertical in kuka/base_frame, shape (3,)
 
 
 class GraspCandidate(NamedTuple):
@@ -93,13 +90,8 @@ class PipelineResult(NamedTuple):
 
 
 class GraspPipeline:
-    """Finds grasps in single depth images or in a stream of them.
-
-    Args:
-        network: GG-CNN or GG-CNN2.
-        refiner: the refinement network, if there is one.
-        clock: returns the time [s] by which the stages are timed; the default times nothing.
-    """
+    """Finds grasps in single depth images or in a stream of them, with GG-CNN or GG-CNN2 and, if given, a refinement
+    network. `clock` returns the time [s] by which the stages are timed; the default times nothing."""
 
     def __init__(
         self,
@@ -126,14 +118,8 @@ class GraspPipeline:
     def step(
         self, depth: np.ndarray, camera: CameraModel, T_base_camera: np.ndarray | None = None, now: float = 0.0
     ) -> PipelineResult:
-        """Returns the grasps in a depth image.
-
-        Args:
-            depth: shape (h, w), float32 [m], not finite = no reading.
-            camera: that took it.
-            T_base_camera: its pose, shape (4, 4) [m]; None where that is unknown.
-            now: stamp of the image [s]; matters only where something is averaged or tracked.
-        """
+        """Returns the grasps in a depth image, shape (h, w), float32 [m], not finite = no reading, by `camera` at
+        T_base_camera, shape (4, 4) [m], None if unknown; the stamp `now` [s] matters to averaging and tracking only."""
         s, stages = self._settings, _StageTimes(self._clock)
         if now < self._last:  # a recording that begins again
             self.reset()
@@ -236,8 +222,7 @@ class GraspPipeline:
 
 
 def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> Maps:
-    """Returns the maps in which peaks are looked for: smoothed, and with the hand's preference; `output`: of the
-    networks, shape (4, h, w)."""
+    """Returns the maps for peaks: the output, shape (4, h, w), smoothed and with the hand's preference."""
     maps = smoothed(output, view.graspable, settings.smoothing)
     if settings.tool is None or settings.threshold is None:
         return maps

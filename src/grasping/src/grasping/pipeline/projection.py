@@ -1,9 +1,6 @@
 """From a grasp in the network's image to a grasp before the camera, and the surface that it approaches.
-
-The frame of a grasp: z the approach, at first along the camera's axis; x through both fingers, so that a grasp of
-angle 0 has the camera's axes. Angles in the image run anticlockwise and y runs down: a turn about z by minus the
-angle.
-"""
+The frame of a grasp: z the approach, at first along the camera's axis; x through both fingers, so that a grasp of angle
+0 has the camera's axes. Angles in the image run anticlockwise and y runs down: a turn about z by minus the angle."""
 
 from __future__ import annotations
 
@@ -19,16 +16,12 @@ from common.rotations import rotation_about, unit
 from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, best_plane
 from grasping.network.maps import Peak
 
-NEIGHBOURHOOD = 5
-"""Rows and columns about the pixel whose readings give the depth."""
+NEIGHBOURHOOD = 5  # rows and columns about the pixel whose readings give the depth
 BETWEEN_ROWS = slice(100, 140)
-BETWEEN_COLUMNS = slice(130, 170)
-"""Where a hand in front of the camera has its fingers, in the network's 300 x 300 image (published node)."""
+BETWEEN_COLUMNS = slice(130, 170)  # and rows: a hand's fingers in the network's 300 x 300 image (published node)
 BETWEEN_COUNT = 10
-CLOSED_M = 1e-4
-"""Half the opening of fingers that touch: small, but with a direction."""
-LEAST_FACING = 0.26
-"""Cosine of the widest angle, 75 degrees, between a line of sight and the approach: beyond, pixels tell little."""
+CLOSED_M = 1e-4  # half the opening of fingers that touch: small, but with a direction
+LEAST_FACING = 0.26  # cosine of 75 degrees, the widest angle of view against the approach: beyond, pixels tell little
 VIEW, NORMAL, VERTICAL = "camera", "normal", "vertical"
 MAX_PIXELS = 400
 
@@ -73,15 +66,9 @@ def project_grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: 
 
 
 def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> CameraGrasp | None:
-    """Returns the grasp with another approach, None where the camera looks along the fingers' plane.
-
-    The fingers stay on the line that they have in the image, and open over the same pixels: they move in the plane
-    through the grasp across its approach.
-
-    Args:
-        grasp: along the camera's axis, its opening not negative.
-        approach: unit vector in the camera's frame, shape (3,).
-    """
+    """Returns the grasp, given along the camera's axis and not negatively open, with another approach, a unit vector,
+    (3,). The fingers keep their line and pixels in the image: they move in the plane through the grasp across the
+    approach. None if the camera looks along that plane."""
     p, n = grasp.T_camera_grasp[:3, 3], np.asarray(approach, dtype=float)
     half = 0.5 * grasp.width * camera.K[0, 0] / p[2]
     line = max(half, 1.0) * np.array([np.cos(grasp.angle), -np.sin(grasp.angle)])  # a closed gripper has a line too
@@ -97,8 +84,7 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
 
 
 def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tuple[float, tuple[float, float], float]:
-    """Returns angle [rad], pixel (u, v) and opening [px] of a grasp in a camera's image; `T_camera_grasp`: shape (4,
-    4), before it [m]; `width`: opening [m]."""
+    """Returns a grasp's angle [rad], pixel (u, v) and opening [px] in an image; its pose is (4, 4) [m], `width` [m]."""
     p, x = T_camera_grasp[:3, 3], T_camera_grasp[:3, 0]
     half = max(0.5 * width, CLOSED_M)
     left, right = camera.project(np.stack([p - half * x, p + half * x]))
@@ -109,12 +95,7 @@ def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tu
 
 
 def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
-    """Returns how far the nearest things between the fingers are, the mean of the ten nearest readings [m]; `depth`:
-    the camera's image, shape (h, w) [m].
-
-    Returns:
-        NaN where there are fewer readings.
-    """
+    """Returns the mean of the ten nearest readings between the fingers [m], NaN if fewer; `depth`: (h, w) [m]."""
     rows, columns = (
         slice(first + part.start * crop.side // NETWORK_SIDE, first + part.stop * crop.side // NETWORK_SIDE)
         for first, part in ((crop.row, BETWEEN_ROWS), (crop.column, BETWEEN_COLUMNS))
@@ -141,20 +122,10 @@ class ApproachConfig:
 def surface_normal(
     depth: np.ndarray, rays: np.ndarray, pixel: tuple[float, float], z: float, focal: float, config: ApproachConfig
 ) -> np.ndarray | None:
-    """Returns the normal of the surface about a grasp, a unit vector into it in the camera's frame, shape (3,).
-
-    None where no normal is clear: too few readings, no plane, or a plane that is tilted too far.
-
-    Only readings within the radius before and behind the grasp are of its surface; what is left of other surfaces has
-    no say, as the plane is the one that most pixels lie in.
-
-    Args:
-        depth: the image, shape (h, w) [m], NaN = none.
-        rays: of its pixels, shape (h, w, 3).
-        pixel: of the grasp, u, v.
-        z: its depth [m].
-        focal: length [px].
-    """
+    """Returns the surface's normal at a grasp, a unit vector into it in the camera's frame, shape (3,), None if not
+    clear: too few readings, no plane, or tilted too far. The plane is the one in which most pixels within the radius
+    before and behind the grasp lie. `depth`: shape (h, w) [m], NaN = none; `rays`: of its pixels, shape (h, w, 3);
+    `pixel`: u, v of the grasp; `z`: its depth [m]; `focal`: length [px]."""
     half = max(2, round(config.radius * focal / z))
     column, row = (round(p) for p in pixel)
     window = slice(max(0, row - half), row + half + 1), slice(max(0, column - half), column + half + 1)

@@ -1,8 +1,6 @@
 """The grasp of the refined maps at a pixel, and its uncertainty: the distribution of the operator's grasp there.
-
 Over the pixels it is a softmax of the refined quality, and what lies near a pixel is the same choice. Standard
-deviations are those of the grasp's own axes: x through the fingers, z the approach.
-"""
+deviations are those of the grasp's own axes: x through the fingers, z the approach."""
 
 from __future__ import annotations
 
@@ -17,10 +15,8 @@ from grasping.network.maps import Peak
 from grasping.network.refinement import LOBE_PX, SHARPNESS, SHRINK, SIDE, RefinedMaps, shrunk
 from grasping.pipeline.projection import CameraGrasp
 
-LAPLACE, LAPLACE_OF_TWO = np.sqrt(2.0), np.sqrt(3.0)
-"""Standard deviation of an axis of a Laplace distribution of one and of two dimensions, by its scale."""
-UNIFORM = np.pi / np.sqrt(12.0)
-"""Standard deviation of an angle that is not known at all, modulo pi [rad]."""
+LAPLACE, LAPLACE_OF_TWO = np.sqrt(2.0), np.sqrt(3.0)  # standard deviation of an axis by scale, in 1 and 2 dimensions
+UNIFORM = np.pi / np.sqrt(12.0)  # standard deviation of an angle that is not known at all, modulo pi [rad]
 
 
 class GraspUncertainty(NamedTuple):
@@ -37,8 +33,7 @@ def opened(peak: Peak, refined: RefinedMaps) -> Peak:
 
 
 def refined_grasp(grasp: CameraGrasp, refined: RefinedMaps, peak: Peak) -> CameraGrasp:
-    """Returns a grasp of the refined maps with its depth and tilt; `grasp`: as `project_grasp` has it of `opened`, on
-    the surface along the optical axis; `peak`: the pixel of the grasp in them."""
+    """Returns `project_grasp` of `opened`, on the surface along the axis, with the refined depth and tilt at `peak`."""
     at = peak.row, peak.column
     z = grasp.T_camera_grasp[2, 3]
     factor = 1.0 + float(refined.dz[at]) / z

@@ -1,7 +1,5 @@
 """The schema of ggcnn.yaml, section by section, and the settings that are made of it.
-
-A fingerprint of what decides whether two episodes belong together is made of `rig_configuration`.
-"""
+A fingerprint of what decides whether two episodes belong together is made of `rig_configuration`."""
 
 from __future__ import annotations
 
@@ -29,8 +27,7 @@ from grasping.pipeline.tracking import AveragingConfig, TrackingConfig
 from grasping.pipeline.view import CameraView, CropConfig, TableConfig, TableView
 
 ANY, LISTED = "any", "listed"
-DIGITS = 3
-"""Decimals of the camera pose: a millimetre and a milliradian; two live calibrations differ by more."""
+DIGITS = 3  # decimals of the camera pose: a millimetre and a milliradian; two live calibrations differ by more
 
 
 @dataclass(frozen=True)
@@ -106,11 +103,8 @@ SECTIONS = {name: schema for name, schema in get_type_hints(GgcnnSettings).items
 
 
 def settings_from(values: Mapping[str, Any], prefix: str = "") -> GgcnnSettings:
-    """Returns the configuration that a mapping of ggcnn.yaml, with tool_pose.yaml as its section `tool`, holds.
-
-    Raises:
-        ConfigError: with the faults of all sections.
-    """
+    """Returns the configuration in a mapping of ggcnn.yaml, with tool_pose.yaml as its section `tool`.
+    Raises ConfigError with the faults of all sections."""
     faults: list[str] = []
     read: dict[str, Any] = {"main": parse_part(GgcnnConfig, values, prefix, faults, others=SECTIONS)}
     for name, schema in SECTIONS.items():
@@ -153,12 +147,8 @@ def rig_configuration(
     settings: GgcnnSettings,
     weights: str,
 ) -> dict[str, Any]:
-    """Returns the configuration as JSON can hold it; poses have shape (4, 4) [m].
-
-    Args:
-        kuka: the arm: robot, flange, mounting and file of calibrated parameters.
-        weights: SHA-256 of the network's weight file.
-    """
+    """Returns the configuration as JSON can hold it; poses have shape (4, 4) [m]. `kuka`: robot, flange, mounting and
+    file of calibrated parameters of the arm; `weights`: SHA-256 of the network's weight file."""
     matrices = {key: getattr(camera, key).tolist() for key in "KDRP"}
     # Adding 0 turns -0.0 into 0.0, which would be another text.
     return {
@@ -171,8 +161,7 @@ def rig_configuration(
 
 
 def live_origin(settings: GgcnnSettings, weights: str, robot: str | None) -> Origin:
-    """Returns what of this rig a refinement network depends on; `weights`: SHA-256 of the first network's weight file;
-    `robot`: which arm, None where that is not known."""
+    """Returns this rig as a refinement network depends on it; `weights`: GGCNN's SHA-256; `robot`: None if unknown."""
     found = _network_configuration(grasp_in_tool(settings.tool), settings, weights)
     return Origin.of({**found, "kuka": {"robot": robot}})
 

@@ -1,8 +1,6 @@
 """The hand on the arm: the tool pose that takes a grasp, preferred openings, limits, and whether the arm reaches it.
-
 Frame of a grasp: origin on the surface between the fingers, x through both fingers, z along the approach. A gripper
-does not care which of its fingers is on which side, so a grasp allows two orientations half a turn apart.
-"""
+does not care which of its fingers is on which side, so a grasp allows two orientations half a turn apart."""
 
 from __future__ import annotations
 
@@ -21,12 +19,10 @@ from grasping.network.maps import Maps
 
 VERTICAL, ALONG_GRASP = "vertical", "grasp"
 UP = (0.0, 0.0, 1.0)
-STEEP = math.cos(math.radians(80.0))
-"""Fingers whose line rises more steeply than this have no heading."""
+STEEP = math.cos(math.radians(80.0))  # fingers whose line rises more steeply than this have no heading
 SILENT = "the arm's controller does not answer"
 ASKED = "the arm's controller was asked"
-RETRY_S = 1.0
-"""An unanswered request is repeated after this time."""
+RETRY_S = 1.0  # an unanswered request is repeated after this time
 
 
 @dataclass(frozen=True)
@@ -62,16 +58,9 @@ class ToolPoseConfig:
 
 
 def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarray, up: ArrayLike = UP) -> np.ndarray:
-    """Returns the pose of the tool that takes the grasp, T_base_tool, shape (4, 4) [m].
-
-    Args:
-        T_base_grasp: shape (4, 4) [m].
-        near: an orientation R_base_tool, shape (3, 3); of the two possible ones the nearer is taken.
-        up: the vertical in the base frame, shape (3,).
-
-    Raises:
-        ValueError: the approach is vertical, and so is the line through the fingers.
-    """
+    """Returns T_base_tool, shape (4, 4) [m], of the tool that takes T_base_grasp, shape (4, 4) [m]: of two orientations
+    the nearer to `near`, R_base_tool, shape (3, 3). `up` is the vertical in the base frame, shape (3,). Raises
+    ValueError if the approach is vertical, and so is the line through the fingers."""
     z = -unit(up) if settings.approach == VERTICAL else T_base_grasp[:3, 2]
     fingers = T_base_grasp[:3, 0]
     across = fingers - (fingers @ z) * z
@@ -127,14 +116,9 @@ class LimitsConfig:
 def rejection_reason(
     T_camera_grasp: np.ndarray, T_base_grasp: np.ndarray | None, width: float, opening: float, limits: LimitsConfig
 ) -> str:
-    """Returns why a grasp is rejected, a clause about the grasp; empty if it is accepted.
-
-    Args:
-        T_camera_grasp: shape (4, 4) [m].
-        T_base_grasp: in kuka/base_frame; None where that is unknown, and not checked then.
-        width: opening that the grasp needs [m].
-        opening: widest of the hand [m].
-    """
+    """Returns why a grasp is rejected, a clause about the grasp; empty if it is accepted. Poses: shape (4, 4) [m], the
+    one in
+    kuka/base_frame unchecked if None. `width`: opening that the grasp needs; `opening`: widest of the hand [m]."""
     depth = T_camera_grasp[2, 3]
     if not limits.nearest <= depth <= limits.farthest:
         allowed = f"{limits.nearest:.2f} to {limits.farthest:.2f} m"

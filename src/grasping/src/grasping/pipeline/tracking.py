@@ -1,7 +1,5 @@
 """Tracks grasps from image to image: averages the maps over time, recognises grasps again, filters their poses.
-
-Poses are in a frame that does not move: the arm's base where the camera's pose in it is known, else the camera.
-"""
+Poses are in a frame that does not move: the arm's base where the camera's pose in it is known, else the camera."""
 
 from __future__ import annotations
 
@@ -19,8 +17,7 @@ from common.poses import pose, read_only
 from common.rotations import unit
 
 EDGE = np.ones((3, 3), np.uint8)
-ALIGNED = 0.9
-"""An approach that is along an axis of the frame by more than this cosine needs another axis to count turns from."""
+ALIGNED = 0.9  # an approach nearer to the frame's axis, by this cosine, has its turns counted from another one
 
 
 @dataclass(frozen=True)
@@ -44,12 +41,8 @@ class MapAverage:
         self._averages: tuple[np.ndarray, np.ndarray] | None = None
 
     def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Takes the newest maps in; `output`: the network's, shape (4, h, w): all four may be averaged, as the angle is
-        a sine and a cosine; `depth`: that it saw, without holes, shape (h, w) [m].
-
-        Returns:
-            The average, shape (4, h, w), and whether it began anew with these maps.
-        """
+        """Returns the average, shape (4, h, w), and whether it began anew. `output`: the network's maps, shape (4, h,
+        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m]."""
         averages = self._averages
         if averages is None or averages[0].shape != output.shape or self._moved(averages[1], depth):
             self._averages = output.copy(), depth.copy()
@@ -113,14 +106,9 @@ class GraspTracker:
         self._rival: tuple[int, int] = (0, 0)
 
     def step(self, detections: Sequence[GraspDetection], now: float) -> list[TrackedGrasp]:
-        """Returns the grasps of the newest image, the best first, the others by their quality.
-
-        None at all while the best is out of sight and not yet forgotten: else the next best, which may belong to
-        another thing, would be taken for it in single images.
-
-        Args:
-            now: time of the image [s].
-        """
+        """Returns the grasps of the newest image at `now` [s], the best first, the others by their quality. None while
+        the best is out of sight and not yet forgotten: else the next best, maybe of another object, would replace it
+        for single images."""
         owners = self._owners(detections)
         for track in self._tracks:
             track.in_sight = False
@@ -180,9 +168,7 @@ class GraspTracker:
 
 class PoseFilter:
     """Median, then exponential filter, of position, finger line, approach and opening; jumps are not believed at once.
-
-    The finger line turns about the approach and has no direction, so cosine and sine of twice its angle are filtered.
-    """
+    The finger line turns about the approach without a direction: cosine and sine of twice its angle are filtered."""
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
@@ -194,13 +180,7 @@ class PoseFilter:
         self.held = False
 
     def step(self, T: np.ndarray, width: float, now: float) -> tuple[np.ndarray, float]:
-        """Takes a pose in and returns the filtered pose, shape (4, 4) [m], and opening [m].
-
-        Args:
-            T: shape (4, 4) [m].
-            width: opening [m].
-            now: time of the image [s].
-        """
+        """Returns the filtered pose, shape (4, 4) [m], and opening [m] after a pose and `width` [m] at `now` [s]."""
         if self._state is None or abs(T[self._axis, 2]) > ALIGNED:
             self._accepted.clear()
             self._doubted.clear()

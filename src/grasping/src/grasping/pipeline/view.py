@@ -1,9 +1,7 @@
 """The image that the network gets, and where it was taken from: the camera's own, or one from above the table.
-
 The networks learned on images taken from above, and take the far edge of a table seen from the side for most graspable.
 So its depth image is drawn anew as a camera would see it that looks straight down on the table: each reading goes to
-where it lies, and what is not above the table becomes table.
-"""
+where it lies, and what is not above the table becomes table."""
 
 from __future__ import annotations
 
@@ -28,8 +26,7 @@ from grasping.network.depth_image import (
     prepare,
 )
 
-STRIDE = 6
-"""Pixels of the camera's image, in rows and columns, to one in which the table is looked for."""
+STRIDE = 6  # pixels of the camera's image, in rows and columns, to one in which the table is looked for
 GAP = np.ones((5, 5), np.uint8)
 
 
@@ -60,9 +57,7 @@ class GraspView(NamedTuple):
     """What the network sees, and the camera that sees it."""
 
     image: NetworkImage  # the network's
-    graspable: np.ndarray
-    """Where in it a grasp may be: the camera had a reading, and, from above the table, on something that stands on it;
-    shape (300, 300), bool."""
+    graspable: np.ndarray  # where a grasp may be: has a reading, and from above is on an object; (300, 300), bool
     depth: np.ndarray  # the whole image that it was cut from, shape (h, w) [m], NaN where nothing is known
     rays: np.ndarray  # direction of each of its pixels, shape (h, w, 3)
     camera: CameraModel  # that took it, a real or an imagined one
@@ -83,11 +78,7 @@ class CameraView:
         self._rays = Rays()
 
     def step(self, depth: np.ndarray, camera: CameraModel) -> GraspView:
-        """Returns the view of a depth image, shape (h, w) [m].
-
-        Raises:
-            NoView: the window does not fit, or holds no reading.
-        """
+        """Returns the view of a depth image, shape (h, w) [m]; raises NoView if the window does not fit or is empty."""
         crop = _window(depth, self._crop)
         try:
             image = prepare(depth, crop)
@@ -127,10 +118,7 @@ class TableView:
 
     def step(self, depth: np.ndarray, camera: CameraModel) -> GraspView:
         """Returns the view of a depth image, shape (h, w) [m].
-
-        Raises:
-            NoView: the window does not fit or holds no reading, no table is seen, or nothing stands on it.
-        """
+        Raises NoView if the window does not fit or holds no reading, no table is seen, or nothing stands on it."""
         crop = _window(depth, self._crop)
         rays = self._rays.of(camera)
         seen_from = self._find(depth, rays, crop, camera)
@@ -146,11 +134,7 @@ class TableView:
         return GraspView(image, height > 0.0, seen, self._own_rays, self._camera, seen_from.T)
 
     def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> _Place:
-        """Looks for the table, moves the view where the table is another one, and returns where it is.
-
-        Raises:
-            NoView: there is no table.
-        """
+        """Returns where the table is, and moves the view if it is another one; raises NoView if there is none."""
         window = (slice(crop.row, crop.row + crop.side, STRIDE), slice(crop.column, crop.column + crop.side, STRIDE))
         known = np.isfinite(depth[window]) & (depth[window] > 0.0)
         if not known.any():
@@ -182,10 +166,7 @@ class TableView:
         return bool(turned < self._config.keep_angle and moved < self._config.keep_distance)
 
     def _heights(self, depth: np.ndarray, place: _Place) -> np.ndarray:
-        """Returns the height above the table of what the view's camera sees, shape (300, 300), float32 [m]; 0: table.
-
-        Gaps of a few pixels between readings, where the view is nearer than the camera, are closed.
-        """
+        """Returns the height above the table in the view, gaps closed, shape (300, 300), float32 [m]; 0: table."""
         c, side, turned, shift = self._config, NETWORK_SIDE, place.turned, place.shift
         with np.errstate(invalid="ignore", divide="ignore"):
             z = depth * turned[2] + np.float32(shift[2])
@@ -233,8 +214,7 @@ def _window(depth: np.ndarray, crop: CropConfig) -> Crop:
 
 
 def _looking_down(table: PlaneFound, middle: np.ndarray, distance: float) -> np.ndarray:
-    """Returns the pose of a camera above the middle, shape (3,) [m], of what is seen of the table; its x axis is along
-    the real camera's as far as the table lets it."""
+    """Returns the pose of a camera above `middle`, shape (3,) [m], its x axis nearest to the real camera's."""
     z = table.direction
     x = unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
     return pose(np.column_stack([x, np.cross(z, x), z]), middle + (table.distance - middle @ z - distance) * z)

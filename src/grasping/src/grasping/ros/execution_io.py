@@ -32,8 +32,7 @@ from grasping.ros.camera_input import PoseLookup
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus
 
-FINGER_M, PALM_M = (0.012, 0.02, 0.06), (0.08, 0.02)
-"""A finger along x, y and z; the palm along y and z."""
+FINGER_M, PALM_M = (0.012, 0.02, 0.06), (0.08, 0.02)  # a finger along x, y and z; the palm along y and z
 ARROW_M, TEXT_M = 0.008, 0.025
 GHOST = ColorRGBA(0.2, 0.5, 1.0, 0.5)
 NO_GRASP = Grasp()

@@ -1,9 +1,6 @@
 """The node grasp_execution: has the arm wait above a proposed grasp for an operator's hand and reports the outcome.
-
 Services: grasping/execute and grasping/cancel (std_srvs/Trigger). Out: grasping/state, grasping/outcome,
-grasping/proposal_marker. In: see execution_inputs.py. It asks kuka/check_tool_pose and leap_kuka/hold_tool, and moves
-nothing itself.
-"""
+grasping/proposal_marker. In: see execution_io.py. Asks kuka/check_tool_pose and leap_kuka/hold_tool; moves nothing."""
 
 from __future__ import annotations
 

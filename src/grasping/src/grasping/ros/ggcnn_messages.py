@@ -19,8 +19,7 @@ from grasping.pipeline.tool_pose import Reachability
 DEVIATIONS = 6
 FINGER_M, LINE_M, BEST_LINE_M, TEXT_M = 0.05, 0.003, 0.006, 0.02
 GREY = ColorRGBA(0.5, 0.5, 0.5, 0.8)
-MARKER_LIFE_S = 1.0
-"""Markers of a node that is gone go too."""
+MARKER_LIFE_S = 1.0  # markers of a node that is gone go too
 
 
 def grasp_list(header: Header, proposals: list[tuple[GraspProposal, Reachability]], reason: str) -> GraspList:

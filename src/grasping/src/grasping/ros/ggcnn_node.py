@@ -1,9 +1,7 @@
 """The node ggcnn: depth images in, grasps out.
-
 Topics, below ggcnn/: img/grasp, img/grasp_plain, img/depth, img/ang, out/command and out/target_pose as the original
 has them; out/grasps with all grasps or the reason why there is none; img/heat_map and markers for people. In tf
-camera_target_frame below camera_depth_frame, and, with a view of the table, ggcnn/view below the camera.
-"""
+camera_target_frame below camera_depth_frame, and, with a view of the table, ggcnn/view below the camera."""
 
 from __future__ import annotations
 
@@ -45,14 +43,12 @@ from grasping.ros.weight_files import load_network, load_refinement, own_yaml
 WAIT_S = 0.2
 SILENT_PERIOD_S = 0.5
 WARM_UP = 5
-RATE_WEIGHT = 0.1
-"""Weight of the newest value in the times that diagnostics show."""
+RATE_WEIGHT = 0.1  # weight of the newest value in the times that diagnostics show
 NUMBERS = re.compile(r"-?\d+(\.\d+)?")
 
 
 class ReasonLog:
-    """Logs a reason when it changes, except for the numbers in it; `present` is the newest, a clause, empty with a
-    grasp."""
+    """Logs a reason when more than its numbers change; `present` is the newest, a clause, empty with a grasp."""
 
     def __init__(self) -> None:
         self.present = "no depth image has been looked at"

@@ -27,8 +27,7 @@ from rig_msgs.srv import CheckToolPose
 
 SERVICE = "kuka/check_tool_pose"
 POLL_S = 0.2
-AHEAD, UPRIGHT = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-"""Used until the arm's parameters are set."""
+AHEAD, UPRIGHT = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)  # used until the arm's parameters are set
 
 
 class ReachClient:
@@ -45,10 +44,7 @@ class ReachClient:
             threading.Thread(target=self._loop, name="reach", daemon=True).start()
 
     def look_up(self, proposals: tuple[GraspProposal, ...]) -> list[tuple[GraspProposal, Reachability]]:
-        """Returns each grasp with its reachability: first those that the controller has not refused.
-
-        The controller is asked about the best of them only; for the others it is unknown.
-        """
+        """Returns the grasps with their reachability, refused ones last; asks about the best, others are unknown."""
         now = time.monotonic()
         with self._lock:
             self._book.keep_only({p.id for p in proposals})

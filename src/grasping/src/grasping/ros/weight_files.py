@@ -29,11 +29,7 @@ def own_yaml(name: str) -> dict[str, Any]:
 
 
 def load_network(config: NetworkConfig) -> Loaded:
-    """Returns the network of the configured weight file.
-
-    Raises:
-        RigError: the file is missing, has another hash, or holds another kind of network.
-    """
+    """Returns the configured network; raises RigError if the file is missing or has another hash or kind of network."""
     path = _path(config.weights)
     data, expected = _content(path), config.sha256
     if expected == LISTED:
@@ -46,10 +42,7 @@ def load_network(config: NetworkConfig) -> Loaded:
 
 def load_refinement(name: str, rig: Origin) -> MapRefiner:
     """Returns the refinement network of a weight file; one of this package must have the hash in its list.
-
-    Raises:
-        RigError: the file is missing, has another hash, holds something else, or was not learned on such a rig.
-    """
+    Raises RigError if it is missing, has another hash, holds something else, or was not learned on such a rig."""
     path = _path(name)
     if not name.startswith("/") and not path.exists():
         raise RigError(

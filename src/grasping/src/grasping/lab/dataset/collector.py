@@ -1,9 +1,7 @@
 """Decides when an episode begins and ends: takes frames, hand, stream and proposals; returns finished grasps.
-
 An episode of free teleoperation begins with the operator's stream, one of a confirmed proposal with the approach to it:
 what was seen before may lie elsewhere by now. It ends when it is known whether the closed fingers held something; then
-no frame is kept until the hand opens and leaves the object where the next grasp will find it.
-"""
+no frame is kept until the hand opens and leaves the object where the next grasp will find it."""
 
 from __future__ import annotations
 
@@ -16,10 +14,8 @@ from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMea
 from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
 from grasping.lab.dataset.frame_buffer import FrameBuffer, FrameBufferConfig, KeptFrame, KeptFrames, Optics
 
-SAME_GRASP_S = 1.0
-"""Two grasps seen nearer in time are one, seen by grasp_execution and by the watch."""
-BACK_S = 0.5
-"""Stamps of different sources may differ by less."""
+SAME_GRASP_S = 1.0  # two grasps seen nearer in time are one, seen by grasp_execution and by the watch
+BACK_S = 0.5  # stamps of different sources may differ by less
 
 
 class Finished(NamedTuple):
@@ -31,12 +27,8 @@ class Finished(NamedTuple):
 
 
 class Collector:
-    """The collection with its state; `up`: the vertical in the base frame, shape (3,).
-
-    Attributes:
-        teleop: whether an operator's hand is followed.
-        kept: frames since the beginning.
-    """
+    """The collection: `teleop`, whether an operator's hand is followed, and `kept`, the number of frames since the
+    beginning. `up` is the vertical in the base frame, shape (3,)."""
 
     def __init__(self, frames: FrameBufferConfig, watch: GraspWatchConfig, up: np.ndarray) -> None:
         self._buffer, self._watch = FrameBuffer(frames), GraspWatch(watch, up)

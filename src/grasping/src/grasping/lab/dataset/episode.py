@@ -1,9 +1,7 @@
 """An episode of the dataset: what the camera and the network saw before an operator grasped something, and that grasp.
-
 Its frames end with one closing of the fingers and share its label, known only in hindsight and fixed in
 `kuka/base_frame`: where the tool was then, and whether the hand lifted something. They are near duplicates of each
-other: split training and test data by episode, never by frame.
-"""
+other: split training and test data by episode, never by frame."""
 
 from __future__ import annotations
 
@@ -23,16 +21,11 @@ from grasping.network.maps import Peak
 SWIVEL_M, KNUCKLE_M, THUMB_M = 0.0504, 0.01, 0.03
 """From the hand's base to the swivels of index and middle, from there to their knuckles, and from the base to the
 thumb's knuckle, along the line on which they close (URDF of the hand)."""
-DEPTH_M = 0.150 - 0.0816
-"""From the knuckles down to the grasp."""
-WIDEST_M = 0.15
-"""Fingers further apart are open to let go or to wave, not to grasp something: that says nothing."""
-NONE_MM = 0
-"""What a depth image holds where the camera had no reading."""
-FINGERS = ("index", "middle", "thumb", "spread")
-"""Columns of `Episode.finger_angles`."""
-EXECUTION, TELEOPERATION = "execution", "teleoperation"
-"""Where an episode comes from: a proposal that the operator confirmed, or free teleoperation."""
+DEPTH_M = 0.150 - 0.0816  # from the knuckles down to the grasp
+WIDEST_M = 0.15  # fingers further apart are open to let go or to wave, not to grasp something: that says nothing
+NONE_MM = 0  # what a depth image holds where the camera had no reading
+FINGERS = ("index", "middle", "thumb", "spread")  # columns of `Episode.finger_angles`
+EXECUTION, TELEOPERATION = "execution", "teleoperation"  # source of an episode: a confirmed proposal, or free
 
 
 def hand_opening(angles: np.ndarray) -> float:
@@ -67,8 +60,7 @@ class Metadata:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the rig's configuration, hexadecimal: equal where robot, tool, camera, camera pose and
-        network are equal."""
+        """SHA-256 of the rig's configuration, hexadecimal; equal if robot, tool, camera, its pose and network are."""
         text = json.dumps(self.configuration, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -121,8 +113,7 @@ class Episode:
     x 300 image."""
     T_base_camera: np.ndarray  # optical frame of `camera`, shape (n, 4, 4) [m]
     T_base_tool_measured: np.ndarray  # tool by the measured joints, shape (n, 4, 4) [m]
-    T_base_tool_desired: np.ndarray
-    """Where the operator's hand wanted it, shape (n, 4, 4) [m]; NaN where no hand was followed."""
+    T_base_tool_desired: np.ndarray  # as the operator's hand wanted it, shape (n, 4, 4) [m]; NaN: no hand followed
     finger_angles: np.ndarray  # the grip's opening, shape (n, 4) [rad]: index, middle, thumb (0 = open), spread
     teleop_active: np.ndarray  # whether an operator's hand was followed, shape (n,)
 
@@ -147,8 +138,7 @@ class Episode:
 
     @property
     def distance(self) -> np.ndarray:
-        """How far the tool still had to go to its grasp, shape (n,) [m]; where that is little, the hand hides the
-        object from the camera, and GGCNN may take the hand for one."""
+        """Distance of the tool to its grasp, shape (n,) [m]; near it, the hand hides the object or passes for one."""
         return np.linalg.norm(self.T_base_tool_measured[:, :3, 3] - self.T_base_tool_closed[:3, 3], axis=1)
 
     def frame(self, i: int) -> EpisodeFrame:

@@ -1,8 +1,6 @@
 """The recorded part of a view, and the frames that wait for the grasp which will label them: thinned, bounded.
-
 A frame is kept when the tool has moved since the last one; frames of a tool at rest would be duplicates. What is too
-old or too many when the fingers close is dropped, oldest first: an episode needs the approach, not its prehistory.
-"""
+old or too many when the fingers close is dropped, oldest first: an episode needs the approach, not its prehistory."""
 
 from __future__ import annotations
 
@@ -25,8 +23,7 @@ from grasping.pipeline.pipeline import PipelineSettings, maps_of
 from grasping.pipeline.projection import project_grasp
 from grasping.pipeline.view import GraspView
 
-MAP_SIDE = 150
-"""Rows and columns of the kept maps: half of the network's, which its smoothing by 5 px outweighs."""
+MAP_SIDE = 150  # rows and columns of the kept maps: half of the network's, which its smoothing by 5 px outweighs
 LARGEST_MM = np.iinfo(np.uint16).max
 
 
@@ -42,12 +39,8 @@ class NetworkView(NamedTuple):
 def look(
     network: torch.jit.ScriptModule, view: GraspView, settings: PipelineSettings
 ) -> tuple[NetworkView, np.ndarray | None]:
-    """Returns what is kept of a view, and GGCNN's own grasp before its camera, shape (4, 4) [m], None where it has no
-    place for want of a reading.
-
-    Raises:
-        ValueError: the network says something that is not finite.
-    """
+    """Returns what is kept of a view, and GGCNN's own grasp before its camera, shape (4, 4) [m], None without a reading
+    there. Raises ValueError if the network's output is not finite."""
     crop, image, s = view.image.crop, view.image, settings
     output = infer(network, image.input)
     if not np.isfinite(output).all():
@@ -132,10 +125,7 @@ class KeptFrames(NamedTuple):
 
 def on_hand(p_base: np.ndarray, T_base_tool: np.ndarray, config: FrameBufferConfig) -> bool:
     """Returns whether a point, shape (3,) [m], may lie on the hand or the arm behind it, both in the base frame.
-
-    Where GGCNN's own grasp does, it took the robot for an object, and its map teaches nothing of where an operator
-    grasps.
-    """
+    If GGCNN's grasp does, it took the robot for an object: its map does not tell where an operator grasps."""
     x, y, z = T_base_tool[:3, :3].T @ (p_base - T_base_tool[:3, 3])
     return bool(z < config.hand_reach and np.hypot(x, y) < config.hand_radius)
 

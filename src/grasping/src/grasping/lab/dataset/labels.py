@@ -25,8 +25,7 @@ from grasping.network.depth_image import NETWORK_SIDE, Crop
 from grasping.pipeline.projection import CameraGrasp, camera_pixel, project_grasp
 
 NO_TILT_RAD = 1e-9
-AGAINST_RAD = 1e-6
-"""A grasp so near to one that comes from behind the object has no definite tilt."""
+AGAINST_RAD = 1e-6  # a grasp so near to one that comes from behind the object has no definite tilt
 
 
 class RelativeLabel(NamedTuple):
@@ -42,11 +41,8 @@ class RelativeLabel(NamedTuple):
 
 
 def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
-    """Returns the operator's grasp against GGCNN's own, in the pixels of the frame's maps.
-
-    None where GGCNN's grasp has no pose because no reading is near its pixel, or where the operator's grasp is behind
-    the camera or approaches straight towards it.
-    """
+    """Returns the operator's grasp against GGCNN's own, in the pixels of the frame's maps. None if GGCNN's has no
+    reading near its pixel, or the operator's is behind the camera or comes straight towards it."""
     own = own_grasp(frame)
     T = frame.T_camera_grasp
     if own is None or T[2, 3] <= 0.0:
@@ -64,12 +60,8 @@ def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
 
 
 def pose_from_label(frame: EpisodeFrame, label: RelativeLabel) -> np.ndarray:
-    """Returns the pose before the camera, shape (4, 4) [m], that a label means; undoes `relative_label` but for half a
-    turn about the approach.
-
-    Raises:
-        ValueError: GGCNN's own grasp has no pose.
-    """
+    """Returns the label's pose before the camera, shape (4, 4) [m]; undoes `relative_label` up to half a turn about the
+    approach. Raises ValueError if GGCNN's own grasp has no pose."""
     own = own_grasp(frame)
     if own is None:
         raise ValueError("GGCNN's own grasp has no pose: the camera has no reading near its pixel")
@@ -93,8 +85,7 @@ def windowed(camera: CameraModel, crop: Crop) -> CameraModel:
 
 
 def map_pixel(pixel: np.ndarray, crop: Crop, side: int) -> tuple[float, float]:
-    """Returns row and column in a map with `side` rows and columns of a pixel u, v of the camera's image; undoes
-    `projection.camera_pixel`."""
+    """Returns row and column, in a map of `side` rows, of the camera's pixel u, v; undoes `projection.camera_pixel`."""
     u, v = (float(p) for p in pixel)
     scale = side / crop.side
     return (v - crop.row + 0.5) * scale - 0.5, (u - crop.column + 0.5) * scale - 0.5
@@ -102,10 +93,7 @@ def map_pixel(pixel: np.ndarray, crop: Crop, side: int) -> tuple[float, float]:
 
 def tilt_and_angle(R: np.ndarray) -> tuple[np.ndarray, float]:
     """Returns tilt, shape (2,) [rad], and angle [rad] of a grasp's rotation before the camera, shape (3, 3).
-
-    Raises:
-        ValueError: the grasp approaches straight towards the camera, where the tilt may have any direction.
-    """
+    Raises ValueError if the grasp approaches straight towards the camera, where the tilt may have any direction."""
     x, y, z = R[:, 2]
     across = np.hypot(x, y)
     inclination = np.arctan2(across, z)

@@ -1,8 +1,6 @@
 """The file of an episode: a numpy archive (.npz), one array for each entry of `LAYOUT`, without pickled objects.
-
 `meta` is a JSON object with the schema version, the entries of `Metadata`, the fingerprint, and the camera's name and
-size. Every array has a checksum in the archive, so that a torn or damaged file is noticed.
-"""
+size. Every array has a checksum in the archive, so that a torn or damaged file is noticed."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ ARRAY = ".npy"
 META = f"meta{ARRAY}"
 PREFIX, SUFFIX = "episode_", ".npz"
 NAME = PREFIX + "%Y%m%dT%H%M%S_%f"
-LAYOUT = {
+LAYOUT = {  # type and shape of each array; n frames, `side` of the crop, m rows of a map
     "meta": ("U", ()),
     "camera_K": ("f8", (3, 3)),
     "camera_D": ("f8", (5,)),
@@ -53,7 +51,6 @@ LAYOUT = {
     "finger_angles": ("f4", ("n", 4)),
     "teleop_active": ("?", ("n",)),
 }
-"""Type and shape of each array; n frames, `side` of the crop, m rows of a map."""
 MAY_BE_NAN = {"T_base_tool_desired", "finger_angles"}
 POSES = [name for name in LAYOUT if name.startswith("T_")]
 TEXTS = [f.name for f in fields(Metadata) if f.name != "configuration"]
@@ -84,11 +81,7 @@ def unfinished(name: str) -> bool:
 
 
 def encode(episode: Episode) -> bytes:
-    """Returns the content of the file of an episode.
-
-    Raises:
-        DatasetError: not a valid episode: its arrays do not fit together or are not finite.
-    """
+    """Returns an episode's file content; raises DatasetError if its arrays do not fit together or are not finite."""
     camera = episode.camera
     meta = {
         "schema": SCHEMA,
@@ -110,11 +103,7 @@ def encode(episode: Episode) -> bytes:
 
 
 def decode(data: bytes) -> Episode:
-    """Returns the episode in the content of a file.
-
-    Raises:
-        DatasetError: it is torn, damaged, of another schema, or not an episode.
-    """
+    """Returns the episode in a file's content; raises DatasetError if it is torn, of another schema, or no episode."""
     files = _files(data)
     meta, arrays = _meta(files), _arrays(files)
     _check(arrays)

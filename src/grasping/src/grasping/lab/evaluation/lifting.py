@@ -1,7 +1,5 @@
 """Lifting in MuJoCo: a parallel gripper goes to a grasp along its approach, closes, and lifts straight up.
-
-What the physics can say is bounded by its contact model: rigid bodies, Coulomb friction.
-"""
+What the physics can say is bounded by its contact model: rigid bodies, Coulomb friction."""
 
 from __future__ import annotations
 
@@ -14,18 +12,13 @@ from common.rotations import quaternion_from_rotation
 from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
 
-START_M = 0.12
-"""The hand starts so far before the grasp."""
+START_M = 0.12  # the hand starts so far before the grasp
 LIFT_M = 0.15
-RISE_M = 0.08
-"""An object that rose so much was lifted."""
-FORCE_N = 10.0
-"""Of each finger."""
-TIMES_S = (0.4, 0.5, 0.8, 0.3)
-"""Approach, close, lift, hold."""
+RISE_M = 0.08  # an object that rose so much was lifted
+FORCE_N = 10.0  # of each finger
+TIMES_S = (0.4, 0.5, 0.8, 0.3)  # approach, close, lift, hold
 FINGER_M = 0.07
-HOLD_N = 80.0
-"""Greatest force of the hand along its approach and its lift: a hand on an obstacle stops."""
+HOLD_N = 80.0  # greatest force of the hand along its approach and its lift: a hand on an obstacle stops
 STEP_S = 0.002
 
 HAND = """<body name="carriage" pos="{pos}" quat="{quat}" gravcomp="1">
@@ -53,12 +46,8 @@ class LiftResult(NamedTuple):
 
 
 def lift(scene: HeapScene, T_world_grasp: np.ndarray, opening: float, gripper: Gripper, friction: float) -> LiftResult:
-    """Returns what happens when the gripper grasps there.
-
-    Args:
-        T_world_grasp: surface point between the fingers; z is the approach, x goes through both, shape (4, 4) [m].
-        opening: between the pads before closing [m]; cut to what the gripper has.
-    """
+    """Returns what happens when the gripper grasps there, its pads `opening` [m] apart, at most what it has.
+    `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m]."""
     opening = float(np.clip(opening, 0.005, gripper.opening))
     R, approach = T_world_grasp[:3, :3], T_world_grasp[:3, 2]
     tip = T_world_grasp[:3, 3] + gripper.reach * approach

@@ -1,10 +1,8 @@
 """How near predictions come to an operator's grasps: errors, likelihood of the place, and orientation at that place.
-
 Which of several equally good grasps an operator takes cannot be predicted: a distance punishes a map for the wrong one.
 So a map is taken as a distribution over its pixels, a softmax of the quality, as sharp and as smooth as suits it best
 on episodes that are not tested. Orientation and opening are judged with the place taken as known; a method without a
-standard deviation of its own gets the constant one that fits best on episodes outside the test.
-"""
+standard deviation of its own gets the constant one that fits best on episodes outside the test."""
 
 from __future__ import annotations
 
@@ -28,8 +26,7 @@ from grasping.network.maps import gaussian
 from grasping.network.refinement import COS, LEAN_X, LEAN_Y, OPENING, SIN, RefinementNetwork, RefinementOutput
 
 NEAR_M, NEAR_RAD = 0.020, np.radians(15.0)
-PATCH_SIDE = 120
-"""Of the image's part about GGCNN's pixel by which frames are compared, in the network's image [px]."""
+PATCH_SIDE = 120  # of the image's part about GGCNN's pixel by which frames are compared, in the network's image [px]
 PATCH_CELLS = 24
 HALF_TURN = rotation_about(2, np.pi)
 BLURS_PX = (0.0, 0.5, 1.0, 1.5)
@@ -125,8 +122,7 @@ class Expected(NamedTuple):
 def expected(
     seen: torch.Tensor, target: RefinementTargets, network: RefinementNetwork, offset: OperatorOffset
 ) -> Expected:
-    """Returns what a network says, untrained if it is only to add the offset; `seen`: its input, shape (n, LEAN_Y + 1,
-    h, w)."""
+    """Returns what a network (untrained: only the offset) says of its input `seen`, shape (n, LEAN_Y + 1, h, w)."""
     at = target.place.flatten(1).argmax(1)
     n = torch.arange(len(at))
     with torch.no_grad():
@@ -192,14 +188,8 @@ def _rotations(of: Expected) -> list[np.ndarray]:
 def draw_learning_curve(
     path: Path, learned: Mapping[int, Sequence[float]], others: Mapping[str, Sequence[float]], near_mm: float
 ) -> None:
-    """Draws how near a refinement network comes to an operator, by the number of episodes that it learned from: the
-    median error, and the fraction of errors below a distance, each with its 95 % interval.
-
-    Args:
-        learned: errors of the refinement network [mm] by the number of episodes.
-        others: errors of other methods [mm] by their names; lines.
-        near_mm: the distance [mm].
-    """
+    """Draws the median error and the fraction below `near_mm`, with 95 % intervals, by the number of training episodes.
+    `learned`: errors [mm] of the refinement network by that number; `others`: of other methods by name, as lines."""
     import matplotlib.figure
 
     figure = matplotlib.figure.Figure(figsize=(9, 4), layout="constrained")

@@ -1,11 +1,8 @@
 """One trial: a scene of held-out objects, a method's grasp in its image, and what the physics and the labels say.
-
 The rectangle metric of the grasp data sets: a grasp is right when it is like one labelled rectangle, which stands for
 the opening (its length) and half of that (its height), as the published code has it.
-
 The heuristics are grasps without a network, for comparison: a plane is fitted to the image; what stands out of it is an
-object. Openings are in pixels of the image.
-"""
+object. Openings are in pixels of the image."""
 
 from __future__ import annotations
 
@@ -29,19 +26,15 @@ PLANE_ROUNDS = 8
 PLANE_BAND_M = 0.01
 CLEARANCE_PX = 5.0
 SMALLEST_OBJECT_PX = 60
-EDGE_STEP_M = 0.006
-"""Least step of depth across a pixel that is an edge."""
+EDGE_STEP_M = 0.006  # least step of depth across a pixel that is an edge
 EDGE_PAIRS = 4000
-FRICTION_ANGLE_RAD = 0.46
-"""atan 0.5."""
+FRICTION_ANGLE_RAD = 0.46  # atan 0.5
 MAX_ANGLE_RAD = np.pi / 6.0
 MIN_OVERLAP = 0.25
 CROP = Crop(0, 0, CROP_SIDE)
-FRICTION = (0.35, 0.6)
-"""Range of the friction of a scene."""
+FRICTION = (0.35, 0.6)  # range of the friction of a scene
 POSITION_ERROR_M = 0.002
-ANGLE_ERROR_RAD = 0.035
-"""Standard deviations of what the arm adds to the grasp."""
+ANGLE_ERROR_RAD = 0.035  # standard deviations of what the arm adds to the grasp
 LABEL_QUALITY = 0.3
 
 Method = Callable[[NetworkImage, float, np.random.Generator], "Peak | None"]

@@ -1,9 +1,7 @@
 """Compares grasp methods on held-out objects, by lifting in MuJoCo and by the rectangle metric; resumable.
-
 Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md. With
 --export scenes and grasps go to a file instead, for whoever lifts with another hand (rosrun rig_simulation
-lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines that are there are not made again.
-"""
+lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines that are there are not made again."""
 
 from __future__ import annotations
 
@@ -39,8 +37,7 @@ from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 COLUMNS = ("scene", "objects", "method", *trials.TrialOutcome._fields)
 EXPORT_SCHEMA = 1
 QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
-NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)
-"""As the reference experiments smooth; the node's wider blur is for the moving camera."""
+NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)  # as the reference experiments; the node blurs for a moving camera
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -50,11 +47,7 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 class ResultsFile:
-    """A CSV file of results; rows of an earlier run are read first.
-
-    Raises:
-        OSError: the file cannot be read or written.
-    """
+    """A CSV file of results; reads the rows of an earlier run first. Raises OSError if it cannot be read or written."""
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)

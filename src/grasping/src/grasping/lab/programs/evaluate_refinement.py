@@ -1,5 +1,4 @@
 """Compares predictors of an operator's grasps on episodes that no training saw; resumable.
-
 GGCNN alone, with the operator's constant offset, the nearest neighbour among the training episodes, and GGCNN with the
 refinement network: how far from the operator's grasp, in the last frame of each episode whose grasp held. GGCNN's maps
 are those that the episodes recorded, and all are smoothed alike. Where the episodes are simulated, each grasp is tried
@@ -8,8 +7,7 @@ tremor, which nobody can foresee. Results go to results.csv, one line a grasp, a
 the same episodes, and with the likelihood of the operator's places: which of several equal grasps it is to be, nobody
 can foresee either; and, taking the place as known, how far orientation and opening of the hand are from the operator's,
 and how likely the orientation was. Where refinement networks learned from different numbers of episodes (settings.json
-beside their files), curve.png shows what more of them bring.
-"""
+beside their files), curve.png shows what more of them bring."""
 
 from __future__ import annotations
 
@@ -47,11 +45,9 @@ from grasping.network.refinement import MapRefiner, RefinementNetwork
 from grasping.pipeline.projection import CameraGrasp
 from grasping.pipeline.refined_grasp import refined_grasp
 
-FIRST = 3
-"""So many of a method's grasps are what an operator is offered."""
+FIRST = 3  # so many of a method's grasps are what an operator is offered
 COLUMNS = ("episode", "object", "method", "position_mm", "rotation_deg", "near", "nearest_of_3_mm", "lifted")
-Row = Dict[str, Union[str, float]]
-"""A line of results.csv, as it was made or as it was read."""
+Row = Dict[str, Union[str, float]]  # a line of results.csv, as it was made or as it was read
 Method = Callable[[EpisodeFrame], List[np.ndarray]]
 ALONE, OFFSET, NEIGHBOUR, BOUND = "GGCNN alone", "GGCNN + constant offset", "nearest neighbour", "bound: without tremor"
 MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = {
@@ -66,11 +62,7 @@ MEASURES: dict[str, tuple[Callable[..., np.ndarray], Callable[[Row], float]]] = 
 
 
 def second_networks(files: list[tuple[str, str]], test: list[train_refinement.Named]) -> dict[str, MapRefiner]:
-    """Returns the refinement networks of weight files by their names.
-
-    Raises:
-        RigError, OSError: a weight file cannot be used, or not for these episodes.
-    """
+    """Returns the refinement networks of weight files by name; raises RigError or OSError if one is unusable here."""
     found, rig = {}, train_refinement.origin_of(test, mixed=True)
     for name, file in files:
         found[name], origin = refinement_file.load(Path(file).read_bytes())
@@ -124,8 +116,7 @@ def row(
     method: Method | None,
     lift: bool,
 ) -> dict[str, str | float]:
-    """Returns the line of one method's grasp in an episode; None as the method is the bound. Only of a simulated scene
-    the bound is known, and grasps are lifted."""
+    """Returns the line of one method's grasp; None is the bound. Only simulated scenes have a bound and are lifted."""
     frame = named.episode.frame(len(named.episode) - 1)
     line: dict[str, str | float] = dict.fromkeys(COLUMNS, "")
     line.update(episode=named.name, object=named.episode.metadata.object, method=name, near="False")

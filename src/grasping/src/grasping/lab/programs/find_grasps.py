@@ -1,8 +1,6 @@
 """Finds grasps in one depth image: a .npy file in metres or a 16-bit image in millimetres, 0 or NaN = no reading.
-
 Writes one JSON object a grasp, best first: position before the camera [m], angle in the image [rad], width [m],
-quality, pixel. The image's centre is taken for the optical axis unless --centre says otherwise.
-"""
+quality, pixel. The image's centre is taken for the optical axis unless --centre says otherwise."""
 
 from __future__ import annotations
 
@@ -25,11 +23,7 @@ from grasping.pipeline.view import CameraView, CropConfig
 
 
 def read_depth(path: Path) -> np.ndarray:
-    """Returns the image, shape (h, w) [m].
-
-    Raises:
-        RigError: it is no depth image.
-    """
+    """Returns the image, shape (h, w) [m]; raises RigError if it is no depth image."""
     if path.suffix == ".npy":
         depth = np.load(path, allow_pickle=False)
     else:

@@ -27,10 +27,8 @@ def make_all(
     processes: int,
     unit: str,
 ) -> None:
-    """Makes the folder, then each file in it, and shows how far it is.
-
-    A folder or file that cannot be written ends the program with a sentence; what was made stays and is not made again.
-    """
+    """Makes the folder and each file in it with a progress bar; what was made by an earlier run stays.
+    If a folder or file cannot be written, the program ends with one sentence."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # A fork would inherit the locks of the libraries' threads.

@@ -43,12 +43,8 @@ def identity(settings: dict[str, Any], *data: list[str]) -> str:
 
 
 def opened(folder: Path, wanted: str, anew: bool) -> dict[str, Any] | None:
-    """Returns the checkpoint of an earlier run, None where there is none; creates the folder. Where there is another
-    training, `anew` starts again and keeps its files in a folder `before_` and a number.
-
-    Raises:
-        RigError: there is another training.
-    """
+    """Returns an earlier run's checkpoint, or None; creates the folder. Raises RigError if it holds another training,
+    unless `anew`, which moves that one's files into a folder `before_` and a number."""
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT
     if not checkpoint.exists():
@@ -76,11 +72,7 @@ def save(value: object, path: Path) -> None:
 
 
 def device(name: str) -> torch.device:
-    """Returns the device of a name in `DEVICES`; auto is a CUDA device where torch sees one.
-
-    Raises:
-        RigError: torch sees no CUDA device, but one is wanted.
-    """
+    """Returns the device of a name in `DEVICES`; auto is CUDA if torch sees it, cuda raises RigError if not."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda" and not torch.cuda.is_available():
@@ -110,15 +102,10 @@ def train(
     curves: Curves,
     patience: int | None = None,
 ) -> None:
-    """Trains to the last step, with a validation, a checkpoint and the curves every `every` steps.
-
-    Args:
-        settings: what settings.json says of the training, its identity among them.
-        saved: the checkpoint to resume, of `opened`.
-        data: to train on, and to validate on.
-        weights: returns the content of each weight file by its name, of the mean network that validates best so far.
-        patience: as `is_over` has it; None: all steps.
-    """
+    """Trains to the last step; every `every` steps it validates and writes a checkpoint and the curves. `settings`:
+    what settings.json says, with the training's identity; `saved`: the checkpoint of `opened`; `data`: for training and
+    for validation; `weights`: returns each weight file's content by name, of the mean network that validates best so
+    far; `patience`: as in `is_over`, None: all steps."""
     (folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
     rows: list[dict] = []
     if saved is not None:

@@ -1,10 +1,8 @@
 """Trains the refinement network on episodes of an operator's grasps; may be stopped and resumed at any time.
-
 The folder of the run holds checkpoint.pt (to resume, with the same episodes and settings), weights.pt (the best so
 far), taste.pt (the same without the constant offset and the lean about the view's axes, which belong to this operator's
 hand and site alone), settings.json, curves.csv and curves.png. One in five episodes, chosen by its file's name, is held
-out to decide when training stops.
-"""
+out to decide when training stops."""
 
 from __future__ import annotations
 
@@ -29,8 +27,7 @@ from grasping.network.depth_image import VIEWS
 from grasping.network.refinement import RefinementNetwork
 from grasping.network.refinement_file import Origin, content, taste
 
-HELD_OUT = 5
-"""One in this many episodes is held out of training and decides when it stops."""
+HELD_OUT = 5  # one in this many episodes is held out of training and decides when it stops
 LOSSES = ("training", "validation", "place", "depth", "turn", "opening", "tilt")
 CURVES = runs.Curves(
     ("step", *LOSSES, "miss"),
@@ -50,12 +47,8 @@ class Named(NamedTuple):
 
 
 def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) -> list[Named]:
-    """Returns the episodes in a folder and those below it, ordered by name; only those of some things, if any are
-    named.
-
-    Raises:
-        RigError: the folder holds no such episode, or a file is not one.
-    """
+    """Returns the episodes in and below a folder, ordered by name; `only` (if any) and `without` name objects.
+    Raises RigError if there is no such episode, or a file is not one."""
     found = []
     for path in tqdm(sorted(folder.rglob("*" + store.SUFFIX)), unit="episode", desc="read"):
         data = path.read_bytes()
@@ -72,11 +65,8 @@ def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str]
 
 
 def origin_of(named: list[Named], mixed: bool = False) -> Origin:
-    """Returns the rig of which all episodes are; what differs among those of several rigs, where `mixed`, is unknown.
-
-    Raises:
-        RigError: they are of several views, or of one that is not known; or of several rigs, and not to be mixed.
-    """
+    """Returns the rig of all episodes; if `mixed`, what differs among several rigs is unknown.
+    Raises RigError for several views or an unknown one, and for several rigs if they must not be mixed."""
     views = sorted({n.episode.view for n in named})
     if len(views) > 1 or views[0] not in VIEWS:
         raise RigError(

@@ -1,12 +1,9 @@
 """The node grasp_collection: records depth images and the grasp of the operator that followed, one file an episode.
-
 In: the depth images of the node ggcnn with their camera_info, tf, reflex_takktile/hand_state, leap_kuka/stream, and
 from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
 grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
-
 The network runs here, on the kept frames only, with the parameters of the node ggcnn: its maps before smoothing, which
-the refinement network needs, have no topic.
-"""
+the refinement network needs, have no topic."""
 
 from __future__ import annotations
 
@@ -41,10 +38,8 @@ from grasping.ros.camera_input import PoseLookup
 from grasping.ros.execution_io import hand_measurement
 from reflex_msgs.msg import Hand
 
-BUFFER_BYTES = 2**22
-"""Room for several images: rospy drops all but the newest only among those that it has read."""
-EXECUTING = ("approaching", "waiting_for_hand", "person")
-"""States of grasping/state in which the outcome of a proposal is awaited."""
+BUFFER_BYTES = 2**22  # room for several images: rospy drops all but the newest only among those that it has read
+EXECUTING = ("approaching", "waiting_for_hand", "person")  # in grasping/state: the outcome is awaited
 STALE_S = 0.5
 SILENT_S = 3.0
 THROTTLE_S = 10.0
@@ -268,11 +263,7 @@ def _clause(error: Exception) -> str:
 
 
 def _play() -> None:
-    """Starts the recording that is paused until this node listens.
-
-    Raises:
-        RigError: the player of the recording does not answer.
-    """
+    """Starts the recording that is paused until this node listens; raises RigError if its player does not answer."""
     try:
         call(PLAYER, SetBool, False, timeout=PLAYER_S, wait=PLAYER_S)
     except ServiceFailed as error:

@@ -24,8 +24,7 @@ from grasping.pipeline.settings import GgcnnSettings, grasp_in_tool, overlaid, s
 from grasping.ros.weight_files import load_network, own_yaml, package_folder
 
 SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
-GGCNN = "ggcnn"
-"""Section with the parameters of the node ggcnn for its network and view."""
+GGCNN = "ggcnn"  # section with the parameters of the node ggcnn for its network and view
 GIT_S = 5.0
 
 
@@ -75,11 +74,7 @@ class CollectionSetup:
 
 
 def read_setup() -> CollectionSetup:
-    """Returns the setup; waits for the parameters of the arm.
-
-    Raises:
-        RigError: a parameter is wrong, or the weight file cannot be used.
-    """
+    """Returns the setup, once the arm's parameters are set; raises RigError for a wrong parameter or weight file."""
     config = private_config(CollectionConfig, others=(*SECTIONS, GGCNN))
     sections = {name: private_config(schema, name) for name, schema in SECTIONS.items()}
     own = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}

@@ -1,7 +1,5 @@
 """Writes episodes from a thread of its own, each whole or not at all, and sets the last one aside on demand.
-
-An episode that the disk does not take stays in memory and is tried again, until it is written or the node ends.
-"""
+An episode that the disk does not take stays in memory and is tried again, until it is written or the node ends."""
 
 from __future__ import annotations
 
@@ -19,14 +17,10 @@ from grasping.lab.dataset.collector import SAME_GRASP_S
 from grasping.lab.dataset.episode import Episode
 from grasping.lab.dataset.store import SUFFIX, DatasetError, encode, file_name, grasp_time, unfinished
 
-WAITING = 2
-"""Episodes that may wait to be packed; each is up to half a megabyte a frame."""
-WAITING_BYTES = 500_000_000
-"""Most memory for packed episodes that the disk did not take."""
-RETRY_S = 2.0
-"""Time between two attempts."""
-FLUSH_S = 6.0
-"""Twice this time is less than the 15 s that roslaunch gives a node to exit."""
+WAITING = 2  # episodes that may wait to be packed; each is up to half a megabyte a frame
+WAITING_BYTES = 500_000_000  # most memory for packed episodes that the disk did not take
+RETRY_S = 2.0  # time between two attempts
+FLUSH_S = 6.0  # twice this time is less than the 15 s that roslaunch gives a node to exit
 ASIDE = ".discarded"
 
 

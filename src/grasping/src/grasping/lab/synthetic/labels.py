@@ -1,10 +1,8 @@
 """Where a parallel gripper can take hold of what lies on the table: antipodal grasps in slices of a height map.
-
 For each direction the map is turned until the jaws close along the rows. The map cut at the height of the finger tips
 shows what they meet: the contacts, whether the fingers have room, and the surface's normals there, which must lie in
 the friction cone, both in the cut and upwards: a ball held above its equator slips out. The camera's axis is the
-approach. Angles follow the image: from its horizontal, anticlockwise, modulo pi.
-"""
+approach. Angles follow the image: from its horizontal, anticlockwise, modulo pi."""
 
 from __future__ import annotations
 
@@ -13,17 +11,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-LEVEL_M = 0.005
-"""Distance between the heights at which the map is cut."""
-LOWEST_OBJECT_M = 0.008
-"""What stands out of the table by less is table."""
-PAD_UNEVENNESS_M = 0.0075
-"""How far the surface may stand out under a finger's pad beyond the point it should touch."""
+LEVEL_M = 0.005  # distance between the heights at which the map is cut
+LOWEST_OBJECT_M = 0.008  # what stands out of the table by less is table
+PAD_UNEVENNESS_M = 0.0075  # how far the surface may stand out under a finger's pad beyond the point it should touch
 HORIZONTAL_BONUS = 0.08
 """Between directions about equally good, as on a disc, the one nearest to the horizontal is the target: one answer
 that can be learnt, where the mean of several would be none."""
-FREE = 1e3
-"""Depth of what is outside the map [m]."""
+FREE = 1e3  # depth of what is outside the map [m]
 
 
 class Gripper(NamedTuple):
@@ -57,13 +51,8 @@ class Labels(NamedTuple):
 
 
 def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper, directions: int = 12) -> Grasps:
-    """Returns the score and opening of a grasp at each cell for each direction.
-
-    Args:
-        surface: depth of what is seen in a parallel view, shape (n, n) [m].
-        table: depth of the bare table, shape (n, n) [m].
-        cell: width of a cell [m].
-    """
+    """Returns the score and opening of a grasp at each cell, `cell` [m] wide, for each direction.
+    `surface` and `table` are depths, of what a parallel view sees and of the bare table, shape (n, n) [m]."""
     n = len(surface)
     angles = np.pi * np.arange(directions) / directions
     scores, openings = np.zeros((directions, n, n), np.float32), np.zeros((directions, n, n), np.float32)
@@ -104,17 +93,9 @@ def best(found: Grasps) -> Labels:
 
 
 def in_image(labels: Labels, surface: np.ndarray, cell: float, depth: np.ndarray, focal: float) -> Labels:
-    """Returns the labels of the pixels of an image whose optical axis is the middle of the height map.
-
-    A pixel on a side wall sees what the parallel view does not, and a label is not known there. Outside the height map
-    lies the bare table.
-
-    Args:
-        surface: the height map, shape (n, n) [m].
-        cell: width of its cells [m].
-        depth: exact depth of the pixels, shape (h, w) [m].
-        focal: focal length [px].
-    """
+    """Returns the labels of an image's pixels, whose optical axis is the middle of the height map. Side walls, which
+    the parallel view does not see, have no label; outside the map lies the bare table. `surface`: the map, shape (n, n)
+    [m], cells of `cell` [m]; `depth`: of the pixels, exact, shape (h, w) [m]; `focal`: length [px]."""
     n = len(surface)
     row, column = np.indices(depth.shape)
     h, w = depth.shape

@@ -1,8 +1,6 @@
 """One training example: a heap, the camera's image of it and the label of each pixel, all from one number.
-
 The camera is a structured-light one (Asus Xtion, Kinect 1): noise after Nguyen, Izadi and Lovell (2012) and Khoshelham
-and Elberink (2012); errors are alike in neighbouring pixels, because the camera compares windows.
-"""
+and Elberink (2012); errors are alike in neighbouring pixels, because the camera compares windows."""
 
 from __future__ import annotations
 
@@ -16,48 +14,36 @@ from grasping.lab.synthetic import labels, scene, shapes
 from grasping.network import depth_image
 from grasping.network.networks import WIDTH_SCALE_PX
 
-FOCAL_PX = 570.3
-"""Focal length of the 640 x 480 image."""
-BASELINE_M = 0.075
-"""Between projector and camera, along the rows."""
+FOCAL_PX = 570.3  # focal length of the 640 x 480 image
+BASELINE_M = 0.075  # between projector and camera, along the rows
 NEAREST_M = 0.45
 DISPARITY_STEP_PX = 0.125
 DEPTH_STEP_M = 0.001
 LATERAL_PX = 0.8
-CORRELATION_PX = 2.0
-"""Standard deviation of the blur that makes neighbouring errors alike."""
-SCALE_ERROR = 0.005
-"""Of the distances of one camera, standard deviation."""
-WARP = 0.0015
-"""Smooth error over the image that grows with the distance squared, standard deviation at 1 m [m]."""
-STEEPEST_RAD = 1.3
-"""Surfaces further from the line of sight return no pattern."""
+CORRELATION_PX = 2.0  # standard deviation of the blur that makes neighbouring errors alike
+SCALE_ERROR = 0.005  # of the distances of one camera, standard deviation
+WARP = 0.0015  # smooth error over the image that grows with the distance squared, standard deviation at 1 m [m]
+STEEPEST_RAD = 1.3  # surfaces further from the line of sight return no pattern
 EDGE_STEP_M = 0.01
-EDGE_LOSS = 0.3
-"""Share of the pixels at an edge that is lost."""
-DARK_SHARE = 0.3
-"""Share of the images with spots that return no pattern."""
+EDGE_LOSS = 0.3  # share of the pixels at an edge that is lost
+DARK_SHARE = 0.3  # share of the images with spots that return no pattern
 CELL_M = 0.0025
 CELLS = 168
 MAX_TILT_RAD = 0.15
-SINGLE_SHARE = 0.4
-"""Share of the scenes with one object; the others hold two to five."""
-CLEAN_SHARE = 0.1
-"""Share of the images without the camera's faults."""
+SINGLE_SHARE = 0.4  # share of the scenes with one object; the others hold two to five
+CLEAN_SHARE = 0.1  # share of the images without the camera's faults
 GRIPPER = labels.Gripper()
-SPLITS = {
+SPLITS = {  # number and families of each split, with scenes of its own; the last two are a simulated operator's
     "train": (0, shapes.TRAINING),
     "validation": (1, shapes.TRAINING),
     "test": (2, shapes.HELD_OUT),
     "person": (3, shapes.TRAINING),
     "person_test": (4, shapes.HELD_OUT),
 }
-"""Number and families of each split; no scene belongs to two of them. The last two are a simulated operator's."""
 
 
 def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Returns the camera's image, shape as `depth`, float32 [m], NaN where it sees nothing; `depth`: exact distances
-    along the optical axis, shape (h, w) [m], at the scale of `FOCAL_PX`."""
+    """Returns the camera's image, float32 [m], NaN = unseen, of exact depths, shape (h, w) [m], for `FOCAL_PX`."""
     h, w = depth.shape
     angle = _incidence(depth)
     lost = shadow(depth) | (depth < NEAREST_M) | (angle > STEEPEST_RAD + 0.1 * _field(rng, depth.shape, 3.0))
@@ -82,9 +68,7 @@ def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def shadow(depth: np.ndarray) -> np.ndarray:
     """Returns where the projector, `BASELINE_M` to the left, does not shine, shape as `depth`, bool.
-
-    A point is dark when one to its left in the same row lies further right in the projector's image.
-    """
+    A point is dark when one to its left in the same row lies further right in the projector's image."""
     in_projector = np.arange(depth.shape[1]) + FOCAL_PX * BASELINE_M / depth
     return np.maximum.accumulate(in_projector, axis=1) > in_projector + 1e-6
 
@@ -131,8 +115,7 @@ class Sample(NamedTuple):
 
 
 def view(split: str, seed: int, count: int | None = None) -> SceneView:
-    """Returns the scene number `seed` of a split; the same for the same number. `count`: of objects; drawn at random
-    when left out."""
+    """Returns the scene `seed` of a split, always the same, with `count` objects or a random number of them."""
     number, families = SPLITS[split]
     rng = np.random.default_rng([number, seed])
     if count is None:

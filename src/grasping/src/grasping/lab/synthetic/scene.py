@@ -1,8 +1,6 @@
 """Heaps of random objects on a table, settled by MuJoCo, and what a depth camera above sees of them.
-
-The world's z points up and the table's top is z = 0. The camera's axes are those of an image: x right, y down,
-z forward. Depths are distances along the optical axis [m].
-"""
+The world's z points up and the table's top is z = 0. The camera's axes are those of an image: x right, y down, z
+forward. Depths are distances along the optical axis [m]."""
 
 from __future__ import annotations
 
@@ -14,17 +12,13 @@ import numpy as np
 
 from grasping.lab.synthetic import shapes
 
-FAR_M = 100.0
-"""Distance of the eye that stands in for one at infinity: 0.1 m of height shift a point by 0.1 % of its offset."""
+FAR_M = 100.0  # distance of the eye for a parallel view: 0.1 m of height shift a point by 0.1 % of its offset
 DOWN_TO_X = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 SETTLE_S = 2.0
-MAX_RADIUS_M = 0.13
-"""Scenes with an object beyond this distance from the camera's axis are thrown away."""
+MAX_RADIUS_M = 0.13  # scenes with an object beyond this distance from the camera's axis are thrown away
 MAX_SPEED = 0.05
-MAX_TURNING = 1.0
-"""Fastest object of a scene that counts as settled [m/s and rad/s]; an egg rocks for long."""
-DENSITY = 350.0
-"""Of the objects [kg/m^3]."""
+MAX_TURNING = 1.0  # fastest object of a scene that counts as settled [m/s and rad/s]; an egg rocks for long
+DENSITY = 350.0  # of the objects [kg/m^3]
 
 WORLD = """<mujoco><compiler angle="radian"/>
 <option timestep="0.004" integrator="implicitfast" cone="elliptic" noslip_iterations="{noslip}"/>
@@ -138,10 +132,7 @@ def _cast(
     model: mujoco.MjModel, data: mujoco.MjData, origin: np.ndarray, directions: np.ndarray, side: int
 ) -> np.ndarray:
     """Returns how many times its direction each ray goes until it meets something, shape (side, side).
-
-    MuJoCo 3.2 sorts out objects by azimuth and elevation and loses some of those near the poles, straight above and
-    below the eye. So a copy of the world is turned until down is its x axis.
-    """
+    MuJoCo 3.2 loses some objects straight above and below the eye, so a copy of the world is turned until down is x."""
     turned = mujoco.MjData(model)
     turned.qpos[:] = data.qpos
     mujoco.mj_kinematics(model, turned)

@@ -1,8 +1,6 @@
 """Random objects for the grasp networks: families of shapes put together from MuJoCo's primitives.
-
-`TRAINING` families are what a network is trained on; `HELD_OUT` ones it meets in its evaluation only. Every shape has
-a side that a parallel gripper of about 0.1 m can span. Lengths in metres, frame of the object.
-"""
+`TRAINING` families are what a network is trained on; `HELD_OUT` ones it meets in its evaluation only. Every shape has a
+side that a parallel gripper of about 0.1 m can span. Lengths in metres, frame of the object."""
 
 from __future__ import annotations
 
@@ -11,8 +9,7 @@ from typing import NamedTuple, Tuple
 import numpy as np
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
-ALONG_X = (0.70710678, 0.0, 0.70710678, 0.0)
-"""Quaternion w, x, y, z that lays a cylinder along x."""
+ALONG_X = (0.70710678, 0.0, 0.70710678, 0.0)  # quaternion w, x, y, z that lays a cylinder along x
 
 
 class Geom(NamedTuple):
@@ -25,8 +22,7 @@ class Geom(NamedTuple):
     vertices: tuple[tuple[float, float, float], ...] = ()  # corners of a mesh [m]
 
 
-Shape = Tuple[Geom, ...]
-"""An object: its primitives in its own frame."""
+Shape = Tuple[Geom, ...]  # an object: its primitives in its own frame
 
 
 def box(rng: np.random.Generator) -> Shape:

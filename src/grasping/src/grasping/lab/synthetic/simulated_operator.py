@@ -1,13 +1,10 @@
 """A simulated operator who grasps, and episodes of it in the very form of the recorded ones.
-
 Stands in for a teleoperating operator where none is at hand; whatever was found with it is to be called simulated. It
 sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a constant bias
 and a tremor. The higher the place, the more the wrist turns, the wider the hand opens, and the less it leans away from
 the operator, who sits below the image; and it leans with the surface. How people do it, nobody has measured here.
-
 Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the grasp, as wide
-open as the operator opens the hand (the recorded fingers' angles say so), and lifts.
-"""
+open as the operator opens the hand (the recorded fingers' angles say so), and lifts."""
 
 from __future__ import annotations
 
@@ -31,12 +28,10 @@ from grasping.network.maps import gaussian
 from grasping.network.networks import MapNetwork, infer
 
 DOWN = np.array([0.0, 0.0, -1.0])
-EYE_M = 0.02
-"""Standard deviation of the blur through which the lean of a surface is seen."""
+EYE_M = 0.02  # standard deviation of the blur through which the lean of a surface is seen
 SMOOTHING = maps.Smoothing(quality=2.0)
 MAP_SIDE = 150
-FRAME_S, REACH_S = 0.5, 2.0
-"""Between two frames; from the last one to the closing of the fingers [s]."""
+FRAME_S, REACH_S = 0.5, 2.0  # between two frames; from the last one to the closing of the fingers [s]
 OPERATOR = "simulated"
 NAME = re.compile(r"simulated_(\w+)_(\d+)")
 SETTINGS_VERSION = 2
@@ -61,10 +56,8 @@ class SimulatedOperator(NamedTuple):
 
 
 def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
-    """Returns a base frame whose x axis points to the image's right, T_world_base, shape (4, 4).
-
-    On a rig the camera stands still before the base; here the scenes stand still before cameras turned anyhow.
-    """
+    """Returns a base frame whose x axis points to the image's right, T_world_base, shape (4, 4): on a rig the camera
+    stands still before the base, here the scenes stand still before cameras turned anyhow."""
     heading = np.arctan2(camera.R[1, 0], camera.R[0, 0])
     return pose(pin.exp3(np.array([0.0, 0.0, heading])))
 
@@ -85,21 +78,15 @@ def chosen_pixel(
 
 
 def points(depth: np.ndarray, camera: scene.SceneCamera) -> np.ndarray:
-    """Returns where the pixels of a square depth image lie in the world, shape (h, w, 3) [m]; `depth`: shape (h, w)
-    [m]."""
+    """Returns where the pixels of a square depth image, shape (h, w) [m], lie in the world, shape (h, w, 3) [m]."""
     scaled = camera._replace(focal=camera.focal * len(depth) / camera.side, side=len(depth))
     rays = scene.rays(scaled).reshape(*depth.shape, 3)
     return camera.position + (depth[..., None] * rays) @ camera.R.T
 
 
 def lean(operator: SimulatedOperator, height: np.ndarray, pixel_m: float, at: tuple[int, int]) -> np.ndarray:
-    """Returns how much the hand leans about the base frame's x and y axes, shape (2,) [rad].
-
-    Args:
-        height: above the table, shape (h, w) [m].
-        pixel_m: what a pixel shows of the scene [m].
-        at: row and column of the chosen place.
-    """
+    """Returns the hand's lean about the base frame's x and y axes, shape (2,) [rad], at row and column `at`.
+    `height`: above the table, shape (h, w) [m]; `pixel_m`: what a pixel shows of the scene [m]."""
     row, column = at
     seen = gaussian(np.clip(height, 0.0, None).astype(np.float32), EYE_M / pixel_m)
     down, right = (float(np.gradient(seen, pixel_m, axis=axis)[row, column]) for axis in (0, 1))
@@ -112,13 +99,8 @@ def lean(operator: SimulatedOperator, height: np.ndarray, pixel_m: float, at: tu
 def grasp_pose(
     operator: SimulatedOperator, place: np.ndarray, line: np.ndarray, leant: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Returns the operator's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach.
-
-    Args:
-        place: the chosen place, shape (3,) [m].
-        line: direction of the line through the fingers, shape (3,); both in the base frame.
-        leant: about the base frame's x and y axes, shape (2,) [rad].
-    """
+    """Returns the operator's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach. In the base
+    frame: `place`, shape (3,) [m], the fingers' direction `line`, shape (3,), lean about x and y, shape (2,) [rad]."""
     x = line - (line @ DOWN) * DOWN
     x /= np.linalg.norm(x)
     upright = np.column_stack([x, np.cross(DOWN, x), DOWN])
@@ -167,9 +149,7 @@ def situation(split: str, number: int) -> EpisodeScene:
 
 
 def intended(of: EpisodeScene, made: Episode) -> np.ndarray:
-    """Returns the grasp of an episode as the simulated operator meant it, without its tremor, T_base_grasp, shape (4,
-    4) [m]: no prediction can be expected to be nearer.
-    """
+    """Returns the operator's intended T_base_grasp, shape (4, 4) [m], without tremor: no prediction can be nearer."""
     who = SimulatedOperator(**made.metadata.configuration["person"])
     steady = who._replace(tremor_m=0.0, tremor_rad=0.0)
     found = _grasp(of, steady, np.random.default_rng(0))
@@ -191,8 +171,7 @@ def episode(
     who: SimulatedOperator,
     frames: int,
 ) -> Episode | None:
-    """Returns the episode of a scene, None where the operator finds nothing to grasp; `frames`: images, each with the
-    camera's faults drawn again."""
+    """Returns a scene's episode, None without a grasp; each of `frames` images draws the camera's faults again."""
     of, rng = situation(split, number), np.random.default_rng([97, number])
     chosen = _grasp(of, who, rng)
     if chosen is None:

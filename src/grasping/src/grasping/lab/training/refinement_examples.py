@@ -1,8 +1,6 @@
 """What the refinement network learns from: frames of an operator's episodes, and batches of them.
-
 All maps are at the refinement network's scale, a `SHRINK`th of the first one's. Positions are in its pixels. Examples
-are taken as they are: what the network looks at does not change when the image is turned or shifted.
-"""
+are taken as they are: what the network looks at does not change when the image is turned or shifted."""
 
 from __future__ import annotations
 
@@ -17,10 +15,8 @@ from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare, table_dept
 from grasping.network.networks import WIDTH_SCALE_PX
 from grasping.network.refinement import SHRINK, SIDE, features
 
-SAME_PLACE_M = 0.04
-"""An operator's grasp further from GGCNN's was not meant to be the same."""
-SIGMA_PX = 1.25
-"""Of the target about the operator's pixel, 5 px of the network's image."""
+SAME_PLACE_M = 0.04  # an operator's grasp further from GGCNN's was not meant to be the same
+SIGMA_PX = 1.25  # of the target about the operator's pixel, 5 px of the network's image
 
 
 class Example(NamedTuple):

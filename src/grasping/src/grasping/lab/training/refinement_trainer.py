@@ -1,9 +1,7 @@
 """Trains the refinement network with AdamW and a linear decay of the learning rate, until held-out episodes stop it.
-
 Of a grasp that held it makes small the cross-entropy between a softmax over all pixels and a bell about the operator's
 pixel, and under that bell the negative log-likelihoods of depth, turn, opening and lean, but for a constant; of one
-that failed, the mass of the softmax there; everywhere, a little, the quality's change itself.
-"""
+that failed, the mass of the softmax there; everywhere, a little, the quality's change itself."""
 
 from __future__ import annotations
 
@@ -18,8 +16,7 @@ from grasping.lab.training.refinement_examples import Example, OperatorOffset, R
 from grasping.lab.training.trainer import CPU, MeanTrainer
 from grasping.network import refinement
 
-POSE_WEIGHT, CHANGE_WEIGHT = 0.3, 0.02
-"""Of each likelihood beside the place's, and of the quality's change."""
+POSE_WEIGHT, CHANGE_WEIGHT = 0.3, 0.02  # of each likelihood beside the place's, and of the quality's change
 LEAST = 1e-6
 VALIDATION_BATCH = 16
 
@@ -36,8 +33,7 @@ class RefinementLosses(NamedTuple):
 
 
 def losses(seen: torch.Tensor, said: torch.Tensor, target: RefinementTargets) -> RefinementLosses:
-    """Returns the losses of what the network says; `seen`: its input, shape (n, LEAN_Y + 1, h, w); `said`: its output,
-    shape (n, len(CHANGES), h, w)."""
+    """Returns the losses of `said`, shape (n, len(CHANGES), h, w), for the input, shape (n, LEAN_Y + 1, h, w)."""
     change = refinement.RefinementOutput.of(said)
     quality = seen[:, 0] + change.quality
     logs = F.log_softmax(refinement.SHARPNESS * quality.flatten(1), dim=1).view_as(quality)

@@ -1,8 +1,6 @@
 """Trains a grasp network with Adam: a short warm-up, a constant learning rate, and a linear decay at the end.
-
 Windows of labelled images are mirrored at random, not turned: between equally good directions the labels prefer the
-horizontal one (synthetic.labels). Unlike in the published loss, angle and width count only where there is a grasp.
-"""
+horizontal one (synthetic.labels). Unlike in the published loss, angle and width count only where there is a grasp."""
 
 from __future__ import annotations
 
@@ -21,35 +19,22 @@ LONGEST_GRADIENT = 1.0
 CPU = torch.device("cpu")
 
 Network = TypeVar("Network", bound=nn.Module)
-GRASPABLE = 0.3
-"""From this quality on a pixel teaches angle and width."""
-CENTRED_SHARE = 0.8
-"""Share of the windows that are centred near a pixel that can be grasped."""
+GRASPABLE = 0.3  # from this quality on a pixel teaches angle and width
+CENTRED_SHARE = 0.8  # share of the windows that are centred near a pixel that can be grasped
 MEAN_JITTER_M = 0.02
 
 Samples = Mapping[str, np.ndarray]
 QUALITY_WEIGHT = 10.0
-GRASP_WEIGHT = 4.0
-"""How much more a pixel of quality 1 counts than the background."""
+GRASP_WEIGHT = 4.0  # how much more a pixel of quality 1 counts than the background
 ANGLE_WEIGHT = 0.5
 WIDTH_WEIGHT = 2.0
 
 
 class MeanTrainer(Generic[Network]):
-    """A network in training.
-
-    Args:
-        network: before its first step.
-        memory: weight of the old mean in the new one.
-        steps: of the whole training.
-        rate: returns the learning rate of a step.
-        loss: returns the network's loss on the data in a step; the batch depends on the seed and the step alone.
-        validate: returns the losses of a network on the data, `validation` the total, and a metric.
-
-    Attributes:
-        mean: the same network with the running mean of the weights: usable at any time.
-        step: the number of steps so far.
-    """
+    """A network in training: `step` counts its steps, `mean` is the same network with the running mean of the weights,
+    usable at any time. `memory`: weight of the old mean in the new one; `steps`: of the whole training; `rate`: returns
+    a step's learning rate; `loss`: returns the loss in a step, its batch set by seed and step alone; `validate`:
+    returns the losses on the data, `validation` the total, and a metric."""
 
     def __init__(
         self,
@@ -115,9 +100,8 @@ class MapTargets(NamedTuple):
 
 
 def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, MapTargets]:
-    """Returns `count` random windows of `side` pixels as input, shape (n, 1, side, side), and targets; `samples`:
-    arrays `depth`, `quality`, `angle`, `width`, `known`, each shape (m, 300, 300), as `synthetic.samples.Sample` has
-    them."""
+    """Returns `count` random windows as input, shape (n, 1, side, side), and targets. `samples` has the arrays of
+    `synthetic.samples.Sample`: `depth`, `quality`, `angle`, `width`, `known`, each shape (m, 300, 300)."""
     windows = [_window(samples, rng, side) for _ in range(count)]
     depth, target = batch({name: np.stack([w[name] for w in windows]) for name in windows[0]})
     jitter = torch.from_numpy(rng.normal(0.0, MEAN_JITTER_M, (count, 1, 1, 1)).astype(np.float32))
@@ -197,8 +181,7 @@ class NetworkTraining:
 
 
 def network_trainer(settings: NetworkTraining, device: torch.device = CPU) -> MeanTrainer[nn.Module]:
-    """Returns the training of a grasp network on `Samples`; its metric is the fraction of best pixels that are grasps,
-    on whole images."""
+    """Returns the training of a grasp network; its metric: the fraction of whole images whose best pixel is a grasp."""
     s = settings
     torch.manual_seed(s.seed)
     network = NETWORKS[s.network]()
