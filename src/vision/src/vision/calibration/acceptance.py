@@ -91,15 +91,10 @@ class Verdict:
 def refined(
     pairs: list[tuple[BoardDetection, np.ndarray]], camera: CameraModel, refiner: PhotometricRefiner
 ) -> tuple[list[BoardDetection], str]:
-    """Returns the detections with refined poses and an empty string.
-
-    If one image cannot be used, all detections stay unrefined, because the errors of both kinds differ; the string is
-    then the reason, without a full stop. Raises ValueError if an image does not have the camera's size.
-
-    Args:
-        pairs: detections by the corners, each with its image, shape (height, width), uint8.
-        camera: model of the raw images, distortion included.
-    """
+    """Returns the detections with refined poses and an empty string; or, if one image cannot be used, all of them
+    unrefined, as the errors of both kinds differ, and the reason, without a full stop. Raises ValueError for an image
+    without the camera's size. `pairs`: detections by the corners and their images, shape (height, width), uint8;
+    `camera`: model of the raw images, distortion included."""
     better = []
     for detection, grey in pairs:
         result = refiner.refine(grey, camera, detection.T_camera_board)
@@ -115,12 +110,8 @@ def view_from(
     earlier: list[CalibrationView],
     config: CalibrationConfig,
 ) -> CalibrationView:
-    """Returns the view at the measured flange pose, shape (4, 4) [m]; raises ViewRejected if it cannot be used.
-
-    Args:
-        detections: the marker board in the images of this view.
-        earlier: views that are already used.
-    """
+    """Returns the view of `detections` at the measured flange pose, shape (4, 4) [m], given the `earlier` views in use.
+    Raises ViewRejected if it cannot be used."""
     if len(detections) < config.pictures:
         found = f"the camera detected the marker board in {len(detections)} images"
         raise ViewRejected("detections", f"{found}, but a view needs {config.pictures}")

@@ -13,13 +13,11 @@ from common.poses import read_only
 
 JOINTS = [f"kuka/joint_{i}" for i in range(1, 8)]
 SHOULDER, ELBOW, WRIST = "kuka/joint_2", "kuka/joint_4", "kuka/joint_6"
-MARGIN_RAD = np.radians(5.0)
-"""Distance of the views from the ends of the joint ranges."""
+MARGIN_RAD = np.radians(5.0)  # distance of the views from the ends of the joint ranges
 MAX_STEPS = 60
 DAMPING = 1e-4
 MAX_STEP_RAD = 0.3
-SHIFT_TOLERANCE_M, TURN_TOLERANCE_RAD = 2e-3, 5e-3
-"""A view need not be reached exactly: the arm measures its pose there."""
+SHIFT_TOLERANCE_M, TURN_TOLERANCE_RAD = 2e-3, 5e-3  # loose: the arm measures its pose in the view
 
 
 class ArmModel:

@@ -1,13 +1,10 @@
 """Robot-world and hand-eye calibration: the pose of a fixed camera from views of a marker board that the arm holds.
-
 In every view the marker board's pose is the same by both chains, `T_base_flange T_flange_board = T_base_camera
 T_camera_board`, with two unknown poses. The start is the closed form of Shah (2013) for three views at a time, of which
 the one with the least median of squares over all views is kept, so that wrong views do no harm. Gauss-Newton steps then
 minimise the errors of the consistent views, each weighted by the covariance of its view.
-
 A small change of a pose has six numbers: a translation, then a rotation about axes through the pose's own origin, both
-along the axes of the frame in which the pose is given [m, rad].
-"""
+along the axes of the frame in which the pose is given [m, rad]."""
 
 from __future__ import annotations
 
@@ -22,16 +19,12 @@ from numpy.typing import ArrayLike
 from common.poses import inverse, pose, read_only
 
 MIN_VIEWS = 3
-MIN_SECOND_AXIS_RAD = np.radians(4.0)
-"""The flange has to turn about several axes: minimum rms rotation about the second of them."""
-MAX_TRIPLES = 60
-"""With nearly half of the views wrong, no triple is free of them in one case of 50 000."""
+MIN_SECOND_AXIS_RAD = np.radians(4.0)  # minimum rms rotation of the flange about a second axis
+MAX_TRIPLES = 60  # with nearly half of the views wrong, no triple is free of them in one case of 50 000
 MAX_STEPS = 30
 CONVERGED = 1e-12
-CHI2_MEDIAN, CHI2_BOUND = 5.348, 22.458
-"""Median and 99.9 % quantile of the chi-squared distribution with six degrees of freedom."""
-ROUNDING_SD = 1e-10
-"""Smallest standard deviation [m, rad]: noise-free views would divide by zero."""
+CHI2_MEDIAN, CHI2_BOUND = 5.348, 22.458  # median and 99.9 % quantile, chi-squared with six degrees of freedom
+ROUNDING_SD = 1e-10  # smallest standard deviation [m, rad]: noise-free views would divide by zero
 
 
 class DegenerateViews(ValueError):

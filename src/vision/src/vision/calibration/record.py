@@ -39,8 +39,7 @@ class RecordHead:
     camera: str = text()  # serial number of the camera
     camera_frame: str = text()  # the optical frame whose pose this is
     rms_mm: float | None = number("mm", low=0.0, absent=None)
-    rms_deg: float | None = number("deg", low=0.0, absent=None)
-    """rms errors of the views; None for LIVE, where no second view contradicts the first."""
+    rms_deg: float | None = number("deg", low=0.0, absent=None)  # of the views; None for LIVE, a single view
     point_sd_mm: float = number("mm", low=0.0)  # standard deviation of a point at the marker board
 
     def faults(self) -> list[str]:
@@ -80,8 +79,7 @@ class _View:
 
 
 POSES = {"T_base_camera": "T_base_camera", "T_flange_panel": "T_flange_board"}
-VIEW_POSES = {"T_base_flange": "T_base_flange", "T_camera_panel": "T_camera_board"}
-"""The poses: key in the file, attribute of the record."""
+VIEW_POSES = {"T_base_flange": "T_base_flange", "T_camera_panel": "T_camera_board"}  # key in the file: attribute
 
 
 def by_views(verdict: Verdict, views: list[CalibrationView], **head: str) -> CalibrationRecord:

@@ -24,13 +24,11 @@ from vision.marker_board.board import MarkerBoardConfig
 ARM_RADIUS_M = 0.075
 HAND_LENGTH_M, HAND_RADIUS_M = 0.25, 0.06
 CAMERA_CLEARANCE_M = 0.25
-EDGE_PX = 25.0
-"""Distance of the marker board from the edges of the image."""
+EDGE_PX = 25.0  # distance of the marker board from the edges of the image
 GRID = 5
 PATH_STEP_RAD = np.radians(4.0)
 TOLERANCE_M = 0.002
-PRIOR = 1e-3
-"""Information before the first view, so that the determinant exists: standard deviations of 1/sqrt(PRIOR) m and rad."""
+PRIOR = 1e-3  # information before the first view, for a determinant: standard deviations of 1/sqrt(PRIOR) m and rad
 
 
 @dataclass(frozen=True)
@@ -67,12 +65,8 @@ def guessed_camera(config: ViewsConfig, R_world_base: np.ndarray) -> np.ndarray:
 
 class ViewPlanner:
     """Finds the views, as joints of the arm, shape (7,) [rad], and paths between them: joints to visit in turn.
-
-    Args:
-        points: corners of the marker board's tags, shape (n, 3) [m].
-        board: the marker board by its drawing.
-        R_world_base: orientation of the base in the upright world, shape (3, 3).
-    """
+    `points`: corners of the tags on the `board`, which is given by its drawing, shape (n, 3) [m]; `R_world_base`:
+    orientation of the base in the upright world, shape (3, 3)."""
 
     def __init__(
         self,

@@ -12,8 +12,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.config import number
 
-POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
-"""A point of a cloud: metres, and 0x00RRGGBB."""
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])  # of a cloud: metres, and 0x00RRGGBB
 
 
 @dataclass(frozen=True)
@@ -50,8 +49,7 @@ class Registration:
         return cv2.remap(colour, *self._maps, cv2.INTER_LINEAR)
 
     def register(self, depth: np.ndarray) -> np.ndarray:
-        """Returns depth in the rectified colour camera's pixels from the raw image; both float32 [m], NaN where
-        unknown."""
+        """Returns the raw depth image in the rectified colour camera's pixels; both float32 [m], NaN where unknown."""
         self._check(depth.shape, self._shape, "depth")
         z = depth.ravel()
         valid = np.flatnonzero(np.isfinite(z) & (z > 0.0))

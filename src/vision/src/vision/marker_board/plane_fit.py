@@ -15,15 +15,11 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.config import integer, number
 
-HYPOTHESES = 120
-"""Number of pixel triples: with half of the pixels outliers, one triple without any is among them."""
-MAX_PIXELS = 2500
-"""Maximum number of pixels: more add no information, as neighbours share their noise."""
+HYPOTHESES = 120  # number of pixel triples: with half of the pixels outliers, one triple without any is among them
+MAX_PIXELS = 2500  # maximum number of pixels: more add no information, as neighbours share their noise
 GATE_SD = 3.0
-RANGE_GATE = 0.15
-"""Depth that differs from the range by colour by more than this fraction is background, or an arm in front."""
-TUKEY_SD = 4.685
-"""Errors beyond this many standard deviations have no weight (Tukey's biweight, 95 % efficient for normal errors)."""
+RANGE_GATE = 0.15  # depth that differs more, relatively, from the range by colour is background or an arm in front
+TUKEY_SD = 4.685  # larger errors, in standard deviations, have no weight (biweight, 95 % efficient for normal errors)
 ROUNDS = 5
 MAD_TO_SD = 1.4826
 
@@ -65,12 +61,8 @@ def fit_board(
     depth: np.ndarray, camera: CameraModel, T_depth_board: np.ndarray, plate: float, config: PlanePoseConfig
 ) -> PlaneFit:
     """Returns the marker board's plane in the depth camera's frame; raises ValueError for an image of another size.
-
-    Args:
-        depth: raw image, shape (height, width), float32 [m], NaN where unknown.
-        T_depth_board: rough pose of the marker board, by the colour image, shape (4, 4) [m].
-        plate: edge of the square plate round the marker board's origin [m].
-    """
+    `depth`: raw, shape (height, width), float32 [m], NaN where unknown; `T_depth_board`: rough pose by the colour
+    image, shape (4, 4) [m]; `plate`: edge of the square plate round the board's origin [m]."""
     size = (camera.width, camera.height)
     if depth.shape[::-1] != size:
         raise ValueError(f"the depth image is {depth.shape[::-1]}, but its camera_info says {size}")

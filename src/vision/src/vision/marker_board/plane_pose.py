@@ -21,10 +21,8 @@ from common.rotations import rotation_about, unit
 from vision.marker_board.plane_fit import PlaneFit, PlanePoseConfig, fit_board, plane_seen_from
 
 MAX_STEPS = 30
-LAST_STEP = 1e-8
-"""The search stops when a step moves the pose by less [m, rad]."""
-DIFFERENCE = 1e-6
-"""Step of numeric derivatives [1/m, and of the rays' tangents]."""
+LAST_STEP = 1e-8  # the search stops when a step moves the pose by less [m, rad]
+DIFFERENCE = 1e-6  # step of numeric derivatives [1/m, and of the rays' tangents]
 FLAT_M = 1e-6
 
 
@@ -76,14 +74,9 @@ class RgbdDetector:
         T_rgb_depth: np.ndarray,
         now: float,
     ) -> RgbdDetection | None:
-        """Returns the marker board, or None if no tag of it is visible or its corners fit no pose.
-
-        Raises ValueError if an image does not have its camera's size. Arguments as for `rgbd_pose`, and:
-
-        Args:
-            grey: colour image in grey, shape (height, width), uint8.
-            now: time stamp of the images [s].
-        """
+        """Returns the marker board, or None if no tag is visible or the corners fit no pose. Raises ValueError for an
+        image of
+        another size than its camera's. `grey`: colour image, shape (height, width), uint8; `now`: stamp [s]."""
         result = self._detector.detect(grey, rgb, now)
         if not result.targets:
             return None
@@ -106,19 +99,11 @@ def rgbd_pose(
     plate: float,
     config: PlanePoseConfig,
 ) -> RgbdPose:
-    """Returns the poses of the marker board from one colour and one depth image.
-
-    Args:
-        T_rgb_board: colour-only pose, shape (4, 4) [m].
-        points: corners of the tags on the marker board, shape (n, 3) [m].
-        pixels: the same corners in the colour image, shape (n, 2) [px].
-        rgb, depth: the cameras.
-        depth_image: raw, shape (height, width), float32 [m], NaN where unknown.
-        T_rgb_depth: pose of the depth camera in the colour camera, shape (4, 4) [m].
-        plate: edge of the square plate [m].
-
-    Raises ValueError if the depth image does not have its camera's size, or the corners do not lie in the plate.
-    """
+    """Returns the poses of the marker board from one colour and one depth image. Raises ValueError if the depth image
+    does not have its camera's size, or the corners do not lie in the plate, whose edge is `plate` [m]. `T_rgb_board`:
+    colour-only pose, shape (4, 4) [m]; `points`: corners of the tags on the board, shape (n, 3) [m]; `pixels`: the same
+    in the colour image, shape (n, 2) [px]; `depth_image`: raw, shape (height, width), float32 [m], NaN where unknown;
+    `T_rgb_depth`: pose of the depth camera in the colour camera, shape (4, 4) [m]."""
     if np.abs(points[:, 2]).max() > FLAT_M:
         raise ValueError("the corners do not lie in the plane of the plate, z = 0: correct tags.yaml")
     rays = rgb.rays(pixels)
@@ -167,15 +152,10 @@ def range_disagreement(colour: PoseEstimate, a: np.ndarray, covariance: np.ndarr
 def plane_estimate(
     points: np.ndarray, rays: np.ndarray, K: np.ndarray, noise: np.ndarray, a: np.ndarray, covariance: np.ndarray
 ) -> PoseEstimate:
-    """Returns the pose with tilt and range of the plane, and the corners where their rays meet it.
-
-    Args:
-        points: corners on the marker board, shape (n, 3) [m].
-        rays: of the corners, x, y, 1, shape (n, 3).
-        K: of the colour camera, shape (3, 3) [px].
-        noise: covariance of the corners' pixels, shape (2n, 2n) [px^2].
-        a, covariance: the plane in the colour camera's frame, shape (3,) [1/m], and (3, 3) [1/m^2].
-    """
+    """Returns the pose with tilt and range of the plane, and the corners where their rays meet it. `points`: corners on
+    the board, shape (n, 3) [m]; `rays`: theirs, x, y, 1, shape (n, 3); `K`: of the colour camera, shape (3, 3) [px];
+    `noise`: covariance of the pixels, shape (2n, 2n) [px^2]; `a, covariance`: the plane in the colour camera's frame,
+    shape (3,) [1/m], and (3, 3) [1/m^2]."""
     T = _pose_on_plane(points, rays, a)
     by_plane = [_change(T, _pose_on_plane(points, rays, a + step)) for step in DIFFERENCE * np.eye(3)]
     by_corner = []
@@ -224,8 +204,7 @@ def _plane_of(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _pose_on_plane(points: np.ndarray, rays: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Returns the pose in the plane a, shape (4, 4) [m], whose corners are nearest to the points where the rays meet
-    the plane; its z axis points to the camera."""
+    """Returns the pose in the plane a, shape (4, 4) [m], z to the camera, corners nearest to where their rays end."""
     met = rays / (rays @ a)[:, None]
     z = -unit(a)
     x = unit(np.cross((0.0, 1.0, 0.0), z))

@@ -45,8 +45,7 @@ class PoseTrial:
 
 
 def trial(distance: float, tilt: float, T_truth: np.ndarray, poses: RgbdPose | None) -> PoseTrial:
-    """Returns the errors of the poses in a pair of images with the truth T_truth, shape (4, 4) [m]; None: no tag was
-    detected."""
+    """Returns the errors of the poses against T_truth, shape (4, 4) [m]; None: no tag was detected."""
     found = {} if poses is None else {name: getattr(poses, name) for name in METHODS}
     return PoseTrial(distance, tilt, {name: errors_of(T_truth, e) for name, e in found.items() if e is not None})
 

@@ -40,8 +40,7 @@ class ArmAddress:
 
 
 def arm_address(store: StoreConfig, options: Namespace) -> ArmAddress:
-    """Returns the robot of the parameters under kuka/, else that of the store; options that are not None override it.
-    Raises ConfigError with all faults."""
+    """Returns the robot under kuka/, else the store's; options override it. Raises ConfigError with all faults."""
     values = {"robot": store.robot, "flange": store.flange, "port": DEFAULT_PORT, **rospy.get_param("kuka", {})}
     values.update({key: value for key, value in vars(options).items() if value is not None})
     names = [field.name for field in fields(ArmAddress)]

@@ -15,17 +15,13 @@ from numpy.typing import ArrayLike
 
 from common.camera_model import CameraModel
 
-WIDTH, HEIGHT = 960, 1080
-"""Size of one eye's half of the screen [px]."""
+WIDTH, HEIGHT = 960, 1080  # size of one eye's half of the screen [px]
 PITCH_M = 0.12576 / 1920
-SCALE_M = 0.036
-"""Length on the screen per unit of tan(angle), at the centre."""
-CENTRES = ((475.3, 540.0), (484.7, 540.0))
-"""Centres of the left and the right lens, each in its own half [px]."""
+SCALE_M = 0.036  # length on the screen per unit of tan(angle), at the centre
+CENTRES = ((475.3, 540.0), (484.7, 540.0))  # centres of the left and the right lens, each in its own half [px]
 RADIAL = (1.0, 0.2083, -0.0064, 0.1759)
 RED, GREEN, BLUE = range(3)
-COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))
-"""For red, green, blue: constant and r2 part of the factor beyond 1."""
+COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))  # red, green, blue: constant and r2 part beyond 1
 
 
 def directions(pixels: ArrayLike, eye: int, colour: int = GREEN) -> np.ndarray:

@@ -18,12 +18,9 @@ from common.camera_model import CameraModel
 from common.config import choice, flag, integer, number, path, text
 from vision.stereo.lens import Dk2Lens, NoLens
 
-LEFT, RIGHT = 1, -1
-"""The eyes: the direction in which their images shift as an object comes nearer."""
-NONE = np.float32(-1e6)
-"""Marks a pixel of a map to which no image pixel moved."""
-DARK = 0.4
-"""Brightness of a marked image."""
+LEFT, RIGHT = 1, -1  # the eyes: the direction in which their images shift as an object comes nearer
+NONE = np.float32(-1e6)  # marks a pixel of a map to which no image pixel moved
+DARK = 0.4  # brightness of a marked image
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 COLOUR = (255, 200, 60)
 

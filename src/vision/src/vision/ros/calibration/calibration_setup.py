@@ -26,8 +26,7 @@ from vision.calibration.record import CalibrationRecord, mapping_from_record, re
 from vision.marker_board.board import MarkerBoardConfig, board_target
 
 NAMESPACE = "camera_calibration"
-SERIAL, SERIAL_WAIT_S, POLL_S = "camera/driver/serial", 10.0, 0.1
-"""Parameter in which our driver writes the camera's serial number, and how long it may take to open the camera."""
+SERIAL, SERIAL_WAIT_S, POLL_S = "camera/driver/serial", 10.0, 0.1  # written by our driver; longest wait for it
 UNKNOWN = "unknown"
 PREFIX = "camera_place_"
 HEADER = "# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w.\n"

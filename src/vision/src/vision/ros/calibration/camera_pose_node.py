@@ -36,8 +36,7 @@ FLANGE_WAIT_S = 0.2
 RECENT_S = 3.0
 THROTTLE_S = 5.0
 REPEAT_S = 0.1
-AHEAD = rospy.Duration(2.0 * REPEAT_S)
-"""A repeated pose is stamped ahead, so that nobody waits for the next one; it does not move."""
+AHEAD = rospy.Duration(2.0 * REPEAT_S)  # a repeated pose, which does not move, is stamped ahead: nobody has to wait
 
 
 class LiveDetection(NamedTuple):
@@ -60,8 +59,7 @@ class CameraPoseNode:
         self._lock = threading.Lock()
         self._recent: deque[LiveDetection] = deque(maxlen=setup.limits.pictures)
         self._refused = 0
-        self._last: tuple[float, str] | None = None
-        """Time of the last detection [s], and why it gave no pose; an empty string if it did."""
+        self._last: tuple[float, str] | None = None  # time [s] of the last detection; why it gave no pose, or ""
         self._record: CalibrationRecord | None = None
         self._stored: TransformStamped | None = None
         self._was_live = False
@@ -76,8 +74,7 @@ class CameraPoseNode:
         self._timer = rospy.Timer(rospy.Duration(REPEAT_S), self._repeat)
 
     def _load(self) -> None:
-        """Loads the newest stored calibration, unless the mode is live; raises DeviceError if the mode is stored and it
-        is missing, or the camera's frames are unknown."""
+        """Loads the newest calibration unless live; DeviceError if none (mode stored) or the frames are unknown."""
         if self._mode == LIVE:
             return
         folder, config = self._setup.store.folder, self._setup.store_config

@@ -1,8 +1,6 @@
 """The program `evaluate_calibration.py`: measures the gain of the photometric refinement in images with known truth.
-
 It evaluates the pose of the marker board in single images, then whole calibrations in which each view is one such
-image. It needs no ROS master.
-"""
+image. It needs no ROS master."""
 
 from __future__ import annotations
 
@@ -58,8 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _evaluate(folder: Path, board: str) -> tuple[list[PoseTrial], dict[str, list[BoardObservation]], list[str]]:
-    """Returns the errors in all images, the observations by method, and a sentence for each image that was not refined,
-    for which the pose by the corners stands."""
+    """Returns the errors in all images, the observations by method, and a sentence for each image left unrefined."""
     images, target = read_images(folder), board_target(board)
     settings = detector_settings({**read_config("settings.yaml"), "rectified": False})
     detector, refiner = TagDetector(settings, (target,)), PhotometricRefiner(settings.tag_family, target)

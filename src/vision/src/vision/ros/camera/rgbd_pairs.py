@@ -18,8 +18,7 @@ from common.ros.conversions import pose_from_transform
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
 from common.ros.node import while_running
 
-BUFFER_BYTES = 2**24
-"""Room for several images: rospy drops old images only after it has read them."""
+BUFFER_BYTES = 2**24  # room for several images: rospy drops old images only after it has read them
 QUEUE = 5
 THROTTLE_S = 10.0
 

@@ -20,11 +20,9 @@ from vision.camera.registration import Registration, millimetres_from_metres
 
 CALIBRATIONS = ("rgb_calibration", "depth_calibration")
 FRAMES = "frames"
-SERIAL = "serial"
-"""Private parameter that the node writes: the serial number of the device, for nodes that store its calibration."""
+SERIAL = "serial"  # private parameter that the node writes: the device's serial number, which calibrations store
 TIMEOUT_S = 0.5
-SILENCE_S = 2.0
-"""After this time without an image the camera is reopened."""
+SILENCE_S = 2.0  # after this time without an image the camera is reopened
 RETRY_PERIOD_S = 2.0
 
 

@@ -28,8 +28,7 @@ IMAGES = "camera/rgb/image_raw"
 CAMERA_INFO = "camera/rgb/camera_info"
 INFO_WAIT_S = 10.0
 VIEW_TIMEOUT_S = 6.0
-LATE_S = 1.0
-"""Maximum delay of an image behind its detection."""
+LATE_S = 1.0  # maximum delay of an image behind its detection
 BY_CORNERS = "by the corners"
 
 

@@ -23,8 +23,7 @@ from common.ros.images import metres_from_millimetres
 
 INDEX = "pictures.json"
 TAGS = {"bundle": "tags.yaml", "single": "tags_single.yaml"}
-TIMEOUT_S = 1800.0
-"""Maximum time for rendering the images."""
+TIMEOUT_S = 1800.0  # maximum time for rendering the images
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,8 +35,7 @@ THROTTLE_S = 5.0
 
 
 class PlanePoseNode:
-    """Publishes the poses of the marker board with the tf frame `frame` for every pair of images at most `slop` [s]
-    apart."""
+    """Publishes the marker board's poses, tf frame `frame`, for every pair of images at most `slop` [s] apart."""
 
     def __init__(self, detector: RgbdDetector, frame: str, publish_tf: bool, slop: float) -> None:
         self._detector, self._frame, self._publish_tf = detector, frame, publish_tf

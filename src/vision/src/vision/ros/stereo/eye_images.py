@@ -54,8 +54,7 @@ class StereoImageSource:
         return [rospy.Subscriber(name, Image, callback, **options) for name, callback in used]
 
     def wait(self, timeout: float) -> ShownView | None:
-        """Returns the view of the next image, or of the last one, marked if it is old, if none arrives in time [s].
-        None: no image arrived yet."""
+        """Returns the next view, after `timeout` [s] the last one, marked if it is old; None: no image arrived yet."""
         with self._arrival:
             self._arrival.wait_for(lambda: self._colour is not None and self._info is not None, timeout)
             colour, depth, info = self._colour, self._depth, self._info

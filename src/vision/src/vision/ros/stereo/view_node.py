@@ -23,18 +23,15 @@ from common.ros.params import private_config
 from vision.ros.stereo.eye_images import StereoImageSource
 from vision.stereo.view import StereoViewConfig, WindowConfig
 
-REFRESH_S = 0.2
-"""Period at which an old image is drawn again with its new age."""
+REFRESH_S = 0.2  # period at which an old image is drawn again with its new age
 POLL_MS = 100
 FRAME = "headset"
-RIFT = "Rift"
-"""Part of the model name that the Rift reports to the computer (EDID)."""
+RIFT = "Rift"  # part of the model name that the Rift reports to the computer (EDID)
 TITLE = "Leap Rig: headset"
 
 
 def find_screen(application: QApplication, output: str):
-    """Returns the screen of the output, or the Rift's, or None, if `output` is empty; raises DeviceError for an unknown
-    one."""
+    """Returns the screen of `output`, or if it is empty the Rift's or None; raises DeviceError for an unknown one."""
     screens = application.screens()
     if output:
         for screen in screens:

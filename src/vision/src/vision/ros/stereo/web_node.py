@@ -29,10 +29,8 @@ from vision.ros.stereo.eye_images import ShownView, StereoImageSource
 from vision.stereo.view import StereoViewConfig, WebConfig
 
 REFRESH_S = 0.2
-SILENCE_S = 0.5
-"""The page is notified after this time without a new image."""
-REQUEST_S = 10.0
-"""A page without a request for this time is gone."""
+SILENCE_S = 0.5  # the page is notified after this time without a new image
+REQUEST_S = 10.0  # a page without a request for this time is gone
 CLOSE_S = 1.0
 MAX_PAGES = 4
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
