@@ -4,7 +4,7 @@ workspace belongs to the arm and stays in the base frame; what the operator call
 
 up: the world's vertical.
 forward: center_line as seen from above. Where center_line rises or falls by more than STEEP_DEG, as it may on a wall,
-the base's z axis as seen from above: away from the wall.
+    the base's z axis as seen from above: away from the wall.
 home tool: z down, x along forward or against it, whichever leaves joint 7 nearer to zero at home.
 
 For an arm on the floor these are the base's z axis, center_line, and against center_line if center_line.x >= 0."""

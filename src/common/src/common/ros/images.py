@@ -111,7 +111,7 @@ class RgbdTopics:
     """Publishes the images of an RGB-D camera, each only while it has subscribers, as openni2_camera names them:
     `rgb/image_raw` (rgb8); `depth/image_raw` (16UC1, mm, 0 = none) and `depth/image` (32FC1, m, NaN = none);
     `depth_registered/image_raw` (16UC1, in the colour camera's pixels); `camera_info` beside each of the three images.
-    `rgb` and `depth` are the cameras' intrinsics; `outgoing` is applied to each image message before that."""
+    `rgb` and `depth` are the cameras' intrinsics; `outgoing` is applied to each image message before publication."""
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, outgoing: Outgoing = lambda message: message) -> None:
         self._outgoing = outgoing

@@ -43,8 +43,8 @@ class ReflexHand:
         interface: str,  # network interface of the hand, such as eth0; lo for the simulated hand
         port: int = PORT,  # UDP port of hand and host
         settings: HandSettings | None = None,
-        files: CalibrationFiles | None = None,  # None: in ~/.ros/reflex/<interface>, as for the ROS driver
-        # Called from the receive thread with every reading, and with news from any calling thread; must not wait.
+        files: CalibrationFiles | None = None,  # calibration; None: in ~/.ros/reflex/<interface>, as for ROS
+        # `on_reading` runs in the receive thread, `on_note` in any calling one; neither may call a method that waits.
         on_reading: Callable[[HandReading], None] = lambda reading: None,
         on_note: Callable[[HandNote], None] = lambda note: None,
     ) -> None:

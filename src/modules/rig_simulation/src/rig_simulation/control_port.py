@@ -1,7 +1,7 @@
 """The control port of a simulated device: its true state, and physical interventions by users and tests.
 Loopback TCP, one JSON object a line in each direction. `{"do": "state"}` is answered by `{"ok": true, ...}` with what
 the handler of that name returns, a request that fails by `{"ok": false, "error": "one sentence"}`. The handbook offers
-this wire form to users (docs/decisions/control-ports.md), so no RPC library replaces it. A real rig has none."""
+this wire form (docs/decisions/control-ports.md), so no RPC library replaces it. A real rig has no such port."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class PortClosedError(DeviceError):
 
 class ControlPort(contextlib.AbstractContextManager):
     """Serves the requests of `handlers`, by name, from its own threads until `close`; a handler's ValueError or
-    RigError becomes the error of the answer. Port 0 takes any free one, see the attribute. Raises DeviceError if the
-    address is not a loopback address, or the port is taken."""
+    RigError becomes the error of the answer. Port 0 takes any free one, see the attribute.
+    Raises DeviceError if the address is not a loopback address, or the port is taken."""
 
     def __init__(self, handlers: Mapping[str, Handler], host: str = "127.0.0.1", port: int = 0) -> None:
         self._handlers = {name: (handler, inspect.signature(handler)) for name, handler in handlers.items()}

@@ -51,8 +51,8 @@ START_S = 5.0  # time in which a device may start or restart without a warning
 
 
 def poll(publish: Callable[[], None], period: float) -> None:
-    """Calls `publish`, which asks the device and publishes its answer, until ROS shuts down: every `period` [s] while
-    it answers. It raises DeviceError while the device does not answer."""
+    """Calls `publish`, which asks the device and publishes its answer, until ROS shuts down: every `period` [s], or
+    RETRY_PERIOD_S while it raises DeviceError because the device does not answer."""
     due = answered = time.monotonic()
     while not rospy.is_shutdown():
         try:

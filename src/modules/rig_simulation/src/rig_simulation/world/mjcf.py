@@ -146,7 +146,6 @@ def add_robot(root: ET.Element, world: ET.Element, urdf: str, R_world_base: np.n
 
 
 def _parent(joint: ET.Element) -> str:
-    """Returns the name of a joint's parent link."""
     return attribute(child(joint, "parent"), "link")
 
 

@@ -24,7 +24,7 @@ OBSERVER_TIME_S = 0.01  # time constant of the filter by which the controller es
 
 
 class ArmJoints(Part):
-    """The link side of the arm, the environment of the controller's arm: each of its steps steps the world."""
+    """The link side of the arm, an ArmEnvironment: steps the world with each step of the arm: both share one time."""
 
     def __init__(self, world: World) -> None:
         self._world = world

@@ -100,7 +100,7 @@ class World:
 
     def set_scene(self, values: Mapping[str, Any]) -> None:
         """Changes the scene to a mapping as in a scene's yaml; arm and hand keep their state.
-        Raises ConfigError if the scene is invalid, ValueError if the robot is in the way; nothing has changed then."""
+        Raises ConfigError for an invalid scene, ValueError if the robot is in its way; nothing has changed then."""
         self._load(dataclasses.replace(self.description, scene=values))
         for part in self._parts:
             part.bind(self)

@@ -25,8 +25,8 @@ SHOWN = mujoco.mjtCatBit.mjCAT_STATIC | mujoco.mjtCatBit.mjCAT_DYNAMIC
 
 class Renderer:
     """Renders one model, whose settings of the off-screen buffer change, through one window, which replaces the field
-    of view of the model's cameras, in the thread that made it. Close it. `samples`: of a pixel, for anti-aliasing, 0 or
-    even; `depth_offset`: position of the depth in its pixel, right and up from the centre [px]: a pixel has its
+    of view of the model's cameras, in the thread that made it. Close it. `samples`: per pixel, for anti-aliasing (0, 2,
+    4, ...); `depth_offset`: position of the depth in its pixel, right and up from the centre [px]: a pixel has its
     samples' mean colour, but the depth of the first. Raises DeviceError if this machine cannot render off-screen."""
 
     def __init__(self, model: mujoco.MjModel, window: PixelWindow, samples: int) -> None:

@@ -61,7 +61,6 @@ class _Client:
         return lost
 
     def notify(self, event: dict | None) -> None:
-        """Queues an event."""
         if event is not None:
             self.events.append(wire.text(event))
             self.wake.set()

@@ -1,8 +1,8 @@
 """One run of the toolbox's server application, from its start to the command `end`. No sockets; time is handed in.
 The real program has two threads that share one command word. The reader answers goals, joint positions and outputs at
 any time. The main thread answers the other commands one by one and wipes the word afterwards: commands that arrive
-while it moves the arm are lost. Here both are rules of one object ("Arm: Sunrise Toolbox" in
-docs/handbook/wire-protocols.md)."""
+while it moves the arm are lost. Here both are rules of one object.
+Source: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox"."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class Application:
         self,
         arm: SimulatedArm,  # moved by this application alone; its tool is detached
         io: ControllerIO,
-        wiped_window: float = 0.0,  # for so long after an answer of the main thread commands for it are lost [s]
-        encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,  # reported of true joint angles, shape (7,) [rad]
+        wiped_window: float = 0.0,  # time after an answer of the main thread in which its commands are lost [s]
+        encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,  # true to reported angles, shape (7,) [rad]
         version: str = VERSIONS[-1],
     ) -> None:
         self.mode = "idle"
