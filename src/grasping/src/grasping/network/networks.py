@@ -125,10 +125,9 @@ def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> torch.jit.ScriptModu
 
 
 def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:
-    """Returns the transposed convolution with stride 3 and a 9 x 9 kernel, by a convolution and a pixel shuffle. Output
-    row 3 q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row 3 m + r: for each remainder r an
-    ordinary convolution with three taps. Shapes: `x` (n, i, h, w), `weight` (i, o, 9, 9), `bias` (o,) or None, result
-    (n, o, 3 h + 6, 3 w + 6)."""
+    """Returns the transposed convolution with stride 3 and a 9 x 9 kernel, by a convolution and a pixel shuffle.
+    Output row 3 q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row 3 m + r: for each remainder r
+    a convolution with three taps. `x` (n, i, h, w), `weight` (i, o, 9, 9), `bias` (o,): (n, o, 3 h + 6, 3 w + 6)."""
     i, o = weight.shape[:2]
     taps = weight.reshape(i, o, 3, 3, 3, 3).flip(2, 4)  # (i, o, m, r, m, r), m reversed: a convolution correlates
     kernel = taps.permute(1, 3, 5, 0, 2, 4).reshape(9 * o, i, 3, 3)

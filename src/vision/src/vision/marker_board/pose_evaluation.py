@@ -131,9 +131,8 @@ def calibrate(
     arm: tuple[float, float],
     rng: np.random.Generator,
 ) -> CalibrationAccuracy:
-    """Returns the errors of the calibration from observations, each of them a view of one image. T_flange_board has the
-    shape (4, 4) [m]; `arm` are the standard deviations of the arm's errors along and about each axis [m, rad], and
-    `rng` is their source."""
+    """Returns the errors of the calibration from observations, each of them a view of one image. T_flange_board: shape
+    (4, 4) [m]; `arm`: standard deviations of its errors along and about each axis [m, rad]; `rng`: their source."""
     views: list[CalibrationView] = []
     for observation in observations:
         T_base_flange = T_BASE_CAMERA @ observation.T_truth @ inverse(T_flange_board)

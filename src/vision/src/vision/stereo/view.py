@@ -105,10 +105,9 @@ class StereoView:
         return left, width / K[0, 0] - left, up, height / K[1, 1] - up
 
     def eyes(self, colour: np.ndarray, depth: np.ndarray | None) -> EyeImages:
-        """Returns both eye images from a raw RGB image, shape (height, width, 3), uint8, and depth in the same pixels,
-        shape (height, width) [m], NaN where unknown. Without depth the image is flat and appears at the configured
-        distance, or is not shifted at all if the configuration disables depth. Raises ValueError if an image does not
-        have the camera's size."""
+        """Returns both eye images from a raw RGB image, shape (height, width, 3), uint8, and depth in its pixels, shape
+        (height, width) [m], NaN where unknown. Without depth the image is flat, at the configured distance, or not
+        shifted at all if the configuration disables depth. Raises ValueError for an image without its camera's size."""
         size = (self.camera.height, self.camera.width)
         for name, image in (("colour", colour), ("depth", depth)):
             if image is not None and image.shape[:2] != size:

@@ -93,9 +93,7 @@ class Episode:
     """One closing of the fingers and the n frames before it, oldest first; arrays are read-only."""
 
     metadata: Metadata  # what was known beside the images
-    camera: CameraModel
-    """That sees what the network sees: the real one, or an imagined one above the table (`view.TableView`); the label
-    has its axes."""
+    camera: CameraModel  # that sees the network's image, real or above the table (`TableView`); the label has its axes
     crop: Crop  # the window of its image that is kept
     T_flange_tool: np.ndarray  # tool in the flange, shape (4, 4) [m]
     T_tool_grasp: np.ndarray  # grasp in the tool, shape (4, 4) [m]: z the approach, x through the fingers
@@ -108,9 +106,7 @@ class Episode:
     """Of the network before smoothing, shape (n, 4, m, m), float16: quality, cos, sin, width as the network has them;
     the mean of each block of 300 / m pixels."""
     mean: np.ndarray  # what was taken off the network's image, shape (n,) [m]
-    peak: np.ndarray
-    """GGCNN's own grasp, shape (n, 5): row, column, quality, angle, width as `maps.Peak` has them, in the network's 300
-    x 300 image."""
+    peak: np.ndarray  # GGCNN's own grasp, shape (n, 5): `maps.Peak` in the network's 300 x 300 image
     T_base_camera: np.ndarray  # optical frame of `camera`, shape (n, 4, 4) [m]
     T_base_tool_measured: np.ndarray  # tool by the measured joints, shape (n, 4, 4) [m]
     T_base_tool_desired: np.ndarray  # as the operator's hand wanted it, shape (n, 4, 4) [m]; NaN: no hand followed

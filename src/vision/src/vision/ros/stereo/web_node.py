@@ -46,8 +46,7 @@ class StereoFrame:
 
 
 class StereoWeb:
-    """A server in threads of its own; `address` is that of the page. Raises DeviceError if the page, the certificate or
-    the port is not available."""
+    """A server in threads of its own; `address` is its page's. Raises DeviceError without page, certificate or port."""
 
     def __init__(self, config: WebConfig) -> None:
         self._frame: StereoFrame | None = None
