@@ -284,6 +284,7 @@ def test_a_hand_whose_state_never_comes_is_complained_of(ros, driver, tracker, w
     process = ros.run("leap_hand", "leap_hand_node.py")
     words = "Force limit: no state of the robot hand came yet: no finger closes."
     wait_until(lambda: words in process.log_path.read_text(), 40.0, "the complaint")
+    wait_until(lambda: len(driver.commands) > 20, 10.0, "commands")
     assert is_near(driver, np.zeros(4))
 
 

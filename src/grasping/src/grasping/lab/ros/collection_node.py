@@ -65,25 +65,34 @@ class GraspCollection:
         self._waits_for = ""
         self._episodes = self._held = self._on_robot = 0
         topics = setup.ggcnn.input
-        self._subscribers = [
+        self._sensors = [
             rospy.Subscriber(topics.info_topic, CameraInfo, self._on_info, queue_size=1),
             rospy.Subscriber(
                 topics.depth_topic, Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
             ),
             rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand, queue_size=10),
         ]
-        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
-        rospy.Subscriber("grasping/state", DiagnosticStatus, self._on_state, queue_size=10)
-        rospy.Subscriber("grasping/outcome", GraspOutcome, self._on_outcome, queue_size=10)
+        self._others = [
+            rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10),
+            rospy.Subscriber("grasping/state", DiagnosticStatus, self._on_state, queue_size=10),
+            rospy.Subscriber("grasping/outcome", GraspOutcome, self._on_outcome, queue_size=10),
+            *self._poses.subscribers,
+        ]
         rospy.Service("grasping/collection_label", SetBool, self._on_label)
         Diagnostics("grasp_collection", self._diagnose)
         rospy.loginfo("Episodes go to %s.", setup.folder)
 
     def wait_for_publishers(self, seconds: float) -> bool:
-        """Waits until somebody publishes all images and the hand's state; returns whether somebody does."""
+        """Waits for publishers of all images and the hand's state, and for the connection to whatever is published.
+
+        Returns:
+            Whether that happened in time. Before it, a recording's only message on /tf_static would be lost.
+        """
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and not rospy.is_shutdown():
-            if all(subscriber.get_num_connections() for subscriber in self._subscribers):
+            published = {topic for topic, _ in rospy.get_published_topics()}
+            needed = [*self._sensors, *(other for other in self._others if other.resolved_name in published)]
+            if all(subscriber.get_num_connections() for subscriber in needed):
                 return True
             time.sleep(0.05)
         return False
