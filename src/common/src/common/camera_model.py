@@ -1,7 +1,9 @@
 """A pinhole camera with the distortion that ROS calls plumb_bob, as `sensor_msgs/CameraInfo` describes it.
+
 Optical frame: x right, y down, z forward. Pixel coordinates (u, v) have the CENTRE of the first pixel at (0, 0), as in
 OpenCV and CameraInfo; the image reaches from -0.5 to width - 0.5. AprilTag libraries count from the pixel's corner:
-their coordinates are larger by 0.5."""
+their coordinates are larger by 0.5.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,8 @@ class CameraModel:
 
     def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Returns the directions x, y, 1, shape (..., 3), of the pixels, shape (..., 2) [px]; raises ValueError where
-        the distortion is not invertible."""
+        the distortion is not invertible.
+        """
         distorted = (np.asarray(pixels, dtype=float) - self.K[:2, 2]) / self._focal
         direction = distorted
         for _ in range(MAX_ITERATIONS):

@@ -1,4 +1,5 @@
 """Typed configuration: a frozen dataclass is the schema of one yaml mapping.
+
 Each field states its type, unit and range. `parse` reports every fault at once, each as one sentence that names the
 key, the value and what is allowed. A missing key is a fault, and so is an unknown one: defaults live in the yaml alone.
 
@@ -14,7 +15,8 @@ key, the value and what is allowed. A missing key is a fault, and so is an unkno
             return []
 
 A field with `absent` may be missing and then has that value: the key is newer than the files that people have, or it is
-a private parameter of a node, for which there is no file."""
+a private parameter of a node, for which there is no file.
+"""
 
 from __future__ import annotations
 
@@ -106,7 +108,8 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     """Returns the configuration that `values`, of the yaml file or the parameter server, describe; raises ConfigError
     with all faults.
     The fields of `schema`, a frozen dataclass, were made by the functions above; `prefix`, such as "kuka/", precedes
-    each key in the messages; the keys `others`, of another owner, may stand beside the schema's own."""
+    each key in the messages; the keys `others`, of another owner, may stand beside the schema's own.
+    """
     if not isinstance(values, Mapping):
         raise ConfigError([f"{prefix or 'the configuration'} is {values!r}, but must be a mapping of keys to values."])
     fields = {f.name: f for f in dataclasses.fields(schema)}  # type: ignore[arg-type]  # a TypeVar cannot say "a dataclass"

@@ -1,5 +1,7 @@
 """Whether the stream of tracking frames is alive, and which of the hands in view is the operator's.
-Times are seconds of a monotonic clock; only `age`, arrival less the frame's stamp, uses the clock of the stamps."""
+
+Times are seconds of a monotonic clock; only `age`, arrival less the frame's stamp, uses the clock of the stamps.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ class FrameArrival:
 
 class FrameWatch:
     """Judges each frame by its number, its age and the time since the frame before; the stream is broken after more
-    than `max_silence` [s] without a usable frame."""
+    than `max_silence` [s] without a usable frame.
+    """
 
     def __init__(self, max_silence: float) -> None:
         self._max_silence = max_silence
@@ -30,7 +33,8 @@ class FrameWatch:
 
     def arrived(self, frame_id: int, age: float, now: float) -> FrameArrival:
         """Judges a frame that arrived at `now` [s], `age` [s] after its stamp. A repeated number means that the tracker
-        hangs: the frame is ignored, and the silence continues. A lower number means that the tracker has restarted."""
+        hangs: the frame is ignored, and the silence continues. A lower number means that the tracker has restarted.
+        """
         if not abs(age) <= MAX_SKEW_S:
             skewed = f"the stamps of the tracking frames are {abs(age):.1f} s {'old' if age > 0 else 'in the future'}"
             self._refusal = (skewed, now)
@@ -69,15 +73,19 @@ Hand = TypeVar("Hand", bound=Identified)
 
 class HandChoice:
     """Chooses the hand that has been visible longest; one that is missing in a frame counts as new afterwards.
+
     The reported visible time is unreliable (early Leap services put the service's uptime there), so the order of
-    appearance is kept here. A hand whose side changes was mistaken for another one."""
+    appearance is kept here. A hand whose side changes was mistaken for another one.
+    """
 
     def __init__(self) -> None:
         self._visible: list[tuple[int, bool]] = []
 
     def choose(self, hands: Iterable[Hand]) -> Hand | None:
         """Returns the hand of a frame that has been visible longest, or None without a hand.
-        Of hands that appear in the same frame, the lower id counts as older: the tracker counts its ids upwards."""
+
+        Of hands that appear in the same frame, the lower id counts as older: the tracker counts its ids upwards.
+        """
         visible = {(hand.id, hand.is_left): hand for hand in hands}
         staying = [key for key in self._visible if key in visible]
         self._visible = staying + sorted(key for key in visible if key not in staying)

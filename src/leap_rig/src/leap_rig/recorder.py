@@ -1,5 +1,6 @@
 """Records a run of the rig from plain values; times in seconds, lengths in metres, angles in radians. `report.py`
-summarises the record."""
+summarises the record.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +62,8 @@ class ObjectTrack:
 
     def observe(self, T_world_object: np.ndarray, clearance: float, on_table: bool, held: bool, now: float) -> None:
         """Adds a pose, shape (4, 4), with the height of the lowest point above the table [m], and whether table and
-        robot touch the object."""
+        robot touch the object.
+        """
         if self._first is None:
             self._first = T_world_object
         self.highest = max(self.highest, clearance)

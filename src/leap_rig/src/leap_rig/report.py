@@ -33,7 +33,8 @@ COUNTERS = {
 
 def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remarks: Iterable[str] = ()) -> dict:
     """Returns the summary of a run until `now` [s] as a mapping that JSON can hold. `faults` lists why the run failed,
-    with a clause for each node that died; `warnings`, with the remarks, do not make it fail."""
+    with a clause for each node that died; `warnings`, with the remarks, do not make it fail.
+    """
     began = recorder.started if recorder.started is not None else now
     # The seconds of the simulated world in a second of the run; None without a world.
     world, wall = (recorder.count("simulated_world", name) for name in ("world_s", "wall_s"))

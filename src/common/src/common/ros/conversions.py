@@ -19,7 +19,8 @@ def stamped_transform(T: np.ndarray, parent: str, child: str, stamp: rospy.Time)
 
 def pose_from_transform(transform: Transform) -> np.ndarray:
     """Returns the pose, shape (4, 4), of a Transform message; raises ValueError if a number is not finite, or the
-    quaternion is not a unit quaternion."""
+    quaternion is not a unit quaternion.
+    """
     return _pose(transform.translation, transform.rotation)
 
 

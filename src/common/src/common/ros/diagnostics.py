@@ -15,7 +15,9 @@ STAGE_TIMES = "rig/stage_times"
 
 class Diagnostics:
     """Publishes a node's state and counters on /diagnostics twice a second, under `name`.
-    `read` returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters."""
+
+    `read` returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters.
+    """
 
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]]) -> None:
         self._name, self._read = name, read
@@ -44,8 +46,10 @@ class Diagnostics:
 
 class StageTimes:
     """Publishes when a stage from hand to wire has finished with a frame, so that delays can be measured from outside.
+
     Every stage publishes on one topic: `header.stamp` is the stamp of the tracking frame (its time of receipt),
-    `time_ref` the time at which the stage passed its result on, `source` the name of the stage."""
+    `time_ref` the time at which the stage passed its result on, `source` the name of the stage.
+    """
 
     def __init__(self, stage: str) -> None:
         self._stage = stage

@@ -10,7 +10,8 @@ from pathlib import Path
 
 def write_whole(path: Path, content: str | bytes) -> None:
     """Replaces a file, a text in UTF-8, and makes its folder; raises OSError if that fails, such as on a full disk: the
-    file stays as it is. A killed process leaves a file named by a dot, the file's name, and eight characters."""
+    file stays as it is. A killed process leaves a file named by a dot, the file's name, and eight characters.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}", dir=str(path.parent))
     try:

@@ -26,7 +26,8 @@ RGBD_FRAMES = {"rgb": RGB_OPTICAL, "depth": DEPTH_OPTICAL, "depth_registered": R
 
 def image_message(array: np.ndarray, encoding: str, frame: str, stamp: rospy.Time) -> Image:
     """Returns the message of an image, shape (height, width) or (height, width, channels); raises ValueError if the
-    array does not have the encoding's type and channels."""
+    array does not have the encoding's type and channels.
+    """
     kind, channels = TYPES[encoding]
     if array.dtype != kind or array.shape[2:] != ((channels,) if channels > 1 else ()):
         raise ValueError(f"an array of {array.dtype}, shape {array.shape}, does not have the encoding {encoding}")
@@ -41,7 +42,8 @@ def image_message(array: np.ndarray, encoding: str, frame: str, stamp: rospy.Tim
 
 def array_from_image(message: Image) -> np.ndarray:
     """Returns a read-only view of the image in a message, shape (height, width[, channels]); raises ValueError for an
-    unknown encoding, or if the data do not have the stated size."""
+    unknown encoding, or if the data do not have the stated size.
+    """
     if message.encoding not in TYPES:
         raise ValueError(f"the encoding {message.encoding!r} is unknown; supported are {', '.join(TYPES)}")
     kind, channels = TYPES[message.encoding]
@@ -65,7 +67,8 @@ def metres_from_millimetres(depth: np.ndarray) -> np.ndarray:
 
 def colour_from_image(message: Image) -> np.ndarray:
     """Returns the colour image in a message, shape (height, width, 3), red first; raises ValueError for another
-    encoding or incomplete data."""
+    encoding or incomplete data.
+    """
     if message.encoding not in ("rgb8", "bgr8"):
         raise ValueError(f"the colour image has the encoding {message.encoding}, not rgb8 or bgr8")
     array = array_from_image(message)
@@ -74,7 +77,8 @@ def colour_from_image(message: Image) -> np.ndarray:
 
 def depth_from_image(message: Image) -> np.ndarray:
     """Returns the depth image in a message, shape (height, width), float32 [m], not finite = none; raises ValueError
-    for another encoding or incomplete data."""
+    for another encoding or incomplete data.
+    """
     array = array_from_image(message)
     if array.dtype == np.uint16:
         return metres_from_millimetres(array)
@@ -109,9 +113,11 @@ def camera_model_from_info(message: CameraInfo) -> CameraModel:
 
 class RgbdTopics:
     """Publishes the images of an RGB-D camera, each only while it has subscribers, as openni2_camera names them:
+
     `rgb/image_raw` (rgb8); `depth/image_raw` (16UC1, mm, 0 = none) and `depth/image` (32FC1, m, NaN = none);
     `depth_registered/image_raw` (16UC1, in the colour camera's pixels); `camera_info` beside each of the three images.
-    `rgb` and `depth` are the cameras' intrinsics; `outgoing` is applied to each image message before publication."""
+    `rgb` and `depth` are the cameras' intrinsics; `outgoing` is applied to each image message before publication.
+    """
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, outgoing: Outgoing = lambda message: message) -> None:
         self._outgoing = outgoing

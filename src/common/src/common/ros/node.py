@@ -25,7 +25,8 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     Any other exception is a defect of the program and keeps its traceback.
 
     A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
-    main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds."""
+    main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
+    """
     try:
         rospy.init_node(name)
     except rospy.exceptions.ROSInitException:
@@ -82,7 +83,8 @@ def _wait_for_clock() -> None:
 def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands, whose handler closes the topics in the main thread: if that thread
     is publishing, it holds the lock that the handler waits for, and the node hangs.
-    With `leave` the process exits afterwards."""
+    With `leave` the process exits afterwards.
+    """
 
     def shut_down(reason: str) -> None:
         rospy.signal_shutdown(reason)

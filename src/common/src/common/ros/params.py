@@ -25,7 +25,9 @@ def private_values() -> dict[str, Any]:
 
 def private_config(schema: type[Schema], section: str = "", others: Iterable[str] = ()) -> Schema:
     """Returns the node's private parameters, or those of ~section/; `others` may stand beside the schema's own.
-    Raises ConfigError if a parameter is missing, unknown or out of range."""
+
+    Raises ConfigError if a parameter is missing, unknown or out of range.
+    """
     values = private_values().get(section, {}) if section else private_values()
     return parse(schema, values, prefix=f"~{section}/" if section else "~", others=others)
 
@@ -47,9 +49,11 @@ def wait_for_config(
     schema: type[Schema], namespace: str, others: Iterable[str] = (), patience: float = UPLOAD_S
 ) -> Schema:
     """Returns the configuration under `namespace`; waits for its parameters and reports that.
+
     A launch file uploads a yaml key by key: this waits until the last key of the schema is there, at most `patience`
     [s] after the first. The keys `others` may stand beside the schema's own. Raises ConfigError if values are missing,
-    unknown or out of range, rospy.ROSInterruptException if ROS shuts down while waiting."""
+    unknown or out of range, rospy.ROSInterruptException if ROS shuts down while waiting.
+    """
     wait_for_param(namespace)
     names = [f.name for f in dataclasses.fields(schema)]
     values = _uploaded(namespace, names, min(patience, UPLOAD_S))

@@ -1,7 +1,9 @@
 """Service calls that return in time, whatever the node that offers the service and the ROS master do.
+
 `rospy.ServiceProxy` waits for ever for a node that hangs, and asks the master before every call. Here each call runs in
 a thread of its own, and a `ServiceClient` keeps the service's address. The request is sent after the node has answered
-the handshake, and only if the caller still waits: a node that hangs never executes a call that was given up before."""
+the handshake, and only if the caller still waits: a node that hangs never executes a call that was given up before.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ class ServiceClient:
 
     def look_up(self) -> None:
         """Asks the master for the address; a service that it does not know keeps its last one.
-        Raises MasterLost if the master does not answer."""
+
+        Raises MasterLost if the master does not answer.
+        """
         uri = ask_master("lookupService", rospy.resolve_name(self.name))
         if uri is not None:
             family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
@@ -62,7 +66,8 @@ class ServiceClient:
 
     def __call__(self, *values, timeout: float, wait: float = 0.0):
         """Returns the response to a request with these fields, within `timeout` [s] after up to `wait` [s] for a node
-        that offers the service; raises ServiceFailed if no node offers it, it failed, or it did not answer in time."""
+        that offers the service; raises ServiceFailed if no node offers it, it failed, or it did not answer in time.
+        """
         attempt = _Attempt(self, rospy.ServiceProxy(self.name, self._kind), self._kind._request_class(*values), wait)
         return attempt.response(wait + timeout)
 
@@ -139,7 +144,8 @@ def _connection(proxy: rospy.ServiceProxy, address: tuple[str, int]) -> TCPROSTr
 
 def ask_master(method: str, *arguments):
     """Returns the value of a method of the ROS master's interface, None if the master has none; raises MasterLost if it
-    does not answer within `MASTER_TIMEOUT_S`."""
+    does not answer within `MASTER_TIMEOUT_S`.
+    """
     uri = rosgraph.get_master_uri()
     master = xmlrpc.client.ServerProxy(uri, transport=_HttpWithTimeout())
     try:

@@ -73,7 +73,8 @@ def choose(
     proposals: ProposalList | None, controller: ControllerState | None, hand_followed: bool, fresh: float
 ) -> ProposedPose | Refusal:
     """Returns the best of the newest proposals, or why there is none; those in an image older than `fresh` [s] are
-    refused. None stands for proposals that never came, and for a silent controller."""
+    refused. None stands for proposals that never came, and for a silent controller.
+    """
     if controller is None:
         return Refusal("The arm's controller is silent.")
     if not controller.control_on:
@@ -142,7 +143,8 @@ class ExecutionOutcome:
 
 class Execution:
     """The execution: its `state` (IDLE at first, OVER after each), the `reason` (one sentence: the current step, or how
-    it ended) and the number of the `episode`, from 1 on. `up` is the vertical in the base frame, shape (3,)."""
+    it ended) and the number of the `episode`, from 1 on. `up` is the vertical in the base frame, shape (3,).
+    """
 
     def __init__(self, config: ExecutionConfig, watch: GraspWatchConfig, up: np.ndarray) -> None:
         self._config = config
@@ -160,7 +162,8 @@ class Execution:
 
     def start(self, T_base_above: np.ndarray, now: float) -> None:
         """Begins at the monotonic time `now` [s]: leap_kuka holds the tool at a pose, shape (4, 4) [m]. Raises
-        ValueError if an execution is running."""
+        ValueError if an execution is running.
+        """
         if self.running:
             raise ValueError(f"the execution {self.episode} is not over")
         self._T_base_above, self._began = T_base_above, now

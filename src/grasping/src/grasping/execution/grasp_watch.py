@@ -1,8 +1,10 @@
 """Detects from the hand's state and the tool's height when an operator grasped something, and whether it was held.
+
 The fingers have closed when the thumb and a finger beside it are bent and none moves any more. Then the tool has to be
 lifted: the hand holds something if the thumb and a finger still feel it a moment after the tool is up.
 A finger feels something if a taxel is pressed more than when the hand was last open, so that drift has no effect, or if
-its motor pulls harder than the finger's springs need where it is bent as much and holds nothing."""
+its motor pulls harder than the finger's springs need where it is bent as much and holds nothing.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +91,8 @@ class GraspWatch:
 
     def step(self, hand: HandMeasurement, T_base_tool: np.ndarray, now: float) -> ObservedGrasp | None:
         """Takes a state of the hand, ignored if it is not finite, and returns the grasp whose result it decides, or
-        None; `T_base_tool`: the measured tool, shape (4, 4) [m]; `now`: time [s], not falling."""
+        None; `T_base_tool`: the measured tool, shape (4, 4) [m]; `now`: time [s], not falling.
+        """
         if not all(np.isfinite(numbers).all() for numbers in (hand.angles, hand.pressures, hand.loads)):
             return None
         if hand.angles.max() < self._config.open_angle:

@@ -1,9 +1,11 @@
 """From a depth image to the network's input: crop, fill holes, scale to 300 x 300, take off the mean; and its planes.
+
 The steps are those of the published node (ggcnn_kinova_grasping), except that holes are filled before the image is
 scaled: a missing pixel would otherwise spoil all that are interpolated from it.
 A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X: the unit vector along it points away from the
 camera, its length is one over the distance. Along a pixel's ray (x, y, 1) the inverse depth is a . ray, linear in a,
-and the noise of a structured-light camera is nearly constant there."""
+and the noise of a structured-light camera is nearly constant there.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,8 @@ def centre_crop(shape: tuple[int, ...], side: int = CROP_SIDE, rows_up: int = 0)
 
 def prepare(depth: np.ndarray, crop: Crop, side: int = NETWORK_SIDE) -> NetworkImage:
     """Returns the network's image of a window of the camera's, shape (h, w) [m]; not finite or not positive = no
-    reading. Raises ValueError if the window holds no reading."""
+    reading. Raises ValueError if the window holds no reading.
+    """
     window = depth[crop.row : crop.row + crop.side, crop.column : crop.column + crop.side].astype(np.float32)
     valid = np.isfinite(window) & (window > 0.0)
     if not valid.any():
@@ -96,8 +99,10 @@ class PlaneFound(NamedTuple):
 
 def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound | None:
     """Returns the plane that most pixels lie in, None if there are too few; the same pixels give the same plane.
+
     `rays`: of the pixels, x, y, 1, shape (n, 3); `depth`: shape (n,) [m], finite and positive; `noise`: standard
-    deviation of the inverse depth [1/m]."""
+    deviation of the inverse depth [1/m].
+    """
     if len(depth) < 3:
         return None
     inverse = 1.0 / np.asarray(depth, dtype=float)

@@ -1,6 +1,8 @@
 """From the network's four maps to grasps in the network's image: smooth, find the best pixels.
+
 The steps are those of the published node, except that cos and sin are smoothed and not the angle, which would be spoilt
-where it jumps from +90 to -90 degrees."""
+where it jumps from +90 to -90 degrees.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ class Peak(NamedTuple):
 
 def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Maps:
     """Returns the smoothed maps; `output`: of the network, shape (4, h, w); `valid`: where the camera had a reading,
-    shape (h, w); elsewhere the quality is 0 before it is smoothed."""
+    shape (h, w); elsewhere the quality is 0 before it is smoothed.
+    """
     quality, cos, sin, width = output
     quality = gaussian(np.where(valid, quality, np.float32(0.0)), smoothing.quality)
     angle = 0.5 * np.arctan2(gaussian(sin, smoothing.angle), gaussian(cos, smoothing.angle))

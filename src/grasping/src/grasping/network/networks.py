@@ -1,9 +1,11 @@
 """GG-CNN and GG-CNN2 of Morrison, Corke and Leitner (RSS 2018; GG-CNN2 is the later, wider-sighted kind).
+
 The layer names are those of the published files, so that those load. For the CPU's sake the four heads are one
 convolution, and GG-CNN's last transposed convolution, three quarters of the time in its plain form, is an ordinary one
 at a third of the size followed by a pixel shuffle; the outputs are the same to rounding.
 Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality
-(about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `WIDTH_SCALE_PX`."""
+(about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `WIDTH_SCALE_PX`.
+"""
 
 from __future__ import annotations
 
@@ -126,8 +128,10 @@ def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> torch.jit.ScriptModu
 
 def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:
     """Returns the transposed convolution with stride 3 and a 9 x 9 kernel, by a convolution and a pixel shuffle.
+
     Output row 3 q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row 3 m + r: for each remainder r
-    a convolution with three taps. `x` (n, i, h, w), `weight` (i, o, 9, 9), `bias` (o,): (n, o, 3 h + 6, 3 w + 6)."""
+    a convolution with three taps. `x` (n, i, h, w), `weight` (i, o, 9, 9), `bias` (o,): (n, o, 3 h + 6, 3 w + 6).
+    """
     i, o = weight.shape[:2]
     taps = weight.reshape(i, o, 3, 3, 3, 3).flip(2, 4)  # (i, o, m, r, m, r), m reversed: a convolution correlates
     kernel = taps.permute(1, 3, 5, 0, 2, 4).reshape(9 * o, i, 3, 3)

@@ -1,4 +1,5 @@
 """The refinement network: adapts GG-CNN's maps to what an operator did, and adds the rest of the pose.
+
 A small network sees, pixel by pixel, GGCNN's quality and opening and the height above the table, here and in the
 neighbourhood. It says how much more or less than GGCNN the operator likes to grasp there; how much deeper, turned and
 wider open; how much the approach leans, about the axes of the image and with the surface; and how sure it is: a Laplace
@@ -7,7 +8,8 @@ over the pixels a softmax of the quality. Untrained it gives GGCNN's maps back b
 always, like grasping a centimetre to the right, is a constant offset beside it.
 Turning or shifting the image changes nothing but the lean about its axes: an operator stays where they stand. The maps
 are those of the network's image, before they are smoothed. Constant offset and lean have the axes of the camera that
-sees it, x right and y down, real or imagined above the table: a weight file (`refinement_file`) names its view."""
+sees it, x right and y down, real or imagined above the table: a weight file (`refinement_file`) names its view.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +118,8 @@ class RefinementNetwork(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Returns what `RefinementOutput.of` reads, shape (n, len(CHANGES), h, w); `x`: as `features` has them, shape
-        (n, LEAN_Y + 1, h, w); the last four are not looked at."""
+        (n, LEAN_Y + 1, h, w); the last four are not looked at.
+        """
         x = F.relu(self.first(x[:, : len(FEATURE_SCALE)] * self.feature_scale))
         return self.last(F.relu(self.second(x))) * self.change_scale
 
@@ -134,7 +137,8 @@ class RefinementNetwork(nn.Module):
 def features(output: np.ndarray, image: NetworkImage) -> np.ndarray:
     """Returns the network's features, first the quality, at `HEIGHT` the height above the table [m], and behind them
     GGCNN's line (cos and sin of twice its angle, length 1) and the surface's lean about the image's axes [rad, never a
-    right angle]; shape (LEAN_Y + 1, SIDE, SIDE), float32. `output`: of GGCNN, shape (4, h, w), multiples of `SIDE`."""
+    right angle]; shape (LEAN_Y + 1, SIDE, SIDE), float32. `output`: of GGCNN, shape (4, h, w), multiples of `SIDE`.
+    """
     quality, cos, sin, width, height = (shrunk(m) for m in (*output, table_depth(image) - image.depth))
     height = np.clip(height, LOWEST_M, HIGHEST_M)
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (REACH_PX, REACH_PX))

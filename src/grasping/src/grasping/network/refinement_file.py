@@ -1,7 +1,9 @@
 """Weight files of the refinement network: a torch state dict with a description of the rig that it was trained on.
+
 A refinement network fits one first network, view, crop, table and hand: with another crop a constant offset in pixels
 is another distance, and another first network has other maps. So a file is refused where they differ. Values that a
-file does not contain are not compared."""
+file does not contain are not compared.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,8 @@ def taste(network: RefinementNetwork, origin: Origin) -> dict[str, torch.Tensor]
 
 def load(data: bytes, sha256: str | None = None) -> tuple[MapRefiner, Origin]:
     """Returns a weight file's refinement network and the rig of its training; runs no code of the file. Raises
-    WeightsError for another `sha256` (if given, hexadecimal), no torch file, another version, or another network."""
+    WeightsError for another `sha256` (if given, hexadecimal), no torch file, another version, or another network.
+    """
     weights.checked_sha256(data, sha256)
     state = weights.torch_state(data)
     about = _about(state.pop(ABOUT, None))

@@ -1,6 +1,8 @@
 """Weight files of the grasp networks: this package's and the published ones. No code in a file is run.
+
 Read are torch state dicts, whole pickled torch models and Keras HDF5 files. A file says by the names and shapes of its
-arrays which network it belongs to; nothing is guessed or cut to fit."""
+arrays which network it belongs to; nothing is guessed or cut to fit.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,8 @@ class Loaded(NamedTuple):
 
 def load(data: bytes, sha256: str | None = None) -> Loaded:
     """Returns a weight file's network; raises WeightsError for another `sha256` (if given, hexadecimal), no weight
-    file, or none of a network in `NETWORKS`."""
+    file, or none of a network in `NETWORKS`.
+    """
     found = checked_sha256(data, sha256)
     if data.startswith(HDF5_MAGIC):
         name, state = "ggcnn_keras", _keras_state(data)
@@ -82,7 +85,9 @@ def checked_sha256(data: bytes, wanted: str | None) -> str:
 
 def filled(network: Network, name: str, state: dict[str, torch.Tensor]) -> Network:
     """Returns the network with the weights of a state dict, ready to be evaluated.
-    Raises WeightsError if the state dict is not of such a network, here called `name`, or not finite."""
+
+    Raises WeightsError if the state dict is not of such a network, here called `name`, or not finite.
+    """
     wanted = network.state_dict()
     if state.keys() != wanted.keys():
         raise WeightsError(f"The weight file lacks {', '.join(sorted(wanted.keys() - state.keys()))} of {name}.")
@@ -140,7 +145,9 @@ def _collect(into: dict[str, np.ndarray], path: str, item: Any) -> None:
 
 def torch_state(data: bytes) -> dict[str, torch.Tensor]:
     """Returns the state dict of a torch file or of the whole model in it.
-    Raises WeightsError if it holds neither, or torch cannot read it with the pickle given here."""
+
+    Raises WeightsError if it holds neither, or torch cannot read it with the pickle given here.
+    """
     try:
         # Of the records asks torch's own reader: another one may see others in a malformed archive.
         if data.startswith(ZIP_MAGIC) and PROGRAM in torch._C.PyTorchFileReader(io.BytesIO(data)).get_all_records():

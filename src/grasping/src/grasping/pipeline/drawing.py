@@ -37,7 +37,8 @@ def with_disc(image: np.ndarray, best: GraspProposal | None) -> np.ndarray:
 def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarray:
     """Returns the network's image in grey under the quality in colours, shape (600, 600, 3), uint8, blue first, with
     the grasps: a bar from finger to finger, number and quality beside it; the `refused` numbers in another colour;
-    below it the `reason`, if any."""
+    below it the `reason`, if any.
+    """
     assert result.view is not None and result.maps is not None, "there is something to draw"
     quality = result.maps.quality
     colours = cv2.applyColorMap((255.0 * np.clip(quality, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_JET)
@@ -66,7 +67,8 @@ def grey(depth: np.ndarray) -> np.ndarray:
 
 def gripper(image: np.ndarray, ends: np.ndarray, label: str, colour: tuple[int, int, int], thickness: int) -> None:
     """Draws a gripper into an image, shape (h, w, 3), uint8: a bar, `thickness` [px], with a finger at each of its
-    `ends`, u and v, shape (2, 2) [px]."""
+    `ends`, u and v, shape (2, 2) [px].
+    """
     across = ends[1] - ends[0]
     finger = FINGER_PX * np.array([-across[1], across[0]]) / max(1e-6, float(np.hypot(*across)))
     cv2.line(image, _pixel(ends[0]), _pixel(ends[1]), colour, thickness, cv2.LINE_AA)

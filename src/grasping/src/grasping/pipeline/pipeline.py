@@ -1,7 +1,9 @@
 """From depth images to grasps: view, network, averaging, refinement, maxima, projection, approach, limits, tracking.
+
 One object runs all steps, live and offline. The defaults of `PipelineSettings` are the offline use: no step remembers
 an earlier image, nothing is rejected, and the single best pixel is the grasp. Poses are in the camera's optical frame
-and, where the camera's pose is known, in kuka/base_frame. A result without grasps gives the reason."""
+and, where the camera's pose is known, in kuka/base_frame. A result without grasps gives the reason.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +93,8 @@ class PipelineResult(NamedTuple):
 
 class GraspPipeline:
     """Finds grasps in single depth images or in a stream of them, with GG-CNN or GG-CNN2 and, if given, a refinement
-    network. `clock` returns the time [s] by which the stages are timed; the default times nothing."""
+    network. `clock` returns the time [s] by which the stages are timed; the default times nothing.
+    """
 
     def __init__(
         self,
@@ -119,7 +122,8 @@ class GraspPipeline:
         self, depth: np.ndarray, camera: CameraModel, T_base_camera: np.ndarray | None = None, now: float = 0.0
     ) -> PipelineResult:
         """Returns the grasps in a depth image, shape (h, w), float32 [m], not finite = no reading, by `camera` at
-        T_base_camera, shape (4, 4) [m], None if unknown; the stamp `now` [s] matters to averaging and tracking only."""
+        T_base_camera, shape (4, 4) [m], None if unknown; the stamp `now` [s] matters to averaging and tracking only.
+        """
         s, stages = self._settings, _StageTimes(self._clock)
         if now < self._last:  # a recording that begins again
             self.reset()

@@ -1,6 +1,8 @@
 """From a grasp in the network's image to a grasp before the camera, and the surface that it approaches.
+
 The frame of a grasp: z the approach, at first along the camera's axis; x through both fingers, so that a grasp of angle
-0 has the camera's axes. Angles in the image run anticlockwise and y runs down: a turn about z by minus the angle."""
+0 has the camera's axes. Angles in the image run anticlockwise and y runs down: a turn about z by minus the angle.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,8 @@ def pixel_size(image: NetworkImage, camera: CameraModel) -> np.ndarray:
 
 def project_grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: CameraModel) -> CameraGrasp | None:
     """Returns the grasp before the camera, None when the camera has no reading near the pixel; `crop`: where that image
-    lies in the camera's; `depth`: the camera's image, shape (h, w) [m]."""
+    lies in the camera's; `depth`: the camera's image, shape (h, w) [m].
+    """
     pixel = camera_pixel(peak.row, peak.column, crop, side)
     column, row = (round(p) for p in pixel)
     half = NEIGHBOURHOOD // 2
@@ -68,7 +71,8 @@ def project_grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: 
 def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> CameraGrasp | None:
     """Returns the grasp, given along the camera's axis and not negatively open, with another approach, a unit vector,
     (3,). The fingers keep their line and pixels in the image: they move in the plane through the grasp across the
-    approach. None if the camera looks along that plane."""
+    approach. None if the camera looks along that plane.
+    """
     p, n = grasp.T_camera_grasp[:3, 3], np.asarray(approach, dtype=float)
     half = 0.5 * grasp.width * camera.K[0, 0] / p[2]
     line = max(half, 1.0) * np.array([np.cos(grasp.angle), -np.sin(grasp.angle)])  # a closed gripper has a line too
@@ -125,7 +129,8 @@ def surface_normal(
     """Returns the surface's normal at a grasp, a unit vector into it in the camera's frame, shape (3,), None if not
     clear: too few readings, no plane, or tilted too far. The plane is the one in which most pixels within the radius
     before and behind the grasp lie. `depth`: shape (h, w) [m], NaN = none; `rays`: of its pixels, shape (h, w, 3);
-    `pixel`: u, v of the grasp; `z`: its depth [m]; `focal`: length [px]."""
+    `pixel`: u, v of the grasp; `z`: its depth [m]; `focal`: length [px].
+    """
     half = max(2, round(config.radius * focal / z))
     column, row = (round(p) for p in pixel)
     window = slice(max(0, row - half), row + half + 1), slice(max(0, column - half), column + half + 1)

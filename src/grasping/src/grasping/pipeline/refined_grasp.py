@@ -1,6 +1,8 @@
 """The grasp of the refined maps at a pixel, and its uncertainty: the distribution of the operator's grasp there.
+
 Over the pixels it is a softmax of the refined quality, and what lies near a pixel is the same choice. Standard
-deviations are those of the grasp's own axes: x through the fingers, z the approach."""
+deviations are those of the grasp's own axes: x through the fingers, z the approach.
+"""
 
 from __future__ import annotations
 

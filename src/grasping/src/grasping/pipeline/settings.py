@@ -1,5 +1,7 @@
 """The schema of ggcnn.yaml, section by section, and the settings that are made of it.
-A fingerprint of what decides whether two episodes belong together is made of `rig_configuration`."""
+
+A fingerprint of what decides whether two episodes belong together is made of `rig_configuration`.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +106,9 @@ SECTIONS = {name: schema for name, schema in get_type_hints(GgcnnSettings).items
 
 def settings_from(values: Mapping[str, Any], prefix: str = "") -> GgcnnSettings:
     """Returns the configuration in a mapping of ggcnn.yaml, with tool_pose.yaml as its section `tool`.
-    Raises ConfigError with the faults of all sections."""
+
+    Raises ConfigError with the faults of all sections.
+    """
     faults: list[str] = []
     read: dict[str, Any] = {"main": parse_part(GgcnnConfig, values, prefix, faults, others=SECTIONS)}
     for name, schema in SECTIONS.items():
@@ -148,7 +152,8 @@ def rig_configuration(
     weights: str,
 ) -> dict[str, Any]:
     """Returns the configuration as JSON can hold it; poses have shape (4, 4) [m]. `kuka`: robot, flange, mounting and
-    file of calibrated parameters of the arm; `weights`: SHA-256 of the network's weight file."""
+    file of calibrated parameters of the arm; `weights`: SHA-256 of the network's weight file.
+    """
     matrices = {key: getattr(camera, key).tolist() for key in "KDRP"}
     # Adding 0 turns -0.0 into 0.0, which would be another text.
     return {

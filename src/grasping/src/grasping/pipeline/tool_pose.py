@@ -1,6 +1,8 @@
 """The hand on the arm: the tool pose that takes a grasp, preferred openings, limits, and whether the arm reaches it.
+
 Frame of a grasp: origin on the surface between the fingers, x through both fingers, z along the approach. A gripper
-does not care which of its fingers is on which side, so a grasp allows two orientations half a turn apart."""
+does not care which of its fingers is on which side, so a grasp allows two orientations half a turn apart.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,8 @@ class ToolPoseConfig:
 def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarray, up: ArrayLike = UP) -> np.ndarray:
     """Returns T_base_tool, shape (4, 4) [m], of the tool that takes T_base_grasp, shape (4, 4) [m]: of two orientations
     the nearer to `near`, R_base_tool, shape (3, 3). `up` is the vertical in the base frame, shape (3,). Raises
-    ValueError if the approach is vertical, and so is the line through the fingers."""
+    ValueError if the approach is vertical, and so is the line through the fingers.
+    """
     z = -unit(up) if settings.approach == VERTICAL else T_base_grasp[:3, 2]
     fingers = T_base_grasp[:3, 0]
     across = fingers - (fingers @ z) * z
@@ -79,7 +82,8 @@ def above(T_base_tool: np.ndarray, clearance: float) -> np.ndarray:
 
 def preferred(maps: Maps, pixel_m: np.ndarray, tool: ToolPoseConfig, threshold: float) -> Maps:
     """Returns the maps with the quality that they have for a hand; it is nowhere higher than before. `pixel_m`: what a
-    pixel shows of the scene, shape (h, w) [m]; `threshold`: of the quality; what is not above it stays as it is."""
+    pixel shows of the scene, shape (h, w) [m]; `threshold`: of the quality; what is not above it stays as it is.
+    """
     if tool.outside_quality == 1.0:
         return maps
     opening = pixel_m * np.maximum(maps.width, 0.0)
@@ -118,7 +122,8 @@ def rejection_reason(
 ) -> str:
     """Returns why a grasp is rejected, a clause about the grasp; empty if it is accepted. Poses: shape (4, 4) [m], the
     one in
-    kuka/base_frame unchecked if None. `width`: opening that the grasp needs; `opening`: widest of the hand [m]."""
+    kuka/base_frame unchecked if None. `width`: opening that the grasp needs; `opening`: widest of the hand [m].
+    """
     depth = T_camera_grasp[2, 3]
     if not limits.nearest <= depth <= limits.farthest:
         allowed = f"{limits.nearest:.2f} to {limits.farthest:.2f} m"

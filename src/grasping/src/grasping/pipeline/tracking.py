@@ -1,5 +1,7 @@
 """Tracks grasps from image to image: averages the maps over time, recognises grasps again, filters their poses.
-Poses are in a frame that does not move: the arm's base where the camera's pose in it is known, else the camera."""
+
+Poses are in a frame that does not move: the arm's base where the camera's pose in it is known, else the camera.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,8 @@ class MapAverage:
 
     def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
         """Returns the average, shape (4, h, w), and whether it began anew. `output`: the network's maps, shape (4, h,
-        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m]."""
+        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m].
+        """
         averages = self._averages
         if averages is None or averages[0].shape != output.shape or self._moved(averages[1], depth):
             self._averages = output.copy(), depth.copy()
@@ -108,7 +111,8 @@ class GraspTracker:
     def step(self, detections: Sequence[GraspDetection], now: float) -> list[TrackedGrasp]:
         """Returns the grasps of the newest image at `now` [s], the best first, the others by their quality. None while
         the best is out of sight and not yet forgotten: else the next best, maybe of another object, would replace it
-        for single images."""
+        for single images.
+        """
         owners = self._owners(detections)
         for track in self._tracks:
             track.in_sight = False
@@ -168,7 +172,9 @@ class GraspTracker:
 
 class PoseFilter:
     """Median, then exponential filter, of position, finger line, approach and opening; jumps are not believed at once.
-    The finger line turns about the approach without a direction: cosine and sine of twice its angle are filtered."""
+
+    The finger line turns about the approach without a direction: cosine and sine of twice its angle are filtered.
+    """
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config

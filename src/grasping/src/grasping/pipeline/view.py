@@ -1,7 +1,9 @@
 """The image that the network gets, and where it was taken from: the camera's own, or one from above the table.
+
 The networks learned on images taken from above, and take the far edge of a table seen from the side for most graspable.
 So its depth image is drawn anew as a camera would see it that looks straight down on the table: each reading goes to
-where it lies, and what is not above the table becomes table."""
+where it lies, and what is not above the table becomes table.
+"""
 
 from __future__ import annotations
 
@@ -118,7 +120,9 @@ class TableView:
 
     def step(self, depth: np.ndarray, camera: CameraModel) -> GraspView:
         """Returns the view of a depth image, shape (h, w) [m].
-        Raises NoView if the window does not fit or holds no reading, no table is seen, or nothing stands on it."""
+
+        Raises NoView if the window does not fit or holds no reading, no table is seen, or nothing stands on it.
+        """
         crop = _window(depth, self._crop)
         rays = self._rays.of(camera)
         seen_from = self._find(depth, rays, crop, camera)

@@ -120,12 +120,15 @@ class PoseLookup:
 
     def at(self, frame: str, stamp: rospy.Time, wait: float = 0.0) -> np.ndarray:
         """Returns T_base_frame, shape (4, 4) [m], at a moment; waits for it, `wait` [s] at most.
-        Raises tf2_ros.TransformException if tf does not know it, ValueError if it is not a pose."""
+
+        Raises tf2_ros.TransformException if tf does not know it, ValueError if it is not a pose.
+        """
         return pose_from_transform(self._buffer.lookup_transform(BASE, frame, stamp, rospy.Duration(wait)).transform)
 
     def flange(self, max_age: float) -> np.ndarray:
         """Returns the newest measured T_base_flange, shape (4, 4) [m]. Raises tf2_ros.TransformException if tf does not
-        know it, ValueError if older than `max_age` [s] or not a pose."""
+        know it, ValueError if older than `max_age` [s] or not a pose.
+        """
         found = self._buffer.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
         if abs((rospy.Time.now() - found.header.stamp).to_sec()) > max_age:
             raise ValueError(f"the pose of the tool is older than {max_age:g} s")

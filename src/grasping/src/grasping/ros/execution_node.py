@@ -1,6 +1,8 @@
 """The node grasp_execution: has the arm wait above a proposed grasp for an operator's hand and reports the outcome.
+
 Services: grasping/execute and grasping/cancel (std_srvs/Trigger). Out: grasping/state, grasping/outcome,
-grasping/proposal_marker. In: see execution_io.py. Asks kuka/check_tool_pose and leap_kuka/hold_tool; moves nothing."""
+grasping/proposal_marker. In: see execution_io.py. Asks kuka/check_tool_pose and leap_kuka/hold_tool; moves nothing.
+"""
 
 from __future__ import annotations
 

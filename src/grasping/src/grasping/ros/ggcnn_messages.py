@@ -48,7 +48,8 @@ def _grasp(header: Header, proposal: GraspProposal, reach: Reachability) -> Gras
 
 def command(proposal: GraspProposal, between: float) -> Float32MultiArray:
     """Returns the published node's six numbers: x, y, z before the camera [m], angle [rad], opening [px of the
-    camera's image], and how far away the nearest thing between the fingers is [mm]; `between` is that in m."""
+    camera's image], and how far away the nearest thing between the fingers is [mm]; `between` is that in m.
+    """
     x, y, z = proposal.T_camera_grasp[:3, 3]
     return Float32MultiArray(data=[x, y, z, proposal.angle, proposal.width_px, 1e3 * between])
 

@@ -1,7 +1,9 @@
 """The node ggcnn: depth images in, grasps out.
+
 Topics, below ggcnn/: img/grasp, img/grasp_plain, img/depth, img/ang, out/command and out/target_pose as the original
 has them; out/grasps with all grasps or the reason why there is none; img/heat_map and markers for people. In tf
-camera_target_frame below camera_depth_frame, and, with a view of the table, ggcnn/view below the camera."""
+camera_target_frame below camera_depth_frame, and, with a view of the table, ggcnn/view below the camera.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 """Writes the input and the grasps of the running node ggcnn to an image file and prints its speed.
-Left the camera's depth image with the grippers as the camera sees them, right the network's image with its heat map."""
+
+Left the camera's depth image with the grippers as the camera sees them, right the network's image with its heat map.
+"""
 
 from __future__ import annotations
 

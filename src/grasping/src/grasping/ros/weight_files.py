@@ -42,7 +42,9 @@ def load_network(config: NetworkConfig) -> Loaded:
 
 def load_refinement(name: str, rig: Origin) -> MapRefiner:
     """Returns the refinement network of a weight file; one of this package must have the hash in its list.
-    Raises RigError if it is missing, has another hash, holds something else, or was not learned on such a rig."""
+
+    Raises RigError if it is missing, has another hash, holds something else, or was not learned on such a rig.
+    """
     path = _path(name)
     if not name.startswith("/") and not path.exists():
         raise RigError(

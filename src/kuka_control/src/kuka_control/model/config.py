@@ -103,7 +103,8 @@ class PtpConfig(ControllerConfig):
 
 def neighbours(schema: type[ControllerConfig]) -> tuple[str, ...]:
     """Returns the keys that may stand beside `schema`'s own: the controller's uploads, and the other controller's keys
-    when both parameter files were loaded one after the other on the same master."""
+    when both parameter files were loaded one after the other on the same master.
+    """
     own = {f.name for f in fields(schema)}
     both = (f.name for other in (RealTimeConfig, PtpConfig) for f in fields(other))
     return UPLOADED + tuple(name for name in both if name not in own)

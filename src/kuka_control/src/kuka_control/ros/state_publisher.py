@@ -1,5 +1,6 @@
 """Publishes the state of the arm and its controller from a separate thread, so that a slow subscriber never delays the
-stream of servo goals; and the workspace as markers for RViz."""
+stream of servo goals; and the workspace as markers for RViz.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
 """`make demo`: starts the rig, shows its state, stops it in order, and prints a report. The exit code is 0 if the arm
-followed, the hand moved and no node died; 1 if not; 2 if the rig did not start."""
+followed, the hand moved and no node died; 1 if not; 2 if the rig did not start.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +92,8 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
 
 class Deaths(ProcessListener):
     """Records the processes that exit during the run: `sentences` about the nodes that the rig needs, `remarks` about
-    the others. Nodes in `expected` may exit; `ended` are all that exited."""
+    the others. Nodes in `expected` may exit; `ended` are all that exited.
+    """
 
     def __init__(self) -> None:
         self.sentences: list[str] = []
@@ -148,7 +150,8 @@ class Interrupts:
     """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt, but not while nodes start or stop. Without
     this, roslaunch would stop the nodes and swallow the interrupt, and the demo would continue without a rig. In the
     background, where a shell ignores SIGINT, Python would raise nothing. An interrupt between the start of a process
-    and roslaunch's record of it would leave the process behind, so interrupts wait until `heed` is called."""
+    and roslaunch's record of it would leave the process behind, so interrupts wait until `heed` is called.
+    """
 
     def __init__(self) -> None:
         self._came, self._waits = False, True
@@ -218,7 +221,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, duration: float | None) -> str:
     """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". Raises
-    RigError if the arm is not at home after READY_TIMEOUT_S."""
+    RigError if the arm is not at home after READY_TIMEOUT_S.
+    """
     try:
         deadline = time.monotonic() + READY_TIMEOUT_S
         while listener.mode not in AT_HOME_OR_LATER:

@@ -1,4 +1,5 @@
 """Detects tags in a grey image with the PyPI package `apriltag`, estimates the poses of all targets, and draws tags.
+
 Corners have the convention of OpenCV and CameraInfo (the centre of the first pixel is 0, 0) and the order top left, top
 right, bottom right, bottom left of the printed tag. The library counts from the corner of a pixel, half a pixel more.
 Its pose estimates are not used, and its options refine_* and border have no effect. The detector remembers the last
@@ -38,7 +39,8 @@ class TagDetection:
 
 class TagFinder:
     """Finds tags of one family. Create one finder per process: the library never frees a detector's memory. Raises
-    ImportError if the module `apriltag` is not the PyPI package."""
+    ImportError if the module `apriltag` is not the PyPI package.
+    """
 
     def __init__(self, settings: DetectorSettings) -> None:
         if not hasattr(apriltag, "DetectorOptions"):  # Debian's package has the same name and another interface
@@ -57,7 +59,8 @@ class TagFinder:
 
     def find(self, grey: np.ndarray) -> tuple[TagDetection, ...]:
         """Returns the tags in a grey image, shape (height, width), uint8; raises ValueError for another shape or
-        type."""
+        type.
+        """
         if grey.ndim != 2 or grey.dtype != np.uint8:
             raise ValueError(
                 f"the tag finder needs a grey image of uint8, shape (height, width), not {grey.dtype} {grey.shape}"
@@ -109,7 +112,8 @@ class TagDetector:
     def detect(self, grey: np.ndarray, camera: CameraModel, now: float) -> DetectionResult:
         """Returns the detections in a grey image, shape (height, width), uint8, with the time stamp `now` [s]. With the
         setting `rectified` the camera's rectified projection is used. Raises ValueError if the image does not have the
-        camera's size, or is not grey."""
+        camera's size, or is not grey.
+        """
         if grey.shape != (camera.height, camera.width):
             size = (
                 f"the image is {grey.shape[1]} x {grey.shape[0]}, but camera_info says {camera.width} x {camera.height}"

@@ -58,7 +58,8 @@ class PhotometricRefiner:
     def refine(self, grey: np.ndarray, camera: CameraModel, T_start: np.ndarray) -> PoseRefinement:
         """Returns the pose whose rendering matches the raw grey image, shape (height, width), uint8, best. T_start is
         the pose by the corners, shape (4, 4) [m], and the camera has its distortion. Raises ValueError if the image
-        does not have the camera's size, or is not grey."""
+        does not have the camera's size, or is not grey.
+        """
         if grey.shape != (camera.height, camera.width) or grey.dtype != np.uint8:
             raise ValueError(
                 f"the image has shape {grey.shape} and type {grey.dtype}, but the camera's grey image is "

@@ -1,5 +1,7 @@
 """Client of the ReFlex TakkTile hand on its UDP wire; needs numpy and pyyaml only.
-`client` is the interface: a thread over `hand` (the state machine), `transport` (sockets) and `calibration_files`."""
+
+`client` is the interface: a thread over `hand` (the state machine), `transport` (sockets) and `calibration_files`.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
 """The hand as one state machine: packets and requests go in, packets to send and readings come out.
+
 Pure: every call takes the time `now` [s, monotonic] and returns a HandUpdate; it sends, saves and logs nothing. Angles
 are joint angles [rad] of the motors f1, f2, f3, preshape; 0 is open. A target goes only to a hand that sends packets,
-has torque and whose angles fit its calibration. Everything else is refused with a sentence."""
+has torque and whose angles fit its calibration. Everything else is refused with a sentence.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,8 @@ class HandUpdate:
 
 class HandLogic:
     """State machine of one hand, with its last `reading`; unless the zeros are this hand's own (`calibrated`), it
-    refuses commands until it is calibrated."""
+    refuses commands until it is calibrated.
+    """
 
     def __init__(self, settings: HandSettings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
         self._settings, self._zeros, self._offsets = settings, zeros, offsets

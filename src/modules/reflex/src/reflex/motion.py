@@ -1,6 +1,8 @@
 """Goals of the motors, their limits, protection of the fingers, changes of speed, and the packets for them.
+
 Goals are servo positions [ticks], so that a goal that stays is sent again unchanged. During a change of speed the hand
-would read a target as a speed; the newest target waits. Pure: time [s] comes in, packets come out."""
+would read a target as a speed; the newest target waits. Pure: time [s] comes in, packets come out.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ class HandNote:
 class MotorSpeedChange:
     """One change of the four joint speeds [rad/s], begun at `now` [s]: three packets with pauses between them, as the
     hand reads targets as speeds in velocity mode, in which torque is off.
-    Raises ValueError if a speed is not finite."""
+    Raises ValueError if a speed is not finite.
+    """
 
     def __init__(self, speeds: Sequence[float], now: float) -> None:
         units = [speed_units(i, speed) for i, speed in enumerate(speeds)]
@@ -56,7 +59,8 @@ class MotorSpeedChange:
 class EffortGuard:
     """Protects the fingers: loosens an overloaded motor, closes a hot one no further, leaves the others alone. A motor
     with too much effort gets a bound just before its measured angle. The bound stays until a command turns back from
-    it, so that a stream of commands that still ask for more does not squeeze again and again. Joint angles in rad."""
+    it, so that a stream of commands that still ask for more does not squeeze again and again. Joint angles in rad.
+    """
 
     def __init__(self, settings: HandSettings) -> None:
         self._settings = settings
@@ -85,7 +89,8 @@ class EffortGuard:
 
     def clip(self, goals: Sequence[float]) -> tuple[float, ...]:
         """Returns the goals [rad] within travel and bounds. A goal that turns back from a bound removes it; the bound
-        of a hot motor follows instead, so that it only opens."""
+        of a hot motor follows instead, so that it only opens.
+        """
         travel = np.array(self._settings.travel)
         wanted = np.clip(goals, 0.0, travel)
         back = (wanted < self._high) | (wanted <= 0)
@@ -97,8 +102,10 @@ class EffortGuard:
         self, reading: HandReading, goals: Sequence[float], calibrated: bool
     ) -> tuple[tuple[float, ...], list[str]]:
         """Returns goals [rad] that protect the fingers, equal to `goals` where nothing is wrong, and news as sentences.
+
         A motor outside of its travel, or of a hand that is not calibrated, is only stopped, because its distance from
-        open is unknown."""
+        open is unknown.
+        """
         settings = self._settings
         new_goals, notes = list(goals), []
         for i, name in enumerate(MOTORS):
@@ -148,7 +155,9 @@ class MotorGoals:
 
     def change_speed(self, speeds: Sequence[float], now: float) -> tuple[bytes, ...]:
         """Begins to set the joint speeds [rad/s]; returns the first packet.
-        Raises ValueError if a speed is not finite."""
+
+        Raises ValueError if a speed is not finite.
+        """
         self._change = MotorSpeedChange(speeds, now)
         return self._change.step(now)
 
@@ -165,7 +174,8 @@ class MotorGoals:
 
     def aim(self, positions: tuple[int, ...]) -> tuple[bytes, ...]:
         """Makes these positions [ticks] the goals, as they are; raises ValueError, and the goals stay, unless they are
-        four positions that a packet can hold."""
+        four positions that a packet can hold.
+        """
         packet = encode_target(positions)
         self._goals = positions
         if self._change:
@@ -177,7 +187,8 @@ class MotorGoals:
         self, angles: Sequence[float], positions: Sequence[int], zeros: np.ndarray
     ) -> tuple[tuple[bytes, ...], str]:
         """Makes finite joint angles [rad] the goals, within travel and the guard's bounds, from the servos' positions
-        [ticks] and zeros [joint rad]; returns the packets and the reason of a refusal."""
+        [ticks] and zeros [joint rad]; returns the packets and the reason of a refusal.
+        """
         margin, travel = self._settings.travel_margin, self._settings.travel
         fault = servo_fault(positions)
         if fault:
@@ -197,7 +208,8 @@ class MotorGoals:
     ) -> tuple[tuple[bytes, ...], list[HandNote]]:
         """Holds a motor whose servo suddenly counts from another turn, since it would wind on to its old goal, and
         loosens an overloaded one; the others keep their goals. `previous` is the packet before the reading, and
-        `calibrated` says whether the zeros [joint rad] are this hand's own. Returns the packets and the news."""
+        `calibrated` says whether the zeros [joint rad] are this hand's own. Returns the packets and the news.
+        """
         here = reading.packet.positions
         if servo_fault(here):
             return (), []

@@ -1,6 +1,7 @@
 """Kinematics of the arm for the planning of calibration views: link positions, and joints for a wanted flange pose. The
 model is that of the robot description. The inverse takes damped Newton steps from a given seed and keeps its branch, so
-that motions between the views stay short."""
+that motions between the views stay short.
+"""
 
 from __future__ import annotations
 

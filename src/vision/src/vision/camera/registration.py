@@ -1,6 +1,7 @@
 """Registers depth to the pixels of the rectified colour camera, rectifies colour, and makes a coloured point cloud. A
 depth pixel becomes a point, and the point a pixel of the rectified colour camera; where several coincide, the nearest
-wins. Everything that depends on the cameras alone is computed once."""
+wins. Everything that depends on the cameras alone is computed once.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ class PairsConfig:
 class Registration:
     """Registers the images of a colour camera with a depth camera at T_rgb_depth, shape (4, 4) [m]; both images are
     raw. All results belong to `camera`, the rectified colour camera. Raises ValueError if a distortion cannot be
-    inverted, and, as do its methods, for an image without its camera's size."""
+    inverted, and, as do its methods, for an image without its camera's size.
+    """
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
         self.camera = rgb.rectified()
@@ -70,7 +72,8 @@ class Registration:
 
     def cloud(self, registered: np.ndarray, rectified: np.ndarray) -> np.ndarray:
         """Returns the points, shape (height, width), type POINT, in the rectified colour camera's frame, from the
-        results of `register` and, in RGB, of `rectify`."""
+        results of `register` and, in RGB, of `rectify`.
+        """
         points = np.empty(registered.shape, POINT)
         points["x"], points["y"], points["z"] = self._x * registered, self._y * registered, registered
         red, green, blue = (rectified[..., i].astype(np.uint32) for i in range(3))

@@ -61,8 +61,10 @@ def fit_board(
     depth: np.ndarray, camera: CameraModel, T_depth_board: np.ndarray, plate: float, config: PlanePoseConfig
 ) -> PlaneFit:
     """Returns the marker board's plane in the depth camera's frame; raises ValueError for an image of another size.
+
     `depth`: raw, shape (height, width), float32 [m], NaN where unknown; `T_depth_board`: rough pose by the colour
-    image, shape (4, 4) [m]; `plate`: edge of the square plate round the board's origin [m]."""
+    image, shape (4, 4) [m]; `plate`: edge of the square plate round the board's origin [m].
+    """
     size = (camera.width, camera.height)
     if depth.shape[::-1] != size:
         raise ValueError(f"the depth image is {depth.shape[::-1]}, but its camera_info says {size}")
@@ -97,7 +99,8 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
     deviation of the inliers' errors [1/m]. The pixels have `rays`, shape (n, 3), and inverse depths w, shape (n,)
     [1/m], with the maximum standard deviation `noise` [1/m]. The start is the best of many planes through three pixels
     (MSAC: RANSAC with errors that are clipped at the gate), followed by iteratively reweighted least squares. The
-    triples are the same in every call."""
+    triples are the same in every call.
+    """
     triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
     corners = rays[triples]
     sound = np.abs(np.linalg.det(corners)) > 1e-12
@@ -116,7 +119,8 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
 def unit_covariance(a: np.ndarray, middle: np.ndarray, config: PlanePoseConfig) -> np.ndarray:
     """Returns the covariance of the plane a from the errors of the sensor unit, shape (3, 3) [1/m^2]. A wrong scale
     stretches a; over the marker board, whose middle is at the ray `middle` (x, y, 1), the smooth error of inverse depth
-    is an offset and two slopes."""
+    is an offset and two slopes.
+    """
     J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-middle[0], -middle[1], 1.0]])
     smooth = np.diag(np.square([config.warp_slope_sd, config.warp_slope_sd, config.warp_sd]))
     return config.scale_sd**2 * np.outer(a, a) + J @ smooth @ J.T

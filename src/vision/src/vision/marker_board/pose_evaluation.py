@@ -1,6 +1,7 @@
 """Errors of marker board poses against the truth, by distance and tilt, as tables; and of whole calibrations. Three
 errors are reported: of the board's centre, of its orientation, and of a point REACH_M away from it, as of an object
-that is grasped there (root mean square over all directions)."""
+that is grasped there (root mean square over all directions).
+"""
 
 from __future__ import annotations
 
@@ -132,7 +133,8 @@ def calibrate(
     rng: np.random.Generator,
 ) -> CalibrationAccuracy:
     """Returns the errors of the calibration from observations, each of them a view of one image. T_flange_board: shape
-    (4, 4) [m]; `arm`: standard deviations of its errors along and about each axis [m, rad]; `rng`: their source."""
+    (4, 4) [m]; `arm`: standard deviations of its errors along and about each axis [m, rad]; `rng`: their source.
+    """
     views: list[CalibrationView] = []
     for observation in observations:
         T_base_flange = T_BASE_CAMERA @ observation.T_truth @ inverse(T_flange_board)

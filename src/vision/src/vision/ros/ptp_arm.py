@@ -56,8 +56,10 @@ def arm_address(store: StoreConfig, options: Namespace) -> ArmAddress:
 
 class PtpArm:
     """Moves the arm with a fraction of full joint speed, (0, 1]; publishes joints and flange, as its controllers do.
+
     Every call raises DeviceError if the robot does not answer or refuses; so does the constructor, also if a controller
-    node has the robot."""
+    node has the robot.
+    """
 
     def __init__(self, address: ArmAddress, model: ArmModel, velocity: float) -> None:
         master = rospy.get_master()

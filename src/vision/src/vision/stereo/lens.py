@@ -26,7 +26,8 @@ COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))  # red, green, blue: 
 
 def directions(pixels: ArrayLike, eye: int, colour: int = GREEN) -> np.ndarray:
     """Returns tan(angle) to the right and down, shape (..., 2), at which display pixels, shape (..., 2), centres at
-    +0.5 [px], appear to the `eye` (0 = left, 1 = right) in a colour (RED, GREEN or BLUE)."""
+    +0.5 [px], appear to the `eye` (0 = left, 1 = right) in a colour (RED, GREEN or BLUE).
+    """
     xy = (np.asarray(pixels, dtype=float) - CENTRES[eye]) * (PITCH_M / SCALE_M)
     r2 = (xy * xy).sum(axis=-1, keepdims=True)
     constant, with_r2 = COLOURS[colour]
@@ -42,7 +43,8 @@ class _EyeMaps:
 
 class Dk2Lens:
     """Draws the images of eyes with the rectified `camera` as the screen of the Rift DK2 must show them. The
-    magnification 1 shows true angles; `chromatic` bends each colour separately."""
+    magnification 1 shows true angles; `chromatic` bends each colour separately.
+    """
 
     width, height = 2 * WIDTH, HEIGHT
 

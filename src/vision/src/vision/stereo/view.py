@@ -86,7 +86,8 @@ class EyeImages:
 
 class StereoView:
     """Makes the eye images from raw images of `rgb` and depth in its pixels. `camera` is the rectified camera of each
-    eye image; `screen` draws both on one screen."""
+    eye image; `screen` draws both on one screen.
+    """
 
     def __init__(self, rgb: CameraModel, config: StereoViewConfig) -> None:
         self.camera, self._config = rgb.rectified(), config
@@ -107,7 +108,8 @@ class StereoView:
     def eyes(self, colour: np.ndarray, depth: np.ndarray | None) -> EyeImages:
         """Returns both eye images from a raw RGB image, shape (height, width, 3), uint8, and depth in its pixels, shape
         (height, width) [m], NaN where unknown. Without depth the image is flat, at the configured distance, or not
-        shifted at all if the configuration disables depth. Raises ValueError for an image without its camera's size."""
+        shifted at all if the configuration disables depth. Raises ValueError for an image without its camera's size.
+        """
         size = (self.camera.height, self.camera.width)
         for name, image in (("colour", colour), ("depth", depth)):
             if image is not None and image.shape[:2] != size:
@@ -168,7 +170,8 @@ def inverse_depth(depth: np.ndarray, nearest: float, instead: float) -> np.ndarr
     """Returns 1/z for every pixel, float32 [1/m], of a depth image, shape (height, width) [m]. A pixel without depth
     (NaN, infinite, not positive) gets the depth of the farther of its neighbours to the left and right, because most
     gaps are shadows of near objects. A row without any depth gets the farthest of all depths, and an image without any
-    gets `instead` [m]. Depths smaller than `nearest` [m] are replaced by it."""
+    gets `instead` [m]. Depths smaller than `nearest` [m] are replaced by it.
+    """
     known = np.isfinite(depth) & (depth > 0.0)
     if not known.any():
         return np.full(depth.shape, 1.0 / instead, np.float32)
@@ -187,7 +190,8 @@ def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
     """Returns the image column that each pixel of an eye's image shows, shape (height, width), float32 [px]. `shift` is
     half the disparity of each pixel, not negative [px]; `eye` is LEFT or RIGHT. Where several pixels coincide, the
     nearest wins. A hole, which opens beside a near object, shows the edge of the background. Columns outside the image
-    are outside the camera's view."""
+    are outside the camera's view.
+    """
     height, width = shift.shape
     # A later assignment wins. The left eye's pixels move right: of those that coincide, the nearest began leftmost.
     order = slice(None, None, -1 if eye == LEFT else 1)

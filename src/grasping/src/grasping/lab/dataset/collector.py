@@ -1,7 +1,9 @@
 """Decides when an episode begins and ends: takes frames, hand, stream and proposals; returns finished grasps.
+
 An episode of free teleoperation begins with the operator's stream, one of a confirmed proposal with the approach to it:
 what was seen before may lie elsewhere by now. It ends when it is known whether the closed fingers held something; then
-no frame is kept until the hand opens and leaves the object where the next grasp will find it."""
+no frame is kept until the hand opens and leaves the object where the next grasp will find it.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ class Finished(NamedTuple):
 
 class Collector:
     """The collection: `teleop`, whether an operator's hand is followed, and `kept`, the number of frames since the
-    beginning. `up` is the vertical in the base frame, shape (3,)."""
+    beginning. `up` is the vertical in the base frame, shape (3,).
+    """
 
     def __init__(self, frames: FrameBufferConfig, watch: GraspWatchConfig, up: np.ndarray) -> None:
         self._buffer, self._watch = FrameBuffer(frames), GraspWatch(watch, up)

@@ -1,7 +1,9 @@
 """An episode of the dataset: what the camera and the network saw before an operator grasped something, and that grasp.
+
 Its frames end with one closing of the fingers and share its label, known only in hindsight and fixed in
 `kuka/base_frame`: where the tool was then, and whether the hand lifted something. They are near duplicates of each
-other: split training and test data by episode, never by frame."""
+other: split training and test data by episode, never by frame.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ EXECUTION, TELEOPERATION = "execution", "teleoperation"  # source of an episode:
 
 def hand_opening(angles: np.ndarray) -> float:
     """Returns the opening [m]; NaN where the fingers do not stand about something, or are not known. `angles`: shape
-    (4,) [rad]: index, middle, thumb (0 = open), spread."""
+    (4,) [rad]: index, middle, thumb (0 = open), spread.
+    """
     index, middle, thumb, spread = (float(a) for a in angles)
     if not np.all(np.isfinite(angles)) or min(np.sin([index, middle, thumb])) <= 0.0:
         return float("nan")

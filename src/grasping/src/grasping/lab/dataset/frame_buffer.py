@@ -1,6 +1,8 @@
 """The recorded part of a view, and the frames that wait for the grasp which will label them: thinned, bounded.
+
 A frame is kept when the tool has moved since the last one; frames of a tool at rest would be duplicates. What is too
-old or too many when the fingers close is dropped, oldest first: an episode needs the approach, not its prehistory."""
+old or too many when the fingers close is dropped, oldest first: an episode needs the approach, not its prehistory.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ def look(
     network: torch.jit.ScriptModule, view: GraspView, settings: PipelineSettings
 ) -> tuple[NetworkView, np.ndarray | None]:
     """Returns what is kept of a view, and GGCNN's own grasp before its camera, shape (4, 4) [m], None without a reading
-    there. Raises ValueError if the network's output is not finite."""
+    there. Raises ValueError if the network's output is not finite.
+    """
     crop, image, s = view.image.crop, view.image, settings
     output = infer(network, image.input)
     if not np.isfinite(output).all():
@@ -125,7 +128,9 @@ class KeptFrames(NamedTuple):
 
 def on_hand(p_base: np.ndarray, T_base_tool: np.ndarray, config: FrameBufferConfig) -> bool:
     """Returns whether a point, shape (3,) [m], may lie on the hand or the arm behind it, both in the base frame.
-    If GGCNN's grasp does, it took the robot for an object: its map does not tell where an operator grasps."""
+
+    If GGCNN's grasp does, it took the robot for an object: its map does not tell where an operator grasps.
+    """
     x, y, z = T_base_tool[:3, :3].T @ (p_base - T_base_tool[:3, 3])
     return bool(z < config.hand_reach and np.hypot(x, y) < config.hand_radius)
 

@@ -42,7 +42,8 @@ class RelativeLabel(NamedTuple):
 
 def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
     """Returns the operator's grasp against GGCNN's own, in the pixels of the frame's maps. None if GGCNN's has no
-    reading near its pixel, or the operator's is behind the camera or comes straight towards it."""
+    reading near its pixel, or the operator's is behind the camera or comes straight towards it.
+    """
     own = own_grasp(frame)
     T = frame.T_camera_grasp
     if own is None or T[2, 3] <= 0.0:
@@ -61,7 +62,8 @@ def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
 
 def pose_from_label(frame: EpisodeFrame, label: RelativeLabel) -> np.ndarray:
     """Returns the label's pose before the camera, shape (4, 4) [m]; undoes `relative_label` up to half a turn about the
-    approach. Raises ValueError if GGCNN's own grasp has no pose."""
+    approach. Raises ValueError if GGCNN's own grasp has no pose.
+    """
     own = own_grasp(frame)
     if own is None:
         raise ValueError("GGCNN's own grasp has no pose: the camera has no reading near its pixel")
@@ -93,7 +95,9 @@ def map_pixel(pixel: np.ndarray, crop: Crop, side: int) -> tuple[float, float]:
 
 def tilt_and_angle(R: np.ndarray) -> tuple[np.ndarray, float]:
     """Returns tilt, shape (2,) [rad], and angle [rad] of a grasp's rotation before the camera, shape (3, 3).
-    Raises ValueError if the grasp approaches straight towards the camera, where the tilt may have any direction."""
+
+    Raises ValueError if the grasp approaches straight towards the camera, where the tilt may have any direction.
+    """
     x, y, z = R[:, 2]
     across = np.hypot(x, y)
     inclination = np.arctan2(across, z)

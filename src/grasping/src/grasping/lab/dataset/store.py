@@ -1,6 +1,8 @@
 """The file of an episode: a numpy archive (.npz), one array for each entry of `LAYOUT`, without pickled objects.
+
 `meta` is a JSON object with the schema version, the entries of `Metadata`, the fingerprint, and the camera's name and
-size. Every array has a checksum in the archive, so that a torn or damaged file is noticed."""
+size. Every array has a checksum in the archive, so that a torn or damaged file is noticed.
+"""
 
 from __future__ import annotations
 

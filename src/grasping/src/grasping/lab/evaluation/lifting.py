@@ -1,5 +1,7 @@
 """Lifting in MuJoCo: a parallel gripper goes to a grasp along its approach, closes, and lifts straight up.
-What the physics can say is bounded by its contact model: rigid bodies, Coulomb friction."""
+
+What the physics can say is bounded by its contact model: rigid bodies, Coulomb friction.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ class LiftResult(NamedTuple):
 
 def lift(scene: HeapScene, T_world_grasp: np.ndarray, opening: float, gripper: Gripper, friction: float) -> LiftResult:
     """Returns what happens when the gripper grasps there, its pads `opening` [m] apart, at most what it has.
-    `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m]."""
+
+    `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m].
+    """
     opening = float(np.clip(opening, 0.005, gripper.opening))
     R, approach = T_world_grasp[:3, :3], T_world_grasp[:3, 2]
     tip = T_world_grasp[:3, 3] + gripper.reach * approach

@@ -1,8 +1,10 @@
 """How near predictions come to an operator's grasps: errors, likelihood of the place, and orientation at that place.
+
 Which of several equally good grasps an operator takes cannot be predicted: a distance punishes a map for the wrong one.
 So a map is taken as a distribution over its pixels, a softmax of the quality, as sharp and as smooth as suits it best
 on episodes that are not tested. Orientation and opening are judged with the place taken as known; a method without a
-standard deviation of its own gets the constant one that fits best on episodes outside the test."""
+standard deviation of its own gets the constant one that fits best on episodes outside the test.
+"""
 
 from __future__ import annotations
 
@@ -96,7 +98,8 @@ class Calibration(NamedTuple):
 
 def place_log_likelihoods(qualities: np.ndarray, places: np.ndarray, calibration: Calibration) -> np.ndarray:
     """Returns the log-likelihood of each place, shape (n,) [nats]; `qualities`: maps, shape (n, h, w), float32;
-    `places`: bells of sum 1 about the operator's pixels, shape (n, h, w)."""
+    `places`: bells of sum 1 about the operator's pixels, shape (n, h, w).
+    """
     smooth = np.stack([gaussian(quality, calibration.blur) for quality in qualities])
     logits = torch.from_numpy(calibration.sharpness * smooth.reshape(len(smooth), -1))
     return (places.reshape(len(places), -1) * torch.log_softmax(logits, dim=1).numpy()).sum(axis=1)
@@ -189,7 +192,9 @@ def draw_learning_curve(
     path: Path, learned: Mapping[int, Sequence[float]], others: Mapping[str, Sequence[float]], near_mm: float
 ) -> None:
     """Draws the median error and the fraction below `near_mm`, with 95 % intervals, by the number of training episodes.
-    `learned`: errors [mm] of the refinement network by that number; `others`: of other methods by name, as lines."""
+
+    `learned`: errors [mm] of the refinement network by that number; `others`: of other methods by name, as lines.
+    """
     import matplotlib.figure
 
     figure = matplotlib.figure.Figure(figsize=(9, 4), layout="constrained")

@@ -1,8 +1,10 @@
 """One trial: a scene of held-out objects, a method's grasp in its image, and what the physics and the labels say.
+
 The rectangle metric of the grasp data sets: a grasp is right when it is like one labelled rectangle, which stands for
 the opening (its length) and half of that (its height), as the published code has it.
 The heuristics are grasps without a network, for comparison: a plane is fitted to the image; what stands out of it is an
-object. Openings are in pixels of the image."""
+object. Openings are in pixels of the image.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
 """Tells what is in a dataset of grasps by an operator; files that are damaged or foreign are named and left out.
+
 For each object: episodes, frames, fraction that was held, how far the operator's grasp is from GGCNN's (median of
 distance, angle in the image, and tilt of the approach), first and last grasp, size. For each configuration of the rig,
-by its fingerprint: episodes, and in what it differs from the first."""
+by its fingerprint: episodes, and in what it differs from the first.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
 """Compares grasp methods on held-out objects, by lifting in MuJoCo and by the rectangle metric; resumable.
+
 Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md. With
 --export scenes and grasps go to a file instead, for whoever lifts with another hand (rosrun rig_simulation
-lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines that are there are not made again."""
+lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines that are there are not made again.
+"""
 
 from __future__ import annotations
 

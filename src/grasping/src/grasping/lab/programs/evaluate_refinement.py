@@ -1,4 +1,5 @@
 """Compares predictors of an operator's grasps on episodes that no training saw; resumable.
+
 GGCNN alone, with the operator's constant offset, the nearest neighbour among the training episodes, and GGCNN with the
 refinement network: how far from the operator's grasp, in the last frame of each episode whose grasp held. GGCNN's maps
 are those that the episodes recorded, and all are smoothed alike. Where the episodes are simulated, each grasp is tried
@@ -7,7 +8,8 @@ tremor, which nobody can foresee. Results go to results.csv, one line a grasp, a
 the same episodes, and with the likelihood of the operator's places: which of several equal grasps it is to be, nobody
 can foresee either; and, taking the place as known, how far orientation and opening of the hand are from the operator's,
 and how likely the orientation was. Where refinement networks learned from different numbers of episodes (settings.json
-beside their files), curve.png shows what more of them bring."""
+beside their files), curve.png shows what more of them bring.
+"""
 
 from __future__ import annotations
 
@@ -160,7 +162,8 @@ def _compared(
 
 def tables(rows: list[dict], names: list[str], second: list[str]) -> str:
     """Returns the results as Markdown, and the differences of the refinement networks to GGCNN alone and with the
-    offset; in brackets the 95 % intervals."""
+    offset; in brackets the 95 % intervals.
+    """
     of = {name: {r["episode"]: r for r in rows if r["method"] == name} for name in (*names, *second)}
     measures = {k: v for k, v in MEASURES.items() if k != "lifted %" or any(r["lifted"] != "" for r in rows)}
 
@@ -202,7 +205,8 @@ def orientations(
     second: dict[str, MapRefiner],
 ) -> str:
     """Returns, as Markdown, how well orientation and opening of the hand are predicted at the operator's pixels; the
-    known images give the standard deviation of the orientation where a method has none."""
+    known images give the standard deviation of the orientation where a method has none.
+    """
     untrained = RefinementNetwork()
     did = operator_errors.operators(test.target, offset)
     metres = WIDTH_SCALE_PX * test.pixel_size

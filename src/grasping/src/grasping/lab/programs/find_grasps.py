@@ -1,6 +1,8 @@
 """Finds grasps in one depth image: a .npy file in metres or a 16-bit image in millimetres, 0 or NaN = no reading.
+
 Writes one JSON object a grasp, best first: position before the camera [m], angle in the image [rad], width [m],
-quality, pixel. The image's centre is taken for the optical axis unless --centre says otherwise."""
+quality, pixel. The image's centre is taken for the optical axis unless --centre says otherwise.
+"""
 
 from __future__ import annotations
 

@@ -28,7 +28,9 @@ def make_all(
     unit: str,
 ) -> None:
     """Makes the folder and each file in it with a progress bar; what was made by an earlier run stays.
-    If a folder or file cannot be written, the program ends with one sentence."""
+
+    If a folder or file cannot be written, the program ends with one sentence.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # A fork would inherit the locks of the libraries' threads.

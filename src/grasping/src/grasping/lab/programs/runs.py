@@ -44,7 +44,8 @@ def identity(settings: dict[str, Any], *data: list[str]) -> str:
 
 def opened(folder: Path, wanted: str, anew: bool) -> dict[str, Any] | None:
     """Returns an earlier run's checkpoint, or None; creates the folder. Raises RigError if it holds another training,
-    unless `anew`, which moves that one's files into a folder `before_` and a number."""
+    unless `anew`, which moves that one's files into a folder `before_` and a number.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT
     if not checkpoint.exists():
@@ -103,9 +104,11 @@ def train(
     patience: int | None = None,
 ) -> None:
     """Trains to the last step; every `every` steps it validates and writes a checkpoint and the curves. `settings`:
+
     what settings.json says, with the training's identity; `saved`: the checkpoint of `opened`; `data`: for training and
     for validation; `weights`: returns each weight file's content by name, of the mean network that validates best so
-    far; `patience`: as in `is_over`, None: all steps."""
+    far; `patience`: as in `is_over`, None: all steps.
+    """
     (folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
     rows: list[dict] = []
     if saved is not None:

@@ -1,6 +1,8 @@
 """Trains a grasp network from scratch on a synthetic data set; may be stopped and resumed at any time.
+
 The folder of the run holds checkpoint.pt (to resume, with the same data and settings), weights.pt (the best so far),
-settings.json, curves.csv and curves.png."""
+settings.json, curves.csv and curves.png.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ CURVES = runs.Curves(
 
 def load(folder: Path, split: str, most: int) -> tuple[dict[str, np.ndarray], list[str]]:
     """Returns the samples of at most `most` shards of a split, joined, and the shards' SHA-256, hexadecimal.
-    Raises RigError if the folder holds no shard of that split."""
+
+    Raises RigError if the folder holds no shard of that split.
+    """
     shards = sorted(p for p in folder.glob(f"{split}_*.npz") if ".part" not in p.name)[:most]
     if not shards:
         raise RigError(f"{folder} holds no shard of the split {split}: run make_dataset.py first.")

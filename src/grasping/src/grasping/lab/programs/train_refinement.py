@@ -1,8 +1,10 @@
 """Trains the refinement network on episodes of an operator's grasps; may be stopped and resumed at any time.
+
 The folder of the run holds checkpoint.pt (to resume, with the same episodes and settings), weights.pt (the best so
 far), taste.pt (the same without the constant offset and the lean about the view's axes, which belong to this operator's
 hand and site alone), settings.json, curves.csv and curves.png. One in five episodes, chosen by its file's name, is held
-out to decide when training stops."""
+out to decide when training stops.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ class Named(NamedTuple):
 
 def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) -> list[Named]:
     """Returns the episodes in and below a folder, ordered by name; `only` (if any) and `without` name objects.
-    Raises RigError if there is no such episode, or a file is not one."""
+
+    Raises RigError if there is no such episode, or a file is not one.
+    """
     found = []
     for path in tqdm(sorted(folder.rglob("*" + store.SUFFIX)), unit="episode", desc="read"):
         data = path.read_bytes()
@@ -66,7 +70,9 @@ def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str]
 
 def origin_of(named: list[Named], mixed: bool = False) -> Origin:
     """Returns the rig of all episodes; if `mixed`, what differs among several rigs is unknown.
-    Raises RigError for several views or an unknown one, and for several rigs if they must not be mixed."""
+
+    Raises RigError for several views or an unknown one, and for several rigs if they must not be mixed.
+    """
     views = sorted({n.episode.view for n in named})
     if len(views) > 1 or views[0] not in VIEWS:
         raise RigError(

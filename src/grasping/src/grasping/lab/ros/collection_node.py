@@ -1,9 +1,11 @@
 """The node grasp_collection: records depth images and the grasp of the operator that followed, one file an episode.
+
 In: the depth images of the node ggcnn with their camera_info, tf, reflex_takktile/hand_state, leap_kuka/stream, and
 from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
 grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
 The network runs here, on the kept frames only, with the parameters of the node ggcnn: its maps before smoothing, which
-the refinement network needs, have no topic."""
+the refinement network needs, have no topic.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 """Writes episodes from a thread of its own, each whole or not at all, and sets the last one aside on demand.
-An episode that the disk does not take stays in memory and is tried again, until it is written or the node ends."""
+
+An episode that the disk does not take stays in memory and is tried again, until it is written or the node ends.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
 """Where a parallel gripper can take hold of what lies on the table: antipodal grasps in slices of a height map.
+
 For each direction the map is turned until the jaws close along the rows. The map cut at the height of the finger tips
 shows what they meet: the contacts, whether the fingers have room, and the surface's normals there, which must lie in
 the friction cone, both in the cut and upwards: a ball held above its equator slips out. The camera's axis is the
-approach. Angles follow the image: from its horizontal, anticlockwise, modulo pi."""
+approach. Angles follow the image: from its horizontal, anticlockwise, modulo pi.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ class Labels(NamedTuple):
 
 def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper, directions: int = 12) -> Grasps:
     """Returns the score and opening of a grasp at each cell, `cell` [m] wide, for each direction.
-    `surface` and `table` are depths, of what a parallel view sees and of the bare table, shape (n, n) [m]."""
+
+    `surface` and `table` are depths, of what a parallel view sees and of the bare table, shape (n, n) [m].
+    """
     n = len(surface)
     angles = np.pi * np.arange(directions) / directions
     scores, openings = np.zeros((directions, n, n), np.float32), np.zeros((directions, n, n), np.float32)
@@ -95,7 +99,8 @@ def best(found: Grasps) -> Labels:
 def in_image(labels: Labels, surface: np.ndarray, cell: float, depth: np.ndarray, focal: float) -> Labels:
     """Returns the labels of an image's pixels, whose optical axis is the middle of the height map. Side walls, which
     the parallel view does not see, have no label; outside the map lies the bare table. `surface`: the map, shape (n, n)
-    [m], cells of `cell` [m]; `depth`: of the pixels, exact, shape (h, w) [m]; `focal`: length [px]."""
+    [m], cells of `cell` [m]; `depth`: of the pixels, exact, shape (h, w) [m]; `focal`: length [px].
+    """
     n = len(surface)
     row, column = np.indices(depth.shape)
     h, w = depth.shape

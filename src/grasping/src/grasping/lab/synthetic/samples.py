@@ -1,6 +1,8 @@
 """One training example: a heap, the camera's image of it and the label of each pixel, all from one number.
+
 The camera is a structured-light one (Asus Xtion, Kinect 1): noise after Nguyen, Izadi and Lovell (2012) and Khoshelham
-and Elberink (2012); errors are alike in neighbouring pixels, because the camera compares windows."""
+and Elberink (2012); errors are alike in neighbouring pixels, because the camera compares windows.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,9 @@ def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def shadow(depth: np.ndarray) -> np.ndarray:
     """Returns where the projector, `BASELINE_M` to the left, does not shine, shape as `depth`, bool.
-    A point is dark when one to its left in the same row lies further right in the projector's image."""
+
+    A point is dark when one to its left in the same row lies further right in the projector's image.
+    """
     in_projector = np.arange(depth.shape[1]) + FOCAL_PX * BASELINE_M / depth
     return np.maximum.accumulate(in_projector, axis=1) > in_projector + 1e-6
 

@@ -1,6 +1,8 @@
 """Heaps of random objects on a table, settled by MuJoCo, and what a depth camera above sees of them.
+
 The world's z points up and the table's top is z = 0. The camera's axes are those of an image: x right, y down, z
-forward. Depths are distances along the optical axis [m]."""
+forward. Depths are distances along the optical axis [m].
+"""
 
 from __future__ import annotations
 
@@ -116,7 +118,8 @@ def depth_image(model: mujoco.MjModel, data: mujoco.MjData, camera: SceneCamera)
 
 def height_map(model: mujoco.MjModel, data: mujoco.MjData, camera: SceneCamera, cell: float, side: int) -> np.ndarray:
     """Returns the depth below the camera in a parallel view along its axis, shape (side, side) [m]; `camera`: gives the
-    axes; the map's middle is the optical axis; `cell`: width of a cell [m]."""
+    axes; the map's middle is the optical axis; `cell`: width of a cell [m].
+    """
     eye = SceneCamera(camera.position - FAR_M * camera.R[:, 2], camera.R, FAR_M / cell, side)
     return _cast(model, data, eye.position, rays(eye) @ camera.R.T, side) - FAR_M
 
@@ -132,7 +135,9 @@ def _cast(
     model: mujoco.MjModel, data: mujoco.MjData, origin: np.ndarray, directions: np.ndarray, side: int
 ) -> np.ndarray:
     """Returns how many times its direction each ray goes until it meets something, shape (side, side).
-    MuJoCo 3.2 loses some objects straight above and below the eye, so a copy of the world is turned until down is x."""
+
+    MuJoCo 3.2 loses some objects straight above and below the eye, so a copy of the world is turned until down is x.
+    """
     turned = mujoco.MjData(model)
     turned.qpos[:] = data.qpos
     mujoco.mj_kinematics(model, turned)

@@ -1,6 +1,8 @@
 """Random objects for the grasp networks: families of shapes put together from MuJoCo's primitives.
+
 `TRAINING` families are what a network is trained on; `HELD_OUT` ones it meets in its evaluation only. Every shape has a
-side that a parallel gripper of about 0.1 m can span. Lengths in metres, frame of the object."""
+side that a parallel gripper of about 0.1 m can span. Lengths in metres, frame of the object.
+"""
 
 from __future__ import annotations
 

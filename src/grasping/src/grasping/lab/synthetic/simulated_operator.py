@@ -1,10 +1,12 @@
 """A simulated operator who grasps, and episodes of it in the very form of the recorded ones.
+
 Stands in for a teleoperating operator where none is at hand; whatever was found with it is to be called simulated. It
 sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a constant bias
 and a tremor. The higher the place, the more the wrist turns, the wider the hand opens, and the less it leans away from
 the operator, who sits below the image; and it leans with the surface. How people do it, nobody has measured here.
 Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the grasp, as wide
-open as the operator opens the hand (the recorded fingers' angles say so), and lifts."""
+open as the operator opens the hand (the recorded fingers' angles say so), and lifts.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,8 @@ class SimulatedOperator(NamedTuple):
 
 def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
     """Returns a base frame whose x axis points to the image's right, T_world_base, shape (4, 4): on a rig the camera
-    stands still before the base, here the scenes stand still before cameras turned anyhow."""
+    stands still before the base, here the scenes stand still before cameras turned anyhow.
+    """
     heading = np.arctan2(camera.R[1, 0], camera.R[0, 0])
     return pose(pin.exp3(np.array([0.0, 0.0, heading])))
 
@@ -66,7 +69,8 @@ def chosen_pixel(
     operator: SimulatedOperator, labels: Labels, height: np.ndarray, opening: np.ndarray
 ) -> tuple[int, int] | None:
     """Returns row and column of the grasp the operator likes best, None where nothing holds; `height`: above the table,
-    shape (h, w) [m]; `opening`: that the grasp needs, shape (h, w) [m]."""
+    shape (h, w) [m]; `opening`: that the grasp needs, shape (h, w) [m].
+    """
     worth = labels.quality + operator.higher * height - operator.slender * opening
     holds = (labels.quality > operator.holds) & labels.known
     if not holds.any():
@@ -86,7 +90,9 @@ def points(depth: np.ndarray, camera: scene.SceneCamera) -> np.ndarray:
 
 def lean(operator: SimulatedOperator, height: np.ndarray, pixel_m: float, at: tuple[int, int]) -> np.ndarray:
     """Returns the hand's lean about the base frame's x and y axes, shape (2,) [rad], at row and column `at`.
-    `height`: above the table, shape (h, w) [m]; `pixel_m`: what a pixel shows of the scene [m]."""
+
+    `height`: above the table, shape (h, w) [m]; `pixel_m`: what a pixel shows of the scene [m].
+    """
     row, column = at
     seen = gaussian(np.clip(height, 0.0, None).astype(np.float32), EYE_M / pixel_m)
     down, right = (float(np.gradient(seen, pixel_m, axis=axis)[row, column]) for axis in (0, 1))
@@ -100,7 +106,8 @@ def grasp_pose(
     operator: SimulatedOperator, place: np.ndarray, line: np.ndarray, leant: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Returns the operator's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach. In the base
-    frame: `place`, shape (3,) [m], the fingers' direction `line`, shape (3,), lean about x and y, shape (2,) [rad]."""
+    frame: `place`, shape (3,) [m], the fingers' direction `line`, shape (3,), lean about x and y, shape (2,) [rad].
+    """
     x = line - (line @ DOWN) * DOWN
     x /= np.linalg.norm(x)
     upright = np.column_stack([x, np.cross(DOWN, x), DOWN])
@@ -110,7 +117,8 @@ def grasp_pose(
 
 def opening(operator: SimulatedOperator, needed: float, height: float, rng: np.random.Generator) -> float:
     """Returns how wide the operator opens the hand [m], as wide as it goes at most; `needed`: opening that the thing
-    needs [m]; `height`: of the place above the table [m]."""
+    needs [m]; `height`: of the place above the table [m].
+    """
     wanted = needed + operator.margin + operator.generous * max(0.0, height) + rng.normal(0.0, operator.tremor_m)
     return float(np.clip(wanted, needed, GRIPPER.opening))
 

@@ -1,6 +1,8 @@
 """What the refinement network learns from: frames of an operator's episodes, and batches of them.
+
 All maps are at the refinement network's scale, a `SHRINK`th of the first one's. Positions are in its pixels. Examples
-are taken as they are: what the network looks at does not change when the image is turned or shifted."""
+are taken as they are: what the network looks at does not change when the image is turned or shifted.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
 """Trains the refinement network with AdamW and a linear decay of the learning rate, until held-out episodes stop it.
+
 Of a grasp that held it makes small the cross-entropy between a softmax over all pixels and a bell about the operator's
 pixel, and under that bell the negative log-likelihoods of depth, turn, opening and lean, but for a constant; of one
-that failed, the mass of the softmax there; everywhere, a little, the quality's change itself."""
+that failed, the mass of the softmax there; everywhere, a little, the quality's change itself.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +106,8 @@ def refinement_trainer(
     settings: RefinementTraining, offset: OperatorOffset, device: torch.device = CPU
 ) -> MeanTrainer[refinement.RefinementNetwork]:
     """Returns the training of the refinement network on lists of examples; its metric is how far its best pixel is from
-    the operator's, the median [px of the network's image]. `offset`: the operator's constant one."""
+    the operator's, the median [px of the network's image]. `offset`: the operator's constant one.
+    """
     s = settings
     torch.manual_seed(s.seed)
     network = refinement.RefinementNetwork(s.hidden)

@@ -1,6 +1,8 @@
 """Trains a grasp network with Adam: a short warm-up, a constant learning rate, and a linear decay at the end.
+
 Windows of labelled images are mirrored at random, not turned: between equally good directions the labels prefer the
-horizontal one (synthetic.labels). Unlike in the published loss, angle and width count only where there is a grasp."""
+horizontal one (synthetic.labels). Unlike in the published loss, angle and width count only where there is a grasp.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ class MeanTrainer(Generic[Network]):
     """A network in training: `step` counts its steps, `mean` is the same network with the running mean of the weights,
     usable at any time. `memory`: weight of the old mean in the new one; `steps`: of the whole training; `rate`: returns
     a step's learning rate; `loss`: returns the loss in a step, its batch set by seed and step alone; `validate`:
-    returns the losses on the data, `validation` the total, and a metric."""
+    returns the losses on the data, `validation` the total, and a metric.
+    """
 
     def __init__(
         self,
@@ -101,7 +104,8 @@ class MapTargets(NamedTuple):
 
 def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, MapTargets]:
     """Returns `count` random windows as input, shape (n, 1, side, side), and targets. `samples` has the arrays of
-    `synthetic.samples.Sample`: `depth`, `quality`, `angle`, `width`, `known`, each shape (m, 300, 300)."""
+    `synthetic.samples.Sample`: `depth`, `quality`, `angle`, `width`, `known`, each shape (m, 300, 300).
+    """
     windows = [_window(samples, rng, side) for _ in range(count)]
     depth, target = batch({name: np.stack([w[name] for w in windows]) for name in windows[0]})
     jitter = torch.from_numpy(rng.normal(0.0, MEAN_JITTER_M, (count, 1, 1, 1)).astype(np.float32))

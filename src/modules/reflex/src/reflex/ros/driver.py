@@ -138,7 +138,8 @@ def hand_message(reading: HandReading) -> Hand:
 
 def main() -> None:
     """Reads the private parameters and drives the hand until ROS shuts down; raises ConfigError if a parameter or a
-    calibration file is wrong, DeviceError if the network interface or the port cannot be used."""
+    calibration file is wrong, DeviceError if the network interface or the port cannot be used.
+    """
     try:
         HandDriver(wait_for_config(ReflexDriverConfig, rospy.get_name())).run()
     except CalibrationFileError as error:

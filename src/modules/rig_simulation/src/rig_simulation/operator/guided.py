@@ -1,6 +1,8 @@
 """An operator under remote control: the hand comes into view, moves from pose to pose, and leaves.
+
 Moves follow the minimum-jerk law of human arm movements (Flash and Hogan 1985). The reports of the hand have the noise
-of a real hand, and its behaviour at entry and exit."""
+of a real hand, and its behaviour at entry and exit.
+"""
 
 from __future__ import annotations
 

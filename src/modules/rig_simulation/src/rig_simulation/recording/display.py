@@ -1,7 +1,9 @@
 """What displays of the world share: contact forces, plain shapes for programs without MuJoCo, options, the free camera.
+
 Forces: one arrow and one label for each pair of bodies, for all their contacts together. Arrows are placed where they
 are visible: forces of the robot end where they act, outside its fingers; all others start there, so that the force of a
-table rises out of the object."""
+table rises out of the object.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +106,8 @@ class Shape:
 
 def beyond(parts: Sequence[Shape], towards: np.ndarray, clearance: float) -> np.ndarray:
     """Returns the point from the middle of a body, given by all its shapes, in the direction `towards`, a unit vector
-    in kuka/base_frame, shape (3,), `clearance` [m] beyond the body's farthest point."""
+    in kuka/base_frame, shape (3,), `clearance` [m] beyond the body's farthest point.
+    """
     middle = np.mean([part.T_base_shape[:3, 3] for part in parts], axis=0)
     ends = [
         towards @ part.T_base_shape[:3, 3] + np.abs(towards @ part.T_base_shape[:3, :3]) @ part.size / 2.0

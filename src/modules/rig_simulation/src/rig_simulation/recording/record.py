@@ -1,5 +1,7 @@
 """The program `record.py`: films the simulated world in a process of its own, without a display.
-It follows the world through its control port and does not slow it down; the film has the world's time."""
+
+It follows the world through its control port and does not slow it down; the film has the world's time.
+"""
 
 from __future__ import annotations
 

@@ -1,2 +1,4 @@
 """The nodes of the simulation: the camera, the operator, the fault service, and monitors of the world's truth.
-They reach the simulated devices through control ports."""
+
+They reach the simulated devices through control ports.
+"""

@@ -1,4 +1,5 @@
 """Nodes that reach the simulated devices through their control ports: monitors of their truth, the fault service.
+
 The arm, node simulation_monitor: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status`
 (stops, goals, mode, speed of the tool: now, highest since the last status, highest since the start) [m/s]. Services:
 `simulation/release`, the run key after a safety stop; `simulation/back_off`, the jog keys, which move a pressing arm
@@ -7,7 +8,8 @@ The world, node world_monitor: `simulation/object_states` in kuka/base_frame; on
 the world. Services: `simulation/reset` puts the objects back to their poses of the scene, `simulation/set_scene` loads
 another scene; arm and hand keep their state.
 The camera, node camera_truth: its true pose, the result of a perfect calibration.
-The service `simulation/fault`, node simulation_faults: switches the faults of all simulated devices."""
+The service `simulation/fault`, node simulation_faults: switches the faults of all simulated devices.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,8 @@ START_S = 5.0  # time in which a device may start or restart without a warning
 
 def poll(publish: Callable[[], None], period: float) -> None:
     """Calls `publish`, which asks the device and publishes its answer, until ROS shuts down: every `period` [s], or
-    RETRY_PERIOD_S while it raises DeviceError because the device does not answer."""
+    RETRY_PERIOD_S while it raises DeviceError because the device does not answer.
+    """
     due = answered = time.monotonic()
     while not rospy.is_shutdown():
         try:
@@ -211,7 +214,8 @@ def camera_in_base(fields: dict) -> np.ndarray:
 def camera_truth() -> None:
     """Runs the node camera_truth with its private parameters: publishes the true pose of the camera, static, at the
     start and after each change of the scene. The node replaces camera_place, which publishes the same transform
-    kuka/base_frame -> camera_link from a calibration; start only one of the two."""
+    kuka/base_frame -> camera_link from a calibration; start only one of the two.
+    """
     config = private_config(WorldConfig)
     client = ControlClient(config.host, config.port, TIMEOUT_S)
     broadcaster = tf2_ros.StaticTransformBroadcaster()

@@ -1,6 +1,8 @@
 """The simulated operator: waits for the arm, enables the controls, and holds a hand above the Leap.
+
 It waits until the controller runs and the arm is at home, enables gripper and arm control, and starts the hand of the
-simulated Leap service. With a scenario it then steers the hand by its observations."""
+simulated Leap service. With a scenario it then steers the hand by its observations.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
 """The scenarios of the simulated operator on the running rig: its observations, actions and progress.
+
 Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
 are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up.
-assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`."""
+assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +43,10 @@ NETWORK_START_S = 180.0  # on a busy machine, the libraries of the network take 
 
 class Scenario:
     """The scenario `name`: observes the rig, moves the operator's hand, and publishes the progress when it changes.
+
     `leapd` and `world` are the control ports of the simulated Leap service, which must run guided, and of the world.
-    Raises RigError if the arm is not upright."""
+    Raises RigError if the arm is not upright.
+    """
 
     def __init__(self, name: str, leapd: ControlClient, world: ControlClient) -> None:
         self._name, self._leapd, self._world = name, leapd, world

@@ -1,7 +1,9 @@
 """The rig's ReFlex hand on a vertical slide above a given scene: down to a grasp, close, lift.
+
 The hand points down with half-closed fingers and descends to the palm distance of the rig's tool, or until the straight
 fingers' tips are just above the table. Then each finger closes up to a given motor load, and the hand rises. The hand
-is that of the shared world, with its springs, tendons and rubber."""
+is that of the shared world, with its springs, tendons and rubber.
+"""
 
 from __future__ import annotations
 
@@ -56,9 +58,11 @@ class LiftTrial(NamedTuple):
 
 def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:
     """Simulates a grasp.
+
     `scene`: MJCF of objects with free joints, without other joints, on a table whose top is z = 0; `qpos`: their poses;
     `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above.
-    Raises ValueError if the line through the fingers is vertical, or `qpos` does not match the scene."""
+    Raises ValueError if the line through the fingers is vertical, or `qpos` does not match the scene.
+    """
     model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp)))
     if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
         raise ValueError(f"The scene with the hand has {model.nq} positions, but {len(qpos)} were given.")

@@ -1,9 +1,11 @@
 """The MuJoCo model of robot, table, objects, marker board, camera and light, from a description of the world.
+
 Processes that build it from the same description have the same model; a `WorldCopy` follows the original's state. The
 world frame is upright with its origin in the arm's base; with an upright arm it is `kuka/base_frame`.
 Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint of that
 name; `panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`,
-which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a turn about x."""
+which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a turn about x.
+"""
 
 from __future__ import annotations
 
@@ -51,8 +53,10 @@ class WorldDescription:
 
 def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.MjModel:
     """Returns the model; visual shapes change neither joints nor bodies, and the physics does not need them.
+
     Raises ConfigError if the scene or the marker board is invalid, FileNotFoundError if there is no description of this
-    robot."""
+    robot.
+    """
     return mujoco.MjModel.from_xml_string(mjcf(description, visuals))
 
 
@@ -132,7 +136,9 @@ class WorldCopy:
 
     def follow(self) -> bool:
         """Copies the present state of the world; returns whether the model is new.
-        Raises DeviceError if the world gives no valid answer; the next call then rebuilds the model."""
+
+        Raises DeviceError if the world gives no valid answer; the next call then rebuilds the model.
+        """
         load, self._load = self._load, None
         try:
             snapshot = self._client.ask("snapshot")

@@ -1,10 +1,12 @@
 """The arm and the ReFlex hand as parts of the world. Lengths in m, angles in rad, forces in N.
+
 The simulated controller has the motor-side angles of the arm, the physics the link-side angles. Between them is the
 elasticity of the gears: `tau = K (q - q_physics) + D (v - v_physics)`, added to the torques of gravity and of the
 planned motion. So the arm does not sink, follows exactly in free space, and is stopped by a table; the torque of the
 springs is what the joint torque sensors of the real arm measure.
 The hand's servos pull the tendons of the physics, and its sensors measure them. Wire and control requests are those of
-the simulated hand; here its moving parts have masses and contacts."""
+the simulated hand; here its moving parts have masses and contacts.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ class ArmJoints(Part):
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Steps the world once, to the end angles q and speeds v of the drives; see ArmEnvironment.
-        Raises ValueError if dt differs from the world's time step."""
+
+        Raises ValueError if dt differs from the world's time step.
+        """
         if abs(dt - self._timestep) > 1e-9:
             raise ValueError(f"The arm steps by {dt} s, but the world by {self._timestep} s.")
         self._v_next = v

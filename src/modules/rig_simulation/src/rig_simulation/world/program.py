@@ -1,6 +1,8 @@
 """The program `world.py`: the simulated arm, the simulated hand and the objects between them in one physics.
+
 The server of the arm drives the time: when it advances, the arm steps, the world with it, and the hand in the world. So
-one clock and one lock are enough. The devices speak the same protocols as when they run as programs of their own."""
+one clock and one lock are enough. The devices speak the same protocols as when they run as programs of their own.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 """The program calibrate_camera: the arm shows the marker board to the camera from many sides to find the camera pose.
-It asks before the arm moves and before a result is kept. The detector and the node camera_place run beside it."""
+
+It asks before the arm moves and before a result is kept. The detector and the node camera_place run beside it.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 """What the program calibrate_camera and the node camera_place share: parameters, stored calibrations, and poses in tf.
-The calibrations are a folder of dated yaml files, which never change once written."""
+
+The calibrations are a folder of dated yaml files, which never change once written.
+"""
 
 from __future__ import annotations
 
@@ -140,7 +142,8 @@ class TfPoses:
 
     def camera_link(self, T_base_optical: np.ndarray, optical: str, stamp: rospy.Time):
         """Returns the tf message of camera_link in the base, from the pose of the optical frame, shape (4, 4) [m];
-        raises DeviceError if the camera's driver does not publish its frames."""
+        raises DeviceError if the camera's driver does not publish its frames.
+        """
         hint = "is the camera's driver running?"
         T_link_optical = self._lookup(CAMERA_LINK, optical, rospy.Time(0), STATIC_WAIT_S, hint)
         return stamped_transform(T_base_optical @ inverse(T_link_optical), BASE, CAMERA_LINK, stamp)

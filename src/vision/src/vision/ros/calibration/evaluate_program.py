@@ -1,6 +1,8 @@
 """The program `evaluate_calibration.py`: measures the gain of the photometric refinement in images with known truth.
+
 It evaluates the pose of the marker board in single images, then whole calibrations in which each view is one such
-image. It needs no ROS master."""
+image. It needs no ROS master.
+"""
 
 from __future__ import annotations
 

@@ -23,7 +23,8 @@ VIEWER_WAIT_S, POLL_S = 1.0, 0.05
 
 class RvizComparison:
     """Publishes the frames camera_calibration/old and camera_calibration/new, and a view pyramid for each. Create it at
-    the start of the program: RViz needs a moment to subscribe, and the program may exit after `show`."""
+    the start of the program: RViz needs a moment to subscribe, and the program may exit after `show`.
+    """
 
     def __init__(self) -> None:
         self._static = tf2_ros.StaticTransformBroadcaster()

@@ -1,9 +1,11 @@
 """The node register_rgbd: depth in the colour camera's pixels, and a coloured point cloud; and its start program.
+
 It replaces the nodelets of image_proc and depth_image_proc on the same topics: rgb/image_rect_color, and under
 depth_registered: sw_registered/image_rect_raw (16UC1, mm), sw_registered/image_rect (32FC1, m),
 sw_registered/camera_info and points. Without subscribers it computes nothing and does not subscribe to the camera. The
 start program prefers the nodelets. They need their plugin descriptions, which Debian ships in development packages;
-without a description the nodelet manager would only report that the class does not exist."""
+without a description the nodelet manager would only report that the class does not exist.
+"""
 
 from __future__ import annotations
 

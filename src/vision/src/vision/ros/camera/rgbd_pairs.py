@@ -47,7 +47,8 @@ class RgbdPair:
 
 class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
     """Pairs images by time. Empties its queues when stamps go back, as when a recording restarts: the later messages
-    would otherwise stay in the queue for ever and push the new ones out."""
+    would otherwise stay in the queue for ever and push the new ones out.
+    """
 
     def add(self, msg, my_queue, my_queue_index=None):
         with self.lock:
@@ -76,7 +77,8 @@ class OnDemand:
 class RgbdPairs:
     """Subscribes to rgb/image_raw and depth/image_raw, and to their camera_info. `on_pair` gets each pair whose images
     are at most `slop` [s] apart; if it raises ValueError, the pair is dropped and the reason logged. `pairs` counts
-    them; `waits_for` says what is missing, as a noun, and is empty while pairs arrive."""
+    them; `waits_for` says what is missing, as a noun, and is empty while pairs arrive.
+    """
 
     def __init__(self, on_pair: Callable[[RgbdPair], None], slop: float) -> None:
         self._on_pair, self._slop = on_pair, slop

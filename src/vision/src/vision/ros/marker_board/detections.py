@@ -35,7 +35,8 @@ BY_CORNERS = "by the corners"
 class BoardListener:
     """Subscribes to the detector of the marker board `target`. `on_detection` gets stamp, optical frame and detection
     for every image that shows the board. `frame` is the optical frame, empty before the first detection; `alive` is
-    whether the detector has published."""
+    whether the detector has published.
+    """
 
     def __init__(
         self, target: TagTarget, on_detection: Callable[[rospy.Time, str, BoardDetection], None] | None = None
@@ -82,8 +83,10 @@ class BoardListener:
 
 class ViewCapture:
     """Collects the detections of a view by the corners, and refines them; `camera` is the model of the raw images.
+
     `detector` is the name of the detector node. Raises ConfigError if the pattern of a tag is unknown, and DeviceError
-    if the camera publishes no camera_info."""
+    if the camera publishes no camera_info.
+    """
 
     def __init__(self, setup: CalibrationSetup, listener: BoardListener, detector: str) -> None:
         try:

@@ -1,6 +1,8 @@
 """The program `evaluate_tag_pose.py`: compares the three poses of the marker board with the truth in simulated images.
+
 It needs no ROS master. The images come from `rosrun rig_simulation panel_pictures.py`, or from a folder with the same
-content. The evaluation is repeated with wrong descriptions of the cameras."""
+content. The evaluation is repeated with wrong descriptions of the cameras.
+"""
 
 from __future__ import annotations
 

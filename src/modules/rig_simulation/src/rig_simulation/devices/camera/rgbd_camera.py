@@ -1,5 +1,7 @@
 """The RGB-D camera: one infrared and one colour camera side by side in the simulated world, rendered off-screen.
-Depth has its own viewpoint; registered depth has the pixels of the colour image and shares its rendering pass."""
+
+Depth has its own viewpoint; registered depth has the pixels of the colour image and shares its rendering pass.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ class Renderer:
     """Renders one model, whose settings of the off-screen buffer change, through one window, which replaces the field
     of view of the model's cameras, in the thread that made it. Close it. `samples`: per pixel, for anti-aliasing (0, 2,
     4, ...); `depth_offset`: position of the depth in its pixel, right and up from the centre [px]: a pixel has its
-    samples' mean colour, but the depth of the first. Raises DeviceError if this machine cannot render off-screen."""
+    samples' mean colour, but the depth of the first. Raises DeviceError if this machine cannot render off-screen.
+    """
 
     def __init__(self, model: mujoco.MjModel, window: PixelWindow, samples: int) -> None:
         try:
@@ -53,7 +56,8 @@ class Renderer:
 
     def render(self, data: mujoco.MjData, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """Returns colour, shape (height, width, 3), uint8, and inverse depth, shape (height, width), float32 [1/m],
-        rows from the bottom up, of `data` with computed kinematics and cameras; `camera`: its number in the model."""
+        rows from the bottom up, of `data` with computed kinematics and cameras; `camera`: its number in the model.
+        """
         window = self._window
         self._gl.make_current()
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._free, SHOWN, self._scene)
@@ -100,7 +104,9 @@ class RgbdImages:
 
 class RgbdCamera:
     """Takes images of a model, in one thread only; close it.
-    `samples`: of a pixel of the colour image, for anti-aliasing; `seed`: of the unit's errors and of the noise."""
+
+    `samples`: of a pixel of the colour image, for anti-aliasing; `seed`: of the unit's errors and of the noise.
+    """
 
     def __init__(
         self,

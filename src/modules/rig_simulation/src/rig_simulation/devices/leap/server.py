@@ -68,7 +68,9 @@ class _Client:
 
 class LeapService:
     """Plays frames to all clients; port 0 takes any free one, see the attributes.
-    Raises DeviceError if a port is taken."""
+
+    Raises DeviceError if a port is taken.
+    """
 
     def __init__(
         self,

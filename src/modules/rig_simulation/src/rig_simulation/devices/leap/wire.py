@@ -1,5 +1,7 @@
 """Messages of the service as JSON text: header, device event, frames in both field sets; millimetres, six digits.
-Field set "2.x" is that of services 2.0 to 2.3.1, "new" that of later services and of the bridge for current ones."""
+
+Field set "2.x" is that of services 2.0 to 2.3.1, "new" that of later services and of the bridge for current ones.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,8 @@ def device_event(version: int, attached: bool, streaming: bool) -> dict | None:
 
 def frame(hands: Sequence[ReportedHand], rate: float, fields: str, order: Sequence[int] = range(5)) -> dict:
     """Returns a frame without `id` and `timestamp`, which the playback adds. `rate`: the service's estimate of the
-    frame rate [Hz]; `fields`: one of FIELD_SETS; `order`: of the fingers of a hand, which the service does not sort."""
+    frame rate [Hz]; `fields`: one of FIELD_SETS; `order`: of the fingers of a hand, which the service does not sort.
+    """
     message = {
         "currentFrameRate": six(rate),
         "hands": [_hand(hand, fields) for hand in hands],

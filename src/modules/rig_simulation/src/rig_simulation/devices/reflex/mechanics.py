@@ -1,6 +1,8 @@
 """The servos of the hand, and its mechanics: spools wind tendons, tendons turn the links of the fingers.
+
 Fingers count from 0 (f1, f2, f3), motors too (f1, f2, f3, preshape). Angles in rad, 0 = open. Effort and motion of a
-servo are positive in the direction of rising positions."""
+servo are positive in the direction of rising positions.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ _SPEED_MASK = 1023
 
 class DynamixelServo:
     """A Dynamixel MX-28 as the firmware uses it: multi-turn positions of 1024 ticks a turn, speed, load, torque.
-    `shaft`: its position [ticks], of any turn; after power-up the servo reports the position within one turn."""
+
+    `shaft`: its position [ticks], of any turn; after power-up the servo reports the position within one turn.
+    """
 
     def __init__(self, shaft: float) -> None:
         self.shaft = shaft
@@ -60,8 +64,10 @@ class DynamixelServo:
 
     def step(self, dt: float, low: float, high: float, resistance: float) -> None:
         """Moves for `dt` [s] towards the goal, between the stops `low` and `high` [ticks of the shaft].
+
         Resistance, the effort against the load [0.1 %], slows it down, to a standstill at its largest torque; too long
-        near that, it switches its torque off."""
+        near that, it switches its torque off.
+        """
         before = self.shaft
         if not self.torque:
             self.velocity, self.effort = 0.0, 0.0
@@ -101,7 +107,8 @@ FINGERS = 3
 
 class Mechanics:
     """The moving parts of one hand: here in free space, with kinematics alone and massless links; the physical world
-    has one with masses and contacts."""
+    has one with masses and contacts.
+    """
 
     def __init__(self) -> None:
         self._ends: list[float | None] = [None] * FINGERS

@@ -1,5 +1,6 @@
 """The program `reflex_hand.py`: the simulated hand with its control port, and its network interface, UDP multicast with
-both directions on one port."""
+both directions on one port.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ _IP_MULTICAST_ALL = 49
 class HandLink:
     """Sends state packets to the group and collects the commands, on a network interface such as lo; port 0 takes a
     free UDP port, see the attribute.
-    Raises DeviceError if interface or port cannot be used, or another hand already sends there."""
+    Raises DeviceError if interface or port cannot be used, or another hand already sends there.
+    """
 
     def __init__(self, interface: str, port: int) -> None:
         self.interface = interface

@@ -1,8 +1,10 @@
 """One run of the toolbox's server application, from its start to the command `end`. No sockets; time is handed in.
+
 The real program has two threads that share one command word. The reader answers goals, joint positions and outputs at
 any time. The main thread answers the other commands one by one and wipes the word afterwards: commands that arrive
 while it moves the arm are lost. Here both are rules of one object.
-Source: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox"."""
+Source: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox".
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,8 @@ class ControllerIO:
 
 class Application:
     """Answers lines until `end` was received (`ended`). The `mode` is idle, ptp, servo, cartesian_servo, velocity_servo
-    or impedance_servo; a servo mode lasts from the answer to its start until the arm is at rest again."""
+    or impedance_servo; a servo mode lasts from the answer to its start until the arm is at rest again.
+    """
 
     def __init__(
         self,

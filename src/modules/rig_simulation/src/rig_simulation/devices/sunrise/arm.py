@@ -1,5 +1,7 @@
 """The arm of the simulated controller: joints that move, a safety stop, torques. No threads; time is handed in.
-Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torques in Nm."""
+
+Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torques in Nm.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +44,14 @@ class ArmEnvironment(Protocol):
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Advances by dt [s] to where the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,); returns
-        the torques of contacts and load on the joints, shape (7,) [Nm]."""
+        the torques of contacts and load on the joints, shape (7,) [Nm].
+        """
 
 
 class SimulatedArm:
     """The arm; starts at rest in the zero position. Without an environment it touches nothing. `goal` [rad] and
-    `goal_speed` [rad/s], shape (7,), are the last goals of the servo modes."""
+    `goal_speed` [rad/s], shape (7,), are the last goals of the servo modes.
+    """
 
     def __init__(self, robot: Robot, settings: ArmSettings, environment: ArmEnvironment | None = None) -> None:
         self.robot = robot
@@ -76,7 +80,8 @@ class SimulatedArm:
 
     def advance(self, now: float) -> None:
         """Moves the arm up to the time `now` [s]; after a longer delay it skips all but `MAX_CATCH_UP_S`, or
-        `MAX_CATCH_UP_IN_ENVIRONMENT_S`."""
+        `MAX_CATCH_UP_IN_ENVIRONMENT_S`.
+        """
         longest = MAX_CATCH_UP_S if self._environment is None else MAX_CATCH_UP_IN_ENVIRONMENT_S
         if self.time is None or now - self.time > longest + CYCLE_S:
             self.time = now if self.time is None else now - longest
@@ -141,8 +146,10 @@ class SimulatedArm:
 
     def start_servo(self, law: str | None = None, fraction: float = 1.0, integrates: bool = False) -> None:
         """Starts a servo mode with the present joint angles as goal.
+
         `law`: its name, None for that of the settings; `fraction`: of the speed and acceleration limits that the mode
-        uses; `integrates`: the goal follows `goal_speed`, which starts at zero."""
+        uses; `integrates`: the goal follows `goal_speed`, which starts at zero.
+        """
         drives = self._drives
         if fraction != 1.0:
             limits = fraction * self.robot.max_speed, fraction * self.acceleration
@@ -172,7 +179,9 @@ class SimulatedArm:
 
     def release(self) -> None:
         """Ends a safety stop, as the run key does; a planned motion resumes.
-        Raises ValueError if no stop is active, its cause persists, or the arm still brakes."""
+
+        Raises ValueError if no stop is active, its cause persists, or the arm still brakes.
+        """
         if self.safety_stop is None:
             raise ValueError("No safety stop is active; kuka/status reports what the arm waits for.")
         cause = self._torque_fault()
@@ -185,7 +194,8 @@ class SimulatedArm:
 
     def back_off(self) -> None:
         """Moves an arm in a safety stop slowly back along its path, as with the smartPad's jog keys, until no external
-        torque exceeds FREE_FRACTION of the limit; raises ValueError if no stop is active."""
+        torque exceeds FREE_FRACTION of the limit; raises ValueError if no stop is active.
+        """
         if self.safety_stop is None:
             raise ValueError("No safety stop is active, so there is nothing to back off from.")
         self._backing_off = True

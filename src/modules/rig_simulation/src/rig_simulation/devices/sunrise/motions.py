@@ -1,5 +1,7 @@
 """The server's stored goals in its own units, and the motions that its main thread plans from them.
-Each planner returns the motion from the present position of the arm, or None if the arm is at its target already."""
+
+Each planner returns the motion from the present position of the arm, or None if the arm is at its target already.
+"""
 
 from __future__ import annotations
 
@@ -95,7 +97,9 @@ def circle(arm: SimulatedArm, goals: Goals) -> PathMove | None:
 
 def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
     """Returns the condition that interrupts a guarded motion; raises ValueError for an unknown joint.
-    `ranges`: rows of joint index from 0, lowest, highest external torque, shape (n, 3) [Nm]."""
+
+    `ranges`: rows of joint index from 0, lowest, highest external torque, shape (n, 3) [Nm].
+    """
     joints, low, high = ranges[:, 0].astype(int), ranges[:, 1], ranges[:, 2]
     if np.any((joints < 0) | (joints > 6)):
         raise ValueError(f"the joint indices {joints.tolist()} are not all 0 to 6")

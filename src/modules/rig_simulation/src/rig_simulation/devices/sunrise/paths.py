@@ -1,6 +1,8 @@
 """Motions planned in advance: joint moves, and lines and circles of the tool turned into joint motions.
+
 A motion is smooth in speed and synchronises all joints; it is a function of its own time, which the arm may slow down,
-stop and resume."""
+stop and resume.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from rig_simulation.devices.sunrise.robot import Robot
 
 class SmoothStep:
     """The path parameter s from 0 to 1: its speed rises as sin^2 over a ramp, stays, and falls likewise; `speed` [1/s]
-    and `acceleration` [1/s^2] are the highest ones."""
+    and `acceleration` [1/s^2] are the highest ones.
+    """
 
     def __init__(self, speed: float, acceleration: float) -> None:
         self._speed = min(speed, (2.0 * acceleration / np.pi) ** 0.5)
@@ -37,7 +40,8 @@ class SmoothStep:
 
 class JointMove:
     """A line in joint space between two different sets of joint angles, shape (7,) [rad], within the limits `speed` and
-    `acceleration` of each joint, shape (7,) [rad/s], [rad/s^2]."""
+    `acceleration` of each joint, shape (7,) [rad/s], [rad/s^2].
+    """
 
     def __init__(self, start: np.ndarray, end: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> None:
         self._start, self._end = read_only(start), read_only(end)
@@ -57,7 +61,8 @@ class JointMove:
 class PathMove:
     """A path through `nodes`, joint angles at equal steps of s, shape (n, 7) [rad], n >= 2, slowed down until every
     joint keeps its limits `speed` and `acceleration`, shape (7,) [rad/s], [rad/s^2].
-    `step`: desired course of s from 0 to 1."""
+    `step`: desired course of s from 0 to 1.
+    """
 
     SAMPLES = 500
 
@@ -122,7 +127,9 @@ class Line:
 
 class Circle:
     """An arc from a pose through the position of a second to a third; the orientation turns evenly.
-    Raises Unreachable if the three positions are collinear."""
+
+    Raises Unreachable if the three positions are collinear.
+    """
 
     def __init__(self, start: np.ndarray, via: np.ndarray, end: np.ndarray) -> None:
         p, u, w = start[:3, 3], via[:3, 3] - start[:3, 3], end[:3, 3] - start[:3, 3]
@@ -155,7 +162,8 @@ def plan(
     joint_acceleration: np.ndarray,  # limits, shape (7,) [rad/s^2]
 ) -> PathMove | None:
     """Returns the joint motion that moves the tool along the path, or None for a path without length; raises
-    Unreachable if the speed is not positive, or a pose of the path has no joint angles near the last ones."""
+    Unreachable if the speed is not positive, or a pose of the path has no joint angles near the last ones.
+    """
     if not 0.0 < speed < np.inf:
         raise Unreachable(f"the speed is {speed} m/s, but must be positive")
     if not np.isfinite(path.length + path.angle):

@@ -53,7 +53,9 @@ def make_server(
     at_once: float = AT_ONCE_S,
 ) -> SunriseServer:
     """Returns the server that the options of `add_options` describe, with an arm of its own; see SunriseServer.
-    Raises DeviceError if a port is taken, FileNotFoundError if the robot's description is missing."""
+
+    Raises DeviceError if a port is taken, FileNotFoundError if the robot's description is missing.
+    """
     arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
     lost_client = options.wait_for_client, options.deaf_after_lost_client, options.end_exits
     settings = ServerSettings(options.wiped_window, *lost_client, options.toolbox_version)

@@ -1,9 +1,11 @@
 """Kinematics, dynamics and drives of the arm, from the URDF of the rig; the rig itself has its own closed form.
+
 Positions in metres in the frame `kuka/base_frame`; the hand's joints stand at zero.
 The server's loop gives DirectServo a destination every cycle: measured joint + f(goal - measured joint). The model of
 DirectServo: each joint moves towards its destination with the mid-point speed of a smooth move of the minimum
 trajectory time (distance / (2/3 T)), never faster than it can brake before the destination, and within its speed and
-acceleration limits. So it approaches a step in the goal from one side, without overshoot."""
+acceleration limits. So it approaches a step in the goal from one side, without overshoot.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ MIN_STEP = 1e-12
 class Robot:
     """One arm with its media flange and the hand on it, from the text of the URDF; raises ValueError if that lacks one
     of the seven joints or the flange.
-    `mounting`: roll, pitch and yaw of the base in an upright world [deg]; gravity follows it."""
+    `mounting`: roll, pitch and yaw of the base in an upright world [deg]; gravity follows it.
+    """
 
     def __init__(self, urdf: str, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         full = pin.buildModelFromXML(urdf)
@@ -70,7 +73,8 @@ class Robot:
 
     def wrench(self, q: np.ndarray, T_flange_tool: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """Returns force [N] and moment [Nm] at the tool point, in the tool's axes, shape (6,), from joint torques by
-        damped least squares: there are seven torques for six unknowns, and a singularity hides some of them."""
+        damped least squares: there are seven torques for six unknowns, and a singularity hides some of them.
+        """
         J = self.jacobian(q, T_flange_tool)
         return np.linalg.solve(J @ J.T + DAMPING * np.eye(6), J @ torque)
 
@@ -80,7 +84,8 @@ class Robot:
 
     def solve(self, T_base_tool: np.ndarray, T_flange_tool: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
         """Returns joint angles, shape (7,) [rad], near the seed that bring the tool to the pose, or None: damped least
-        squares find the solution in the seed's arm configuration."""
+        squares find the solution in the seed's arm configuration.
+        """
         target = pin.SE3(T_base_tool @ inverse(T_flange_tool))
         q = np.array(seed, dtype=float)
         for _ in range(MAX_ITERATIONS):
@@ -124,7 +129,8 @@ LAWS = {"lts": lts_law, "none": plain_law}
 
 class Drives:
     """Computes the speed of the joints after one step within the limits `speed` and `acceleration` of each joint, shape
-    (7,) [rad/s], [rad/s^2]; `trajectory_time`: DirectServo's minimum trajectory time [s]."""
+    (7,) [rad/s], [rad/s^2]; `trajectory_time`: DirectServo's minimum trajectory time [s].
+    """
 
     def __init__(self, speed: np.ndarray, acceleration: np.ndarray, trajectory_time: float) -> None:
         self._speed = speed
@@ -135,7 +141,8 @@ class Drives:
 
     def towards(self, distance: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Returns the speed, shape (7,) [rad/s], after a step of dt [s] towards a destination at `distance` from the
-        measured joints, shape (7,) [rad]; `v`: present speed, shape (7,) [rad/s]."""
+        measured joints, shape (7,) [rad]; `v`: present speed, shape (7,) [rad/s].
+        """
         path = np.abs(distance)
         far = np.maximum(path, self._linear_range)
         wanted = np.minimum(path / self._lag, np.sqrt(2.0 * self._braking * (far - 0.5 * self._linear_range)))
