@@ -1,9 +1,13 @@
 """The driver node at the shutdown of ROS, without a master."""
 
 import pytest
+
+pytest.importorskip("reflex_msgs.msg")
 import rospy
 
 from reflex.ros import driver
+
+pytestmark = pytest.mark.ros
 
 
 class StubHand:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-pytest.importorskip("rospy")
+pytest.importorskip("rig_msgs.msg")
 from common.errors import DeviceError
 from rig_simulation.ros import monitors
 from rig_simulation.ros.monitors import RETRY_PERIOD_S, START_S, poll
 
+pytestmark = pytest.mark.ros
 PERIOD_S = 0.25
 
 
