@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
@@ -55,6 +56,9 @@ PYTHON = sorted(
 )
 
 FILES = sorted(ROOT.glob("src/**/src/*/**/*.py"))
+MODULES = {
+    ".".join(path.parts[len(path.parts) - path.parts[::-1].index("src") :])[: -len(".py")]: path for path in FILES
+}
 
 
 def package(path: Path) -> str:
@@ -127,6 +131,36 @@ def test_libraries_stand_alone():
 def test_simulation_keeps_ros_in_its_ros_folder():
     pure = [path for path in FILES if package(path) == "rig_simulation" and not in_ros(path)]
     assert pure and not {path: tops(path) & ROS for path in pure if tops(path) & (ROS - {"rospkg"})}
+
+
+def test_tests_that_need_messages_at_their_import_are_marked():
+    """Others are collected where nothing is built and sourced."""
+    found = {}
+    for file in PYTHON:
+        if file.name.startswith("test_") and "pytest.mark.ros" not in file.read_text():
+            needed = set().union(*(messages(name) for name in imports_at_top(file)))
+            if needed:
+                found[file.name] = needed
+    assert not found
+
+
+def imports_at_top(path: Path) -> set[str]:
+    names = set()
+    for node in tree_of(path).body:
+        if isinstance(node, ast.ImportFrom):
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return names
+
+
+@functools.lru_cache(maxsize=None)
+def messages(module: str) -> frozenset[str]:
+    """Returns the modules of this workspace's messages and services that the import of a module imports."""
+    if re.fullmatch(r"\w+\.(msg|srv)", module):
+        return frozenset({module} if module.split(".")[0] in LAYER else ())
+    path = MODULES.get(module)
+    return frozenset().union(*(messages(name) for name in imports_at_top(path))) if path else frozenset()
 
 
 def test_import_has_no_effect():
