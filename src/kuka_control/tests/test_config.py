@@ -90,7 +90,13 @@ def test_a_negative_threshold_is_refused():
         parse(PtpConfig, values(PtpConfig, joints_thresh=-1))
 
 
-@pytest.mark.parametrize("key, value", [("tcp_speed", 0.8), ("joint_speed", 1.1), ("rate_servo", 10)])
+LIMITS_OF_THE_STREAM = [
+    ("tcp_speed", 0.8), ("joint_speed", 1.1), ("rate_servo", 10), ("joint_acceleration", 0.9),
+    ("joint_acceleration", 16.1), ("joint_jerk", 19.0), ("joint_jerk", 2001.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("key, value", LIMITS_OF_THE_STREAM)
 def test_limits_of_the_stream(key, value):
     with pytest.raises(ConfigError, match=key):
         parse(RealTimeConfig, values(RealTimeConfig, **{key: value}))

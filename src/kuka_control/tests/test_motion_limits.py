@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.config import parse
 from kuka_control.limits.motion_limits import (
     ARM_S,
     LEAD_RAD,
@@ -16,7 +20,10 @@ from kuka_control.limits.motion_limits import (
     SpeedLimits,
     Unlimited,
 )
+from kuka_control.loop.algorithms import motion_limits
 from kuka_control.loop.goal_stream import LOST_S, TOLERANCE_RAD, is_jump
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.rig import Rig
 
 SPEEDS = np.radians([98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0])
 ACCELERATION = 12.0 * SPEEDS / SPEEDS[0]
@@ -66,6 +73,23 @@ def test_speed_acceleration_and_jerk_keep_their_limits_whatever_the_targets(star
     assert np.all(np.abs(v) <= 1.01 * SPEEDS)
     assert np.all(np.abs(np.diff(v, axis=0)) / DT <= 1.01 * ACCELERATION)
     assert np.all(np.abs(np.diff(v, n=2, axis=0)) / DT**2 <= 1.05 * JERK + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "derivative"),
+    [("joint_speed", 0.4, 1), ("joint_acceleration", 5.0, 2), ("joint_acceleration", 12.0, 2), ("joint_jerk", 60.0, 3)],
+)
+def test_the_stream_of_a_controller_reaches_and_keeps_the_limits_of_its_parameters(key, value, derivative):
+    values = yaml.safe_load((Path(__file__).parents[1] / "config" / "kuka_params_rt.yaml").read_text())
+    config = parse(RealTimeConfig, {**values, "tcp_speed": 0.79, key: value}, "kuka/")
+    rig = Rig.of(config)
+    follower = motion_limits(config, rig)
+    follower.reset(rig.home.q)
+    goals = run(follower, rig.home.q + np.eye(7)[6] * 1.5, 1.5)  # joint 7 turns the tool where it is
+    full = rig.model.max_speed[6]
+    limit = value * (full if key == "joint_speed" else full / rig.model.max_speed.min())
+    reached = np.max(np.abs(np.diff(goals[:, 6], n=derivative))) / DT**derivative
+    assert reached == pytest.approx(limit, rel=0.05)
 
 
 @settings(max_examples=25)
