@@ -55,7 +55,7 @@ lint: $(READY) ## style, types, packages, shell scripts, architecture, handbook
 	@.venv/bin/mkdocs build --strict --quiet --site-dir build/site
 
 docs: $(READY) ## the handbook in site/, its reference pages made anew from the source
-	@.venv/bin/python -m tools.reference
+	@$(IN_WORKSPACE) python -m tools.reference
 	@.venv/bin/mkdocs build --strict --quiet
 	@echo "The handbook is made: site/index.html"
 

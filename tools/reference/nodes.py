@@ -53,7 +53,7 @@ NODES: dict[str, Node] = {
         {}, {"": ("grasping/config/execution.yaml",), "tool_pose": ("grasping/config/tool_pose.yaml",)}
     ),
     "leap_hand/leap_hand_node.py": Node({"": "leap_hand.config:NodeConfig"}, {}),
-    "leap_motion/leap_driver.py": Node({"": "leap_motion.ros.driver:DriverConfig"}, {}),
+    "leap_motion/leap_driver.py": Node({"": "leap_motion.ros.parameters:DriverConfig"}, {}),
     "reflex/reflex_takktile_driver.py": Node(
         {"": "reflex.ros.parameters:ReflexDriverConfig"}, {"": ("reflex/config/reflex_takktile.yaml",)}
     ),

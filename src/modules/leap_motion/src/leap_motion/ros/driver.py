@@ -3,33 +3,21 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from common.config import choice, integer, text
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import private_config
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
 from leap_motion.msg import Human
-from leap_motion.ros.human import COMPATIBLE, CORRECT, human_from_frame
+from leap_motion.ros.human import human_from_frame
+from leap_motion.ros.parameters import DriverConfig
 
 POLL_S = 0.1
 REMIND_S = 10.0
 SETTLED_S = 0.3
-
-
-@dataclass(frozen=True)
-class DriverConfig:
-    """The private parameters."""
-
-    host: str = text(doc="address of the Leap service", absent="127.0.0.1")
-    port: int = integer(low=1, high=65535, doc="its plain WebSocket port", absent=6437)
-    orientation: str = choice(
-        COMPATIBLE, CORRECT, doc="bone orientations as the C++ driver fills them, or true ones", absent=COMPATIBLE
-    )
 
 
 class LinkReport:

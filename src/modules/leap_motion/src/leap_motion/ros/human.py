@@ -21,9 +21,9 @@ from std_msgs.msg import Header
 from common.rotations import quaternion_from_rotation
 from leap_motion.frames import LeapBone, LeapFinger, LeapFrame, LeapHand
 from leap_motion.msg import Arm, Bone, Finger, Hand, Human
+from leap_motion.ros.parameters import COMPATIBLE
 
 FRAME_ID = "leap_hands"
-COMPATIBLE, CORRECT = "compatible", "correct"
 
 
 def human_from_frame(frame: LeapFrame, stamp: rospy.Time, orientation: str = COMPATIBLE) -> Human:
