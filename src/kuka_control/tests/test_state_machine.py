@@ -39,6 +39,7 @@ COMMANDS = {
 both = pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
 
 
+@pytest.mark.ros
 def test_the_message_has_the_modes():
     from rig_msgs.msg import KukaStatus
 
