@@ -52,6 +52,8 @@ class HandAverage:
     """First-in, first-out mean over `size` samples of one hand; `left_out` counts the newest outliers in a row."""
 
     def __init__(self, size: int) -> None:
+        if size < 1:
+            raise ValueError(f"the mean needs at least one sample, not {size}")
         self.size = size
         self._samples: deque[np.ndarray] = deque(maxlen=size)
         self._newest: deque[tuple[np.ndarray, float]] = deque(maxlen=SPEED_SAMPLES)

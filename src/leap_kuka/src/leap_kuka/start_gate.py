@@ -66,7 +66,7 @@ class StartGate:
         parts = [
             f"{max(1.0, 1e3 * distance):.0f} mm {sides[int(positive)]}"
             for distance, positive, sides in zip(np.abs(offset) - self._box.size / 2.0, offset > 0.0, SIDES)
-            if distance > 0.0
+            if not distance <= 0.0  # NaN is outside
         ]
         return [f"the palm is {' and '.join(parts)} the box"] if parts else []
 

@@ -10,8 +10,7 @@ Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import Callable, NamedTuple
 
 import numpy as np
 import torch

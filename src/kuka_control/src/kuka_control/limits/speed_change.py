@@ -136,7 +136,7 @@ class WorkspaceBrake:
         return best, True
 
     def along(self, q: np.ndarray, desired: np.ndarray) -> np.ndarray:
-        """Returns the joint velocities without the part that carries the tool beyond a bound, shape (7,) [rad/s]."""
+        """Returns the joint velocities without what carries the tool beyond a bound; shape (7,) [rad/s], at q [rad]."""
         position, J = self._tool_position(q), self._tool_jacobian(q)
         normals = self._workspace.outward(position)
         # In units of each joint's deceleration, so that the strong joints move most.

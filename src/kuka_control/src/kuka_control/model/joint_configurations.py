@@ -101,7 +101,7 @@ class JointMotion:
     def greatest_tool_speed(self, model: RobotModel, T_flange_tool: np.ndarray, velocity: float) -> float:
         """Returns the greatest speed of the tool point on the path [m/s]; all joints start and arrive together.
 
-        `velocity` is the fraction of full joint speed, above 0.
+        `T_flange_tool` has the shape (4, 4) [m]; `velocity` is the fraction of full joint speed, above 0.
         """
         duration = self.least_duration(velocity * model.max_speed)
         if duration == 0.0:

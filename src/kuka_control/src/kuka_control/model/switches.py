@@ -53,10 +53,15 @@ class Switches:
     """The switches of a controller; `now` is the position of all."""
 
     def __init__(self) -> None:
-        self.now = SwitchState()
+        self._now = SwitchState()
         self._mode = Mode.STARTING
         self._stopped_because: str | None = None
         self._held_by: str | None = None
+
+    @property
+    def now(self) -> SwitchState:
+        """The position of all."""
+        return self._now
 
     def report(self, mode: Mode, stopped_because: str | None) -> None:
         """Takes the state of the controller, which the replies quote."""
@@ -64,7 +69,7 @@ class Switches:
 
     def hold(self, why: str) -> None:
         """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
-        self.now = replace(self.now, control_on=False)
+        self._now = replace(self.now, control_on=False)
         self._held_by = why
 
     def release(self) -> None:
@@ -79,7 +84,7 @@ class Switches:
             return SwitchReply(False, f"Control stays off: {self._held_by}.")
         stopped, before = self._stopped_because, self.now.control_on
         enable_count = self.now.enable_count + (on and not before)
-        self.now = replace(self.now, control_on=on, enable_count=enable_count)
+        self._now = replace(self.now, control_on=on, enable_count=enable_count)
         if on and before and stopped:
             return SwitchReply(False, f"The arm is stopped until control is switched off and on again: {stopped}")
         if on == before:
@@ -95,7 +100,7 @@ class Switches:
         """Switches the flag on the topic kuka/gripper_control."""
         if on and self.now.exit_requested:
             return SwitchReply(False, "Gripper control stays off: the controller is shutting down.")
-        self.now = replace(self.now, gripper_on=on)
+        self._now = replace(self.now, gripper_on=on)
         return SwitchReply(True, f"Gripper control is {'on' if on else 'off'}.")
 
     def set_scale(self, factor: float) -> SwitchReply:
@@ -108,14 +113,14 @@ class Switches:
             scale = round(check_scaling_factor(factor), 6)
         except ValueError as error:
             return SwitchReply(False, f"The scaling factor stays {self.now.scale:g}: {error}.")
-        self.now = replace(self.now, scale=scale)
+        self._now = replace(self.now, scale=scale)
         return SwitchReply(True, f"The scaling factor is {scale:g}.")
 
     def request_exit(self) -> SwitchReply:
         """Requests the motion to the zero position and the exit."""
         if self.now.exit_requested:
             return SwitchReply(True, "The controller is shutting down already.")
-        self.now = replace(self.now, control_on=False, gripper_on=False, exit_requested=True)
+        self._now = replace(self.now, control_on=False, gripper_on=False, exit_requested=True)
         if self._held_by is not None:
             return SwitchReply(True, f"The controller exits and leaves the arm as it is: {self._held_by}.")
         return SwitchReply(True, "The arm goes to the zero position, then the controller exits.")

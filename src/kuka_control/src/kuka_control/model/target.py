@@ -40,7 +40,10 @@ class Target:
 
 
 class TargetChain:
-    """Composes the steps from the desired tool frame to joints. It has no state, so any thread may ask it."""
+    """Composes the steps from the desired tool frame to joints. It has no state, so any thread may ask it.
+
+    `centre`: from which displacements are scaled, shape (3,) [m].
+    """
 
     def __init__(self, centre: np.ndarray, workspace: Workspace, kinematics: Kinematics) -> None:
         self._centre = read_only(centre)
@@ -89,8 +92,8 @@ def seed(mode: Mode, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarra
 def check_tool_pose(chain: TargetChain, T_base_tool: np.ndarray, scale: float, q_seed: np.ndarray) -> ToolCheck:
     """Returns whether the tool can be brought to a pose, shape (4, 4) [m], by the steps of a desired tool frame.
 
-    The answer holds for the joints `q_seed` from which the arm would go there: those that it has while it follows the
-    desired tool frame, else those of the home position, since it always goes there first. It does not check the path.
+    The answer holds for the joints `q_seed`, shape (7,) [rad], from which the arm would go there: those that it has
+    while it follows the desired tool frame, else those of the home position, since it always goes there first. It does not check the path.
     """
     reason = rejection_reason(T_base_tool)
     if reason is not None:

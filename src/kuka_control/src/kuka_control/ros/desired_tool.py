@@ -49,7 +49,7 @@ class DesiredTool(tf2_ros.TransformListener):
         self._arrived.set()
 
     def wait(self, deadline: float) -> DesiredFrame | None:
-        """Returns the newest desired tool frame as soon as a new one is there, or at the monotonic `deadline`."""
+        """Returns the newest desired tool frame as soon as a new one is there, or at the monotonic `deadline` [s]."""
         while not self._look() and time.monotonic() < deadline:
             self._arrived.wait(max(deadline - time.monotonic(), 0.0))
             self._arrived.clear()

@@ -62,8 +62,8 @@ def arm_points(model: RobotModel, q: np.ndarray) -> np.ndarray:
 def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None = None) -> np.ndarray:
     """Returns the geometric Jacobian of the tool point in the base frame, shape (6, 7).
 
-    Rows 0 to 2: velocity of the tool point [m/s], rows 3 to 5: angular velocity [rad/s], per joint speed [rad/s]. The
-        pose of the tool in the flange, shape (4, 4) [m], is the flange itself if omitted.
+    Rows 0 to 2: velocity of the tool point [m/s], rows 3 to 5: angular velocity [rad/s], per joint speed [rad/s],
+    at the joints q, shape (7,) [rad]. `T_flange_tool`, shape (4, 4) [m], is the flange itself if omitted.
     """
     axes, shoulder, elbow, wrist, p, (x, y, z) = _frames(model, q)
     if T_flange_tool is not None:

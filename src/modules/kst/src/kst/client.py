@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +30,7 @@ from kst.errors import (
     WrongMode,
 )
 from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
-from kst.session import KstSession, KstTiming
+from kst.session import KstSession, KstTiming, LinkCounts
 from kst.transport import KstTransport
 
 
@@ -44,7 +45,6 @@ class KstMode(enum.Enum):
 class KstClient:
     """A connection to the server; `connect` makes it, `close` ends it. Also a context manager.
 
-    `mode` is what the server is busy with, as far as this client asked for it; `counts` are the events on the link.
     Every call that talks to the server may raise, besides what it lists:
         ConnectionLost: the link is gone, was aborted, or the server fell silent; all later calls raise it too.
         ReplyTimeout: this answer did not come; the next call restores the pairing of answers first.
@@ -59,9 +59,18 @@ class KstClient:
         self._session = session
         self._tool = tool
         self._limits = limits
-        self.mode = KstMode.IDLE
-        self.counts = session.counts
+        self._mode = KstMode.IDLE
         self._goal: np.ndarray | None = None
+
+    @property
+    def mode(self) -> KstMode:
+        """What the server is busy with, as far as this client asked for it."""
+        return self._mode
+
+    @property
+    def counts(self) -> LinkCounts:
+        """The events on the link so far, as a copy."""
+        return replace(self._session.counts)
 
     @classmethod
     def connect(
@@ -179,7 +188,7 @@ class KstClient:
         self._ask(codec.joint_goal(goal))
         self._goal = goal
         self._session.expect_final(True)
-        self.mode = KstMode.PTP
+        self._mode = KstMode.PTP
         try:
             self._accept(codec.START_PTP)
         except KstError:
@@ -205,7 +214,7 @@ class KstClient:
         self._require_idle("the joint servo")
         self._ask(codec.joint_goal(self._limits.check(self.joints())))
         self._accept(codec.START_SERVO)
-        self.mode = KstMode.SERVO
+        self._mode = KstMode.SERVO
         self._session.transport.pause(self._session.timing.servo_start)
 
     def stop_joint_servo(self) -> None:
@@ -214,7 +223,7 @@ class KstClient:
         with contextlib.suppress(ReplyTimeout, UnexpectedReply):
             self._session.rest(self._session.timing.rest)
         self._ask(codec.STOP_SERVO)
-        self.mode = KstMode.IDLE
+        self._mode = KstMode.IDLE
         self._session.transport.pause(self._session.timing.servo_stop)
         self._session.poll()
         self._heed_refusal()
@@ -266,7 +275,7 @@ class KstClient:
                 self._session.rest(min(timing.rest, timing.servo_reply))
         with contextlib.suppress(KstError):
             self._session.farewell(stop_servo=servo)
-        self.mode = KstMode.IDLE
+        self._mode = KstMode.IDLE
         self._session.transport.close()
 
     def abort(self) -> None:
@@ -305,7 +314,7 @@ class KstClient:
             return
         self._session.refused = False
         self._session.ask(codec.STOP_SERVO)
-        self.mode = KstMode.IDLE
+        self._mode = KstMode.IDLE
         self._session.transport.pause(self._session.timing.servo_stop)
         self._refused("to continue and left servo mode by itself (a limit or a safety stop)")
 
@@ -331,7 +340,7 @@ class KstClient:
 
     def _end_motion(self) -> None:
         self._session.expect_final(False)
-        self.mode = KstMode.IDLE
+        self._mode = KstMode.IDLE
 
     def _require_idle(self, what: str) -> None:
         if self.mode is KstMode.PTP:

@@ -83,7 +83,7 @@ class ReflexHand:
         self.disconnect()
 
     def connect(self) -> None:
-        """Switches torque on and starts to listen."""
+        """Switches torque on and starts to listen; raises CommandRefused once the connection is closed."""
         self._request(lambda now: self._logic.start())
         self._thread.start()
 
@@ -193,7 +193,7 @@ class ReflexHand:
         self._request(lambda now: self._logic.set_thresholds(thresholds))
 
     def wait_for_packet(self, timeout: float = 3.0) -> None:
-        """Waits for the next packet, `timeout` seconds at most."""
+        """Waits for the next packet, `timeout` seconds at most; raises HandSilent, or CommandRefused once closed."""
         before = self._packets
         if not self._wait_while(lambda: self._packets == before, timeout):
             self._require_open()

@@ -50,7 +50,9 @@ def _read_description(path: str) -> str:
     for folder in _package_folders("rig_description"):
         if (folder / path).is_file():
             return (folder / path).read_text(encoding="utf-8")
-    raise FileNotFoundError(f"The package rig_description has no file {path!r}; check robot and flange, or restore it.")
+    raise FileNotFoundError(
+        f"The package rig_description has no file {path!r}; check robot and flange, or restore the file."
+    )
 
 
 def _read_yaml(kind: str, name: str) -> dict[str, Any]:

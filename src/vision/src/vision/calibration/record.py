@@ -27,7 +27,7 @@ class CameraPoseConfig:
     detector: str = text(doc="name of the detector node", absent="apriltag_ros_continuous_node")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordHead:
     """The single values of a calibration."""
 

@@ -46,12 +46,15 @@ class Registration:
         self._raw_maps = cv2.convertMaps(raw[..., 0], raw[..., 1], cv2.CV_16SC2, nninterpolation=True)
 
     def rectify(self, colour: np.ndarray) -> np.ndarray:
-        """Returns the rectified colour image, shape (height, width, 3)."""
+        """Returns the rectified colour image, shape (height, width, 3); ValueError for another size."""
         self._check(colour.shape[:2], self._x.shape, "colour")
         return cv2.remap(colour, *self._maps, cv2.INTER_LINEAR)
 
     def register(self, depth: np.ndarray) -> np.ndarray:
-        """Returns the raw depth image in the rectified colour camera's pixels; both float32 [m], NaN where unknown."""
+        """Returns the raw depth image in the rectified colour camera's pixels; both float32 [m], NaN where unknown.
+
+        Raises ValueError for another size.
+        """
         self._check(depth.shape, self._shape, "depth")
         z = depth.ravel()
         valid = np.flatnonzero(np.isfinite(z) & (z > 0.0))

@@ -92,7 +92,10 @@ class GraspCollection:
         """
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and not rospy.is_shutdown():
-            published = {topic for topic, _ in rospy.get_published_topics()}
+            try:
+                published = {topic for topic, _ in rospy.get_published_topics()}
+            except OSError:  # the master ends
+                return False
             needed = [*self._sensors, *(other for other in self._others if other.resolved_name in published)]
             if all(subscriber.get_num_connections() for subscriber in needed):
                 return True
@@ -289,7 +292,10 @@ def _run() -> None:
     rospy.on_shutdown(node.close)
     if setup.config.from_bag:
         if not node.wait_for_publishers(PLAYER_S):
-            raise RigError("The recording holds no depth images, camera_info or hand_state under their names.")
+            raise RigError(
+                f"No connection to all topics of the recording within {PLAYER_S:g} s: it must hold depth images, "
+                "camera_info and hand_state under their names, and be played on a ROS master of its own."
+            )
         _play()
     rospy.spin()
 

@@ -43,8 +43,6 @@ from rig_msgs.srv import (
 from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import FaultServiceConfig, MonitorConfig, WorldConfig, WorldMonitorConfig
 from rig_simulation.world.clock import Pace
-from rig_simulation.world.model import camera_link_pose
-from rig_simulation.world.scene import scene_from
 
 RETRY_PERIOD_S = 0.5
 REMIND_S = 10.0
@@ -207,6 +205,9 @@ def world_monitor() -> None:
 
 def camera_in_base(fields: dict) -> np.ndarray:
     """Returns the pose of camera_link in the arm's base, shape (4, 4), from the world's answer to `scene`."""
+    from rig_simulation.world.model import camera_link_pose  # MuJoCo, which the other monitors do without
+    from rig_simulation.world.scene import scene_from
+
     roll, pitch, yaw = np.radians(fields["mounting"])
     return inverse(pose(rotation_from_zyx(yaw, pitch, roll))) @ camera_link_pose(scene_from(fields["scene"]).camera)
 

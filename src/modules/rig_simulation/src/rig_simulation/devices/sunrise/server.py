@@ -97,7 +97,7 @@ class SunriseServer:
     def up_to_date(self) -> Iterator[None]:
         """Holds the lock, with the arm and its environment at the clock's time."""
         with self.lock:
-            self._advance()
+            self.advance()
             yield
 
     def run(self) -> None:
