@@ -93,7 +93,8 @@ def check_tool_pose(chain: TargetChain, T_base_tool: np.ndarray, scale: float, q
     """Returns whether the tool can be brought to a pose, shape (4, 4) [m], by the steps of a desired tool frame.
 
     The answer holds for the joints `q_seed`, shape (7,) [rad], from which the arm would go there: those that it has
-    while it follows the desired tool frame, else those of the home position, since it always goes there first. It does not check the path.
+    while it follows the desired tool frame, else those of the home position, since it always goes there first. It does
+    not check the path.
     """
     reason = rejection_reason(T_base_tool)
     if reason is not None:
