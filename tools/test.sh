@@ -9,6 +9,6 @@ run() {  # run MARKERS [PYTEST'S OPTIONS]...
   python -m pytest -m "$@" || code=$?
 }
 run "not ros and not rig" -n 2 --dist worksteal "$@"
-run "ros and not rig" -n 6 --dist worksteal "$@"
+run "ros and not rig" -n 4 --dist worksteal "$@"
 run rig "$@"
 exit "$code"
