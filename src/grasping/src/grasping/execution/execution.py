@@ -72,7 +72,7 @@ class ToolGoal:
 def choose(
     proposals: ProposalList | None, controller: ControllerState | None, hand_followed: bool, fresh: float
 ) -> ProposedPose | Refusal:
-    """Returns the best of the newest proposals, or why there is none; those in an image older than `fresh` [s] are
+    """Returns the best of the newest proposals, or why none is taken; those in an image older than `fresh` [s] are
     refused. None stands for proposals that never came, and for a silent controller.
     """
     if controller is None:

@@ -126,7 +126,7 @@ def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound 
 
 
 def table_depth(image: NetworkImage) -> np.ndarray:
-    """Returns the depth of the image's largest plane, shape (h, w), float32 [m]; the image's mean if there is none."""
+    """Returns the depth of the image's largest plane, shape (h, w), float32 [m]; without one, the image's mean."""
     h, w = image.depth.shape
     row, column = np.indices((h, w))
     # A plane's inverse depth is linear in rows and columns, whatever the camera's focal length.

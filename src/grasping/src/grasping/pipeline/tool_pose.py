@@ -191,7 +191,7 @@ class ReachabilityCache:
             self._entries[number] = self._entries[number]._replace(answer=answer)
 
     def known(self, number: int) -> Reachability | None:
-        """Returns the answer about a grasp, None where there is none yet."""
+        """Returns the answer about a grasp; None before it came."""
         entry = self._entries.get(number)
         return None if entry is None else entry.answer
 

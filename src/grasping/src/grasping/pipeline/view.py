@@ -138,7 +138,7 @@ class TableView:
         return GraspView(image, height > 0.0, seen, self._own_rays, self._camera, seen_from.T)
 
     def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> _Place:
-        """Returns where the table is, and moves the view if it is another one; raises NoView if there is none."""
+        """Returns where the table is, and moves the view if it is another one; raises NoView without a table."""
         window = (slice(crop.row, crop.row + crop.side, STRIDE), slice(crop.column, crop.column + crop.side, STRIDE))
         known = np.isfinite(depth[window]) & (depth[window] > 0.0)
         if not known.any():

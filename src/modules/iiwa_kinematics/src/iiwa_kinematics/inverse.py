@@ -40,9 +40,9 @@ class IkFailure(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class IkResult:
-    """Joints for a tool pose, or why there are none."""
+    """Joints for a tool pose, or the reason of the failure."""
 
-    q: np.ndarray | None  # joints, shape (7,) [rad]; None if there are none
+    q: np.ndarray | None  # joints, shape (7,) [rad]; None after a failure
     failure: IkFailure | None = None  # None if there are joints
     arm_angle: float | None = None  # about shoulder - wrist, from the vertical plane above it to the elbow [rad]
     branch: Branch | None = None  # signs of joints 2, 4 and 6

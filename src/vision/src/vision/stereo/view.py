@@ -226,7 +226,7 @@ def _without_holes(source: np.ndarray, eye: int) -> np.ndarray:
 
 
 def _neighbours(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the nearest known column at or left of each pixel, and at or right of it; -1 where there is none."""
+    """Returns the nearest known column at or left of each pixel, and at or right of it; -1 beyond the last one."""
     width = known.shape[1]
     columns = np.arange(width, dtype=np.int32)
     left = np.maximum.accumulate(np.where(known, columns, -1), axis=1)

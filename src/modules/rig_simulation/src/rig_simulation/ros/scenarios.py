@@ -7,6 +7,7 @@ assisted_grasp uses the topics and services of the nodes ggcnn and grasp_executi
 
 from __future__ import annotations
 
+import abc
 import time
 
 import numpy as np
@@ -41,7 +42,7 @@ HOLD_S = 2.0
 NETWORK_START_S = 180.0  # on a busy machine, the libraries of the network take more than a minute to load
 
 
-class Scenario:
+class Scenario(abc.ABC):
     """The scenario `name`: observes the rig, moves the operator's hand, and publishes the progress when it changes.
 
     `leapd` and `world` are the control ports of the simulated Leap service, which must run guided, and of the world.
@@ -80,12 +81,13 @@ class Scenario:
                 break
         self._leapd.ask(assisted.HIDE)
 
+    @abc.abstractmethod
     def _start(self) -> None:
         """Prepares the first step."""
 
+    @abc.abstractmethod
     def _step(self, now: float) -> PickStep:
         """Advances the operator."""
-        raise NotImplementedError
 
     def _publish(self, result: PickStep, **more: str) -> None:
         step, failure = result.step, result.failure

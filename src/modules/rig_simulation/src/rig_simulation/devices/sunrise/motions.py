@@ -40,7 +40,7 @@ class Goals:
 
 
 def overwritten(values: np.ndarray, words: list[str]) -> np.ndarray:
-    """Returns the values with the first ones replaced by the words' numbers; raises ValueError if a word is none."""
+    """Returns the values with the first ones replaced by the words' numbers; raises ValueError for other words."""
     result = values.copy()
     for k, word in enumerate(words[: len(values)]):
         result[k] = java_text.number(word)

@@ -306,7 +306,7 @@ class SunriseServer:
 
 
 def _numbers(value: Any, count: int) -> np.ndarray:
-    """Returns a list of finite numbers from a request as an array; raises ValueError if it is none."""
+    """Returns a list of finite numbers from a request as an array; raises ValueError for anything else."""
     numbers = isinstance(value, list) and all(
         isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
     )
