@@ -216,7 +216,7 @@ def test_a_hand_that_moved_on_during_the_pick_up_is_caught_up_with_slowly():
     assert [t[0] for t in world.arm.told] == ["ptp", "start_servo"]
 
 
-@pytest.mark.parametrize("ahead", [0.0, 0.5, 1.0, 1.5])
+@pytest.mark.parametrize("ahead", [0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
 def test_a_hand_that_goes_on_moving_is_caught_up_with_little_faster_than_it_moves(ahead):
     """It sways 40 cm at 0.38 m/s, for which the joints need up to 0.38 of their full speeds."""
     world = World().at_home()
@@ -232,7 +232,7 @@ def test_a_hand_that_goes_on_moving_is_caught_up_with_little_faster_than_it_move
     while world.mode != "servo":
         world.run(3 * DT, sway)
     first = len(world.arm.goals)
-    world.run(5.0, sway)
+    world.run(6.0, sway)
     shares = np.max(np.abs(np.diff(world.arm.goals[first:], axis=0)) / DT / world.rig.model.max_speed, axis=1)
     assert np.max(shares[1000:]) < 0.39 and np.max(shares) < 0.5
     assert world.steps[-1].limited_by == (), "caught up with"
@@ -298,10 +298,8 @@ def wandering(seed, seconds):
     return tool
 
 
-def followed_without_a_jump(seed):
-    """Follows a smooth hand; returns whether it came back into reach far from the joints where it had left it."""
-    tool = wandering(seed, 8.0)
-    assume(all(x - y > 0.05 and z > 0.02 for x, y, z in (tool(t)[:3, 3] for t in np.arange(0.0, 8.0, 0.1))))
+def followed_without_a_jump(tool):
+    """Follows a smooth hand; returns False where it came back into reach far from the joints at which it had left."""
     world = World().following()
     first = len(world.arm.goals)
     world.run(8.0, tool)
@@ -319,11 +317,14 @@ def followed_without_a_jump(seed):
 @given(st.integers(0, 10**6))
 def test_a_smooth_hand_never_counts_as_one_that_jumped(seed):
     """Before the base and in reach no PTP motion comes of it, and the goals keep the limits of speed."""
-    followed_without_a_jump(seed)
+    tool = wandering(seed, 8.0)
+    assume(all(x - y > 0.05 and z > 0.02 for x, y, z in (tool(t)[:3, 3] for t in np.arange(0.0, 8.0, 0.1))))
+    followed_without_a_jump(tool)
 
 
-def test_a_smooth_hand_that_comes_back_into_reach_close_by_is_followed():
-    assert followed_without_a_jump(40584)
+@pytest.mark.parametrize("seed", [40584, 0, 1])
+def test_a_smooth_hand_that_comes_back_into_reach_close_by_is_followed(seed):
+    assert followed_without_a_jump(wandering(seed, 8.0))
 
 
 def test_without_shaping_a_hand_that_moved_on_during_the_pick_up_is_picked_up_again():

@@ -236,8 +236,8 @@ def test_a_cup_is_grasped_lifted_weighed_and_put_down_again():
     assert "table" not in held.touches
     weight = rig.arm.robot.flange(rig.arm.q)[:3, :3] @ rig.arm.tool_force
     assert weight[2] == pytest.approx(-9.81 * read_scene("cup")["objects"]["cup"]["mass"], abs=0.1)
-    rig.wait(4.0)
-    assert rig.world.objects()["cup"].clearance > held.clearance - 0.001, "friction holds it"
+    rig.wait(20.0)
+    assert rig.world.objects()["cup"].clearance > max(0.125, held.clearance - 0.001), "friction holds it"
     rig.move_tool((0.0, 0.0, -0.15), 0.1)
     close_hand(rig, 0.3)
     rig.wait(3.0)
