@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from kst import MotionRefused, ReplyTimeout, UnexpectedReply
-from kuka_control.loop.commands import Inputs, Servo, StartPtp, Step, StopServo, Wait
-from kuka_control.loop.controller import MAX_MISSED, WARN_EVERY_S, Controller
+from kst import ConnectionLost, MotionRefused, ReplyTimeout, UnexpectedReply
+from kuka_control.loop.commands import Inputs, Servo, StartPtp, StartServo, Step, StopServo, Wait
+from kuka_control.loop.controller import MAX_MISSED, OFF_S, WARN_EVERY_S, Controller
 
 Q = np.zeros(7)
 GOAL, PTP = Servo(Q), StartPtp(Q, 0.1)
@@ -21,6 +22,7 @@ class Arm:
 
     def __init__(self):
         self.errors, self.remarks = [], []
+        self.silent = 0.0
         self.measured_joints = Q
         self.ptp_arrived = self.read = self.stop_servo = self.start_servo = self._ask
         self.servo = self.start_ptp = lambda *_: self._ask()
@@ -30,6 +32,11 @@ class Arm:
         if error is not None:
             raise error
         return False
+
+    def silence(self):
+        if isinstance(self.silent, Exception):
+            raise self.silent
+        return self.silent
 
     def take_remarks(self):
         remarks, self.remarks = self.remarks, []
@@ -88,14 +95,96 @@ def test_a_motion_that_is_not_confirmed_counts_as_refused():
     assert cycles.seen[-1].refused == str(NAN)
 
 
-@pytest.mark.parametrize("error", [MotionRefused("nak"), NAN, LATE])
-def test_a_motion_whose_end_is_not_good_counts_as_refused(error):
+def test_a_motion_whose_end_is_refused_counts_as_refused():
     cycles = Cycles(PTP)
     cycles.run(None)
     assert cycles.controller.moving
     cycles.command = Wait()
+    cycles.run(MotionRefused("nak"))
+    assert not cycles.controller.moving and cycles.seen[-1].refused == "nak"
+
+
+@pytest.mark.parametrize("error", [NAN, LATE])
+def test_a_motion_whose_end_could_not_be_read_runs_on(error):
+    cycles = Cycles(PTP)
+    cycles.run(None)
+    cycles.command = Wait()
     cycles.run(error)
-    assert not cycles.controller.moving and cycles.seen[-1].refused == str(error)
+    assert cycles.controller.moving and cycles.controller.missed == 1 and cycles.seen[-1].refused is None
+
+
+def silent(cycles, *seconds):
+    """Runs a cycle for each silence of the arm [s]; returns the steps."""
+    steps = []
+    for cycles.arm.silent in seconds:
+        cycles.now += 0.02
+        steps.append(cycles.controller.cycle(Inputs(), cycles.now))
+        cycles.said += steps[-1].events
+    return steps
+
+
+def test_a_missing_answer_holds_the_goals_and_stops_the_loop_until_it_comes():
+    cycles = Cycles(GOAL)
+    cycles.controller.in_servo = True
+    cycles.run(None)
+    steps = silent(cycles, 0.05, 0.07, 0.09)
+    assert len(cycles.seen) == 1 and cycles.controller.holds == 1
+    assert all(isinstance(step.command, Wait) and step.mode == "servo" for step in steps)
+    assert "has not answered for 90 ms; the goals hold" in steps[-1].reason and not cycles.said
+    (step,) = silent(cycles, 0.0)
+    assert step.command is GOAL and step.reason == "It is tested." and not cycles.said
+    silent(cycles, 0.05, 0.0)
+    assert cycles.controller.holds == 2
+
+
+def test_a_lost_link_is_named_within_200_ms_and_so_is_its_return():
+    cycles = Cycles(GOAL)
+    cycles.controller.in_servo = True
+    cycles.run(None)
+    silent(cycles, *(0.05 + 0.02 * i for i in range(8)))
+    (said,) = cycles.said
+    assert said.level == "warn" and int(re.search(r"answered for (\d+) ms", said.sentence)[1]) <= 150
+    silent(cycles, 0.0)
+    assert "answers again after 0.19 s" in cycles.said[-1].sentence
+
+
+@pytest.mark.parametrize(("in_servo", "off"), [(True, OFF_S), (False, 2.0 * OFF_S)])
+def test_a_long_silence_switches_control_off(in_servo, off):
+    cycles = Cycles(GOAL)
+    cycles.controller.in_servo = in_servo
+    silent(cycles, 0.99 * off)
+    with pytest.raises(ReplyTimeout):
+        silent(cycles, 1.01 * off)
+    assert not cycles.controller.regained()
+    cycles.arm.silent = 0.0
+    assert cycles.controller.regained() and not cycles.controller.in_servo
+    cycles.arm.silent = ConnectionLost("given up")
+    with pytest.raises(ConnectionLost):
+        cycles.controller.regained()
+
+
+def test_servo_mode_is_left_once_the_robot_answers_and_again_if_that_fails():
+    cycles = Cycles(GOAL)
+    cycles.controller.in_servo = True
+    cycles.arm.errors = [LATE, MotionRefused("nak")]
+    assert not cycles.controller.regained() and cycles.controller.in_servo
+    assert cycles.controller.regained() and not cycles.controller.in_servo
+
+
+def test_a_motion_that_runs_through_a_silence_keeps_running():
+    cycles = Cycles(PTP)
+    cycles.run(None)
+    cycles.controller.restart(cycles.arm, SimpleNamespace(step=cycles._step))
+    assert cycles.controller.moving
+    cycles.controller.restart(Arm(), SimpleNamespace(step=cycles._step))
+    assert not cycles.controller.moving
+
+
+def test_servo_mode_that_may_have_started_is_left_before_anything_else():
+    cycles = Cycles(StartServo())
+    with pytest.raises(ReplyTimeout):
+        cycles.run(ReplyTimeout("silent", pending=True))
+    assert cycles.controller.in_servo
 
 
 def test_what_the_arm_has_to_say_is_said():

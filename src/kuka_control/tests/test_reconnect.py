@@ -42,7 +42,10 @@ def supervisor(loops):
         loops.append(Loop())
         return loops[-1]
 
-    return ReconnectSupervisor(LOST, Counter(ptp_motions=7), make, now=100.0)
+    supervisor = ReconnectSupervisor(LOST, Counter(ptp_motions=7), make)
+    assert "same connection is probed" in supervisor.reason and supervisor.next_try == np.inf
+    assert [event.level for event in supervisor.lost(LOST, 100.0)] == ["error"]
+    return supervisor
 
 
 def observation(desired=None, **switches):
@@ -91,4 +94,12 @@ def test_attempts_become_rarer_and_are_reported_now_and_then(supervisor):
     [(LOST, "The robot is out of reach"), (UnexpectedReply("NaN"), "The link to the robot was given up")],
 )
 def test_only_a_silent_robot_is_called_out_of_reach(error, opening):
-    assert ReconnectSupervisor(error, Counter(), Loop, 0.0).reason.startswith(f"{opening}: {error}. Control is off")
+    supervisor = ReconnectSupervisor(error, Counter(), Loop)
+    supervisor.lost(error, 0.0)
+    assert supervisor.reason.startswith(f"{opening}: {error}. Control is off")
+
+
+def test_a_motion_that_survived_the_silence_ends_before_control_takes_over(supervisor, loops):
+    moving = Observation(np.zeros(7), Inputs(switches=SwitchState(control_on=True)), arrived=False)
+    assert isinstance(supervisor.step(moving, 101.0).command, Wait) and not loops
+    assert isinstance(supervisor.step(observation(control_on=True), 102.0).command, StartPtp)

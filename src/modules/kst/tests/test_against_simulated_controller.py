@@ -11,7 +11,7 @@ import pytest
 from common.poses import translation
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback
-from kst.errors import ConnectionLost, MotionRefused, NoServer, ServerBusy, WrongMode
+from kst.errors import ConnectionLost, MotionRefused, NoServer, ReplyTimeout, ServerBusy, WrongMode
 from kst.limits import JointLimits
 from kst.session import KstTiming
 from rig_simulation.control_port import ControlClient
@@ -204,3 +204,32 @@ def test_the_program_dies(start, processes):
             client.servo(np.zeros(7), Feedback.JOINTS)
     with pytest.raises(NoServer):
         KstClient.connect("127.0.0.1", rig.port)
+
+
+@pytest.mark.parametrize("longer", [False, True])
+def test_a_server_that_freezes_is_regained_or_left_in_order(start, wait_until, longer):
+    rig = start("--deaf-after-lost-client")
+    client = rig.connect(servo_reply=0.05, reply=0.5, silence=1.0 if longer else 60.0)
+    client.start_joint_servo()
+    rig.ask("fault", name="half_open", duration=2.0)
+    with pytest.raises(ReplyTimeout):
+        client.servo(client.joints(), Feedback.JOINTS)
+    if longer:
+        with pytest.raises(ConnectionLost):
+            while client.silence(0.05):
+                pass
+        client.close()
+        wait_until(lambda: not rig.state("connected"), 10.0, "the server to hear the farewell")
+        client = wait_until(lambda: connected(rig), 20.0, "the server to serve another client")
+    else:
+        wait_until(lambda: client.silence(0.05) == 0.0, 10.0, "the server to answer again")
+        client.stop_joint_servo()
+    assert client.mode is KstMode.IDLE
+    client.ptp_joints(ABOVE_ZERO, 0.5, timeout=20.0)
+
+
+def connected(rig):
+    try:
+        return rig.connect()
+    except (NoServer, ServerBusy):
+        return None

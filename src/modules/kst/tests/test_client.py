@@ -395,6 +395,21 @@ def test_closing_in_the_servo_mode_stops_it(server, connect):
         client.joints()
 
 
+def test_a_server_that_was_given_up_hears_the_farewell(server, connect):
+    client = connect(servo_reply=0.05, reply=0.05, silence=0.2)
+    client.start_joint_servo()
+    server.answers.clear()
+    with pytest.raises(ReplyTimeout):
+        client.servo(HOME)
+    with pytest.raises(ConnectionLost):
+        while client.silence(0.05):
+            pass
+    client.close()
+    assert server.wait_for_end()
+    assert server.lines[-2:] == ["stopDirectServoJoints", "end"]
+    client.close()
+
+
 @pytest.mark.parametrize("reset", [False, True])
 def test_a_lost_link_stays_lost_and_closing_is_quiet(server, connect, reset):
     client = connect()

@@ -11,6 +11,7 @@ from kst.errors import ConnectionLost, ReplyTimeout, UnexpectedReply
 from kst.session import KstTiming
 
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
+AWAY = HOME + 0.1
 TORQUES = np.arange(1, 8) / 10
 BRIEF = {"reply": 0.3, "servo_reply": 0.3, "quiet": 0.05}
 
@@ -24,7 +25,7 @@ def test_a_wiped_command_is_sent_again(server, connect, wiped):
     server.once(wiped, b"")
     client = connect(**BRIEF)
     server.once("doPTPinJS", b"done\ndone\n")
-    client.ptp_joints(HOME, 0.25, timeout=10.0)
+    client.ptp_joints(AWAY, 0.25, timeout=10.0)
     np.testing.assert_allclose(client.external_torques(), TORQUES)
     client.start_joint_servo()
     client.servo(HOME)
@@ -36,26 +37,38 @@ def test_a_wiped_command_is_sent_again(server, connect, wiped):
 def test_it_looks_at_the_joints_before_it_sends_again(server, connect):
     client = connect(**BRIEF)
     server.once("doPTPinJS", b"")
-    client.start_ptp_joints(HOME, 0.25)
-    assert server.words()[3:] == ["doPTPinJS", *["getJointsPositions"] * 3, "doPTPinJS"]
+    client.start_ptp_joints(AWAY, 0.25)
+    assert server.words()[3:] == ["doPTPinJS", *["getJointsPositions"] * 4, "doPTPinJS"]
 
 
 def test_nothing_is_sent_again_while_the_arm_moves(server, connect):
     client = connect(**BRIEF)
     server.once("doPTPinJS", b"")
     server.once("getJointsPositions", *(joints(0.01 * i) for i in range(3)))
-    with pytest.raises(ReplyTimeout):
-        client.start_ptp_joints(HOME, 0.25)
+    client.start_ptp_joints(AWAY, 0.25)
     assert server.words().count("doPTPinJS") == 1
     assert client.mode is KstMode.PTP
+    assert not client.ptp_arrived()
+
+
+def test_nothing_is_sent_again_to_an_arm_that_is_at_the_goal_already(server, connect, wait_until):
+    client = connect(**BRIEF)
+    server.once("doPTPinJS", b"")
+    client.start_ptp_joints(HOME, 0.25)
+    assert server.words().count("doPTPinJS") == 1
+    assert not client.ptp_arrived(), "the words of the motion may still come"
+    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+    server.push(b"done\ndone\n")
+    np.testing.assert_array_equal(client.joints(), HOME)
+    client.start_ptp_joints(AWAY, 0.25)
+    assert not client.ptp_arrived()
 
 
 def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect, wait_until):
     client = connect(**BRIEF)
     server.once("doPTPinJS", b"")
     server.once("getJointsPositions", *(joints(0.01 * i) for i in range(3)))
-    with pytest.raises(ReplyTimeout):
-        client.start_ptp_joints(HOME, 0.25)
+    client.start_ptp_joints(AWAY, 0.25)
     server.push(b"done\n")
     np.testing.assert_array_equal(client.joints(), HOME)
     assert not client.ptp_arrived()
@@ -68,7 +81,7 @@ def test_a_dead_main_thread_is_told_from_a_dead_link(server, connect, wait_until
     client = connect(**BRIEF, tries=2)
     server.answers[word] = b""
     with pytest.raises(ReplyTimeout) as caught:
-        client.start_ptp_joints(HOME, 0.25)
+        client.start_ptp_joints(AWAY, 0.25)
         server.push(b"done\n")
         wait_until(client.ptp_arrived, 10.0, "the arrival")
         client.external_torques()
@@ -84,7 +97,7 @@ def test_a_late_start_of_a_motion_is_taken_as_its_start(server, connect, wait_un
     client = connect(**BRIEF)
     server.once("doPTPinJS", b"")
     server.once("getJointsPositions", late + server.answers["getJointsPositions"])
-    client.start_ptp_joints(HOME, 0.25)
+    client.start_ptp_joints(AWAY, 0.25)
     assert server.words().count("doPTPinJS") == 1
     if late == b"done\n":
         assert not client.ptp_arrived()
@@ -132,11 +145,12 @@ def test_a_late_acknowledgement_does_not_count_for_the_next_goal(server, connect
 
 
 def test_a_reader_that_falls_silent_is_a_lost_connection(server, connect):
-    client = connect(**BRIEF)
+    client = connect(**BRIEF, silence=0.5)
     client.start_joint_servo()
     server.answers.clear()
     with pytest.raises(ReplyTimeout):
         client.servo(HOME)
+    assert client.silence(0.01) > 0.3
     with pytest.raises(ConnectionLost):
         client.servo(HOME)
     with pytest.raises(ConnectionLost):

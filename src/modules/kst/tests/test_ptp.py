@@ -74,9 +74,9 @@ def test_interruption_and_time_out():
 
 def test_only_missed_readings_in_a_row_are_too_many():
     supervisor = PtpSupervisor(ZERO, BENT, 0.0)
-    assert [supervisor.miss() for _ in range(4)] == [False] * 4
+    assert not any(supervisor.miss() for _ in range(LIMITS.missed - 1))
     supervisor.observe(ZERO, 1.0)
-    assert [supervisor.miss() for _ in range(5)] == [False] * 4 + [True]
+    assert [supervisor.miss() for _ in range(LIMITS.missed)] == [False] * (LIMITS.missed - 1) + [True]
 
 
 class Arm:
@@ -135,8 +135,8 @@ def test_too_many_bad_readings_in_a_row_are_the_error(bad):
     with pytest.raises(type(bad)):
         run_ptp(Arm([ZERO, bad], [False]), BENT, 0.3, QUICK)
     with pytest.raises(type(bad)):
-        read_joints(Arm([bad] * 5 + [ZERO], [False]))
-    np.testing.assert_array_equal(read_joints(Arm([bad] * 4 + [ZERO], [False])), ZERO)
+        read_joints(Arm([bad] * LIMITS.missed + [ZERO], [False]))
+    np.testing.assert_array_equal(read_joints(Arm([bad] * (LIMITS.missed - 1) + [ZERO], [False])), ZERO)
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ class ArmState:
     moment: np.ndarray | None = None  # moment at the tool point, in its axes, shape (3,) [Nm]
 
 
+WAIT_S = 0.02  # a cycle waits this long for a missing answer, so that the state is published meanwhile [s]
 QUICK_S = 1e-3  # after an answer that took longer than this, no further question delays the next goal [s]
 
 FIELD = {
@@ -79,6 +80,13 @@ class Arm(ABC):
     def take_remarks(self) -> list[str]:
         """Returns the sentences about the arm that were not reported yet."""
         return []
+
+    def silence(self) -> float:
+        """Returns for how long an answer of the robot has been missing [s], 0 if none is; waits a moment for it.
+
+        While one is missing nothing else may be asked or sent. Raises kst.ConnectionLost once it is given up.
+        """
+        return 0.0
 
     @abstractmethod
     def read(self) -> None:
@@ -169,6 +177,9 @@ class KstArm(Arm):
     def take_remarks(self) -> list[str]:
         remarks, self._remarks = self._remarks, []
         return remarks
+
+    def silence(self) -> float:
+        return self._client.silence(WAIT_S)
 
     def read(self) -> None:
         self._take("joints", self._client.joints())

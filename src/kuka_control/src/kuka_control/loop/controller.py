@@ -1,4 +1,9 @@
-"""One cycle of a controller: read the arm, step the control loop, execute its command. And the wait for a lost arm."""
+"""One cycle of a controller: read the arm, step the control loop, execute its command. And the wait for a lost arm.
+
+A robot that does not answer is waited for in four steps. From the first missing answer nothing is sent and the control
+loop stands still: the goals hold. After `NAMED_S` that is reported as a lost link. After `OFF_S` control goes off, and
+the same connection is probed until the client gives it up. Only then it is closed, and a new one is tried.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +38,11 @@ BACK = (
     "The robot is connected again. The arm stays where it is until control is switched on; then it goes home first "
     "and follows the desired tool frame."
 )
+WAITING = "Control is off, nothing is sent, and the same connection is probed for up to 10 s."
+NAMED_S = 0.12  # a robot that has not answered for this long is reported, with a cycle's wait within 0.2 s [s]
+OFF_S = 1.0
+"""A longer silence in servo mode switches control off [s]: TCP repeats a lost packet after 0.2 s, and after 0.4 s more.
+Outside of servo mode it is twice as long: one answer is waited for that long, and no goals depend on it."""
 MAX_MISSED = 5  # this many missing or unusable answers in a row end the link
 WARN_EVERY_S = 1.0  # shortest time between two warnings about missed answers [s]
 
@@ -40,9 +50,9 @@ WARN_EVERY_S = 1.0  # shortest time between two warnings about missed answers [s
 class ReconnectSupervisor:
     """Stands in for the control loop after a lost link to the robot: waits for the robot, then for the operator.
 
-    While the link is down it says when the next attempt to connect is due, with growing pauses. Once the link is back
-    the arm stays where it is. When control is switched on, or an exit is requested, a fresh control loop takes over and
-    starts with the motion home.
+    First the robot may answer again on the same connection. Once that is `lost`, it says when the next attempt to
+    connect is due, with growing pauses. When the robot is back the arm stays where it is. When control is switched on,
+    or an exit is requested, a fresh control loop takes over and starts with the motion home.
 
     Attributes:
         counts: the counters of the previous control loop, which continue.
@@ -50,22 +60,28 @@ class ReconnectSupervisor:
         next_try: time of the next attempt to connect, monotonic [s].
     """
 
-    def __init__(self, error: KstError, counts: Counter[str], make_loop: Callable[[], ControlLoop], now: float) -> None:
-        silent = isinstance(error, (ConnectionLost, ReplyTimeout))
-        what = "The robot is out of reach" if silent else "The link to the robot was given up"
+    def __init__(self, error: KstError, counts: Counter[str], make_loop: Callable[[], ControlLoop]) -> None:
         self.counts = counts
-        self._lost = (
-            f"{what}: {error}. Control is off, and this controller tries to connect again. A server that lost its "
-            "client may be deaf: then end MatlabToolboxServer on the smartPad and start it again."
-        )
-        self.reason = self._lost
-        self.next_try = now + FIRST_PAUSE_S
+        self._lost = ""
+        self.reason = f"The robot does not answer: {error}. {WAITING}"
+        self.next_try = math.inf
         self._pause = FIRST_PAUSE_S
         self._tries = 0
-        self._remind_at = now
+        self._remind_at = 0.0
         self._make_loop = make_loop
         self._loop: ControlLoop | None = None
         self._old_frame: DesiredFrame | None = None
+
+    def lost(self, error: KstError, now: float) -> tuple[Event, ...]:
+        """Records that the connection is lost at the time `now` [s]; returns what to log."""
+        silent = isinstance(error, (ConnectionLost, ReplyTimeout))
+        what = "The robot is out of reach" if silent else "The link to the robot was given up"
+        self.reason = self._lost = (
+            f"{what}: {error}. Control is off, and this controller tries to connect again. A server that lost its "
+            "client may be deaf: then end MatlabToolboxServer on the smartPad and start it again."
+        )
+        self.next_try, self._remind_at = now + FIRST_PAUSE_S, now
+        return (Event("error", self._lost),)
 
     @property
     def stopped_because(self) -> str | None:
@@ -98,7 +114,7 @@ class ReconnectSupervisor:
         inputs = observation.inputs
         if self._loop is None:
             self._old_frame = inputs.desired
-            if not (inputs.switches.control_on or inputs.switches.exit_requested):
+            if not (inputs.switches.control_on or inputs.switches.exit_requested) or not observation.arrived:
                 return self.waiting()
             self._loop = self._make_loop()
             self._loop.counts = self.counts
@@ -112,26 +128,43 @@ class Controller:
 
     Attributes:
         missed: number of answers of the robot's controller that were late or unusable.
+        holds: number of times that a missing answer held the goals.
         moving, in_servo: whether a PTP motion runs, and whether the arm follows servo goals.
     """
 
     def __init__(self, arm: Arm, loop: ControlLoop | ReconnectSupervisor) -> None:
-        self.missed = 0
+        self.missed = self.holds = 0
+        self.moving = self.in_servo = False
         self._warned_at = -math.inf
+        self._arm = arm
         self.restart(arm, loop)
 
     def restart(self, arm: Arm, loop: ControlLoop | ReconnectSupervisor) -> None:
-        """Continues with another arm and loop; `missed` stays."""
+        """Continues with another loop, and perhaps another arm; the counters stay."""
+        if arm is not self._arm:
+            self.moving = self.in_servo = False
         self._arm = arm
         self._loop = loop
-        self.moving = False
-        self.in_servo = False
         self._refused: str | None = None
         self._missed_in_a_row = 0
+        self._silent = 0.0  # how long the present hold has lasted [s]
+        self._step: Step | None = None
 
     def cycle(self, inputs: Inputs, now: float) -> Step:
-        """Returns the step of one cycle at the monotonic time `now` [s]; KstError: the connection is given up."""
-        self._watch_motion()
+        """Returns the step of one cycle at the monotonic time `now` [s].
+
+        Raises:
+            ReplyTimeout: the robot has not answered for so long that control is to go off; it may answer later.
+            KstError: the connection is given up.
+        """
+        events: tuple[Event, ...] = ()
+        silent = self._arm.silence()
+        if silent > 0.0:
+            return self._hold(silent)
+        if self._silent > NAMED_S:
+            events = (Event("info", f"The robot answers again after {self._silent:.2f} s."),)
+        self._silent = 0.0
+        events += self._watch_motion(now)
         refused, self._refused = self._refused, None
         observation = Observation(self._arm.measured_joints, inputs, not self.moving, refused)
         step = self._loop.step(observation, now)
@@ -143,15 +176,46 @@ class Controller:
             self._refused = str(error)
         except NO_READING as error:
             self._miss(step, error)
-            step = replace(step, events=step.events + self._warning(error, now))
-        remarks = tuple(Event("warn", remark) for remark in self._arm.take_remarks())
-        return replace(step, events=step.events + remarks) if remarks else step
+            events += self._warning(error, now)
+        events += tuple(Event("warn", remark) for remark in self._arm.take_remarks())
+        self._step = step = replace(step, events=step.events + events) if events else step
+        return step
+
+    def regained(self) -> bool:
+        """Returns whether a robot that was silent answers again, with servo mode left; KstError: it is given up."""
+        try:
+            if self._arm.silence() > 0.0:
+                return False
+            if self.in_servo:
+                self._arm.stop_servo()
+        except MotionRefused:
+            self.moving = False
+        except NO_READING:
+            return False
+        self.in_servo = False
+        return True
+
+    def _hold(self, silent: float) -> Step:
+        """Returns the step of a cycle in which nothing is sent, because an answer has been missing for so long [s]."""
+        before, self._silent = self._silent, silent
+        self.holds += before == 0.0
+        if silent > (OFF_S if self.in_servo else 2.0 * OFF_S):
+            raise ReplyTimeout(f"the last answer has been missing for {silent:.1f} s")
+        what = "the goals hold" if self.in_servo else "nothing is sent"
+        if self._step is None:
+            self._step = Step(Wait(), Mode.STOPPED, "", ())
+        reason = f"The robot has not answered for {1000.0 * silent:.0f} ms; {what}."
+        named = before <= NAMED_S < silent
+        events = (Event("warn", f"The link to the robot is lost for the moment. {reason}"),) if named else ()
+        return replace(self._step, command=Wait(), reason=reason, events=events, transitions=())
 
     def _miss(self, step: Step, error: KstError) -> None:
         """Counts a missing or unusable answer; raises its error again if the link is given up."""
         self.missed += 1
         if isinstance(step.command, (StartPtp, StartServo)):
-            self.moving = False
+            if error.pending:
+                self.in_servo = True
+                raise error
             self._refused = str(error)
             return
         self._missed_in_a_row += 1
@@ -165,13 +229,17 @@ class Controller:
         what = "No answer in time" if isinstance(error, ReplyTimeout) else "An answer is left out"
         return (Event("warn", f"{what}: {error}."),)
 
-    def _watch_motion(self) -> None:
+    def _watch_motion(self, now: float) -> tuple[Event, ...]:
         if self.moving:
             try:
                 self.moving = not self._arm.ptp_arrived()
-            except (MotionRefused, *NO_READING) as error:
+            except MotionRefused as error:
                 self.moving = False
                 self._refused = str(error)
+            except NO_READING as error:
+                self.missed += 1
+                return self._warning(error, now)
+        return ()
 
     def _do(self, step: Step) -> None:
         command = step.command

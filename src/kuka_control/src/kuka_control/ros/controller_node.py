@@ -15,7 +15,7 @@ from common.errors import DeviceError, RigError
 from common.ros import node
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.params import wait_for_config
-from kst import KstClient, KstError, NoServer
+from kst import ConnectionLost, KstClient, KstError, NoServer
 from kuka_control.loop import algorithms
 from kuka_control.loop.arm import KstArm
 from kuka_control.loop.commands import End, Event, Inputs, Servo, Step
@@ -34,6 +34,7 @@ RETRY_POLL_S = 0.05  # polling interval of the switches while the robot is out o
 SWITCH_INTERVAL_S = 5e-4  # the control loop waits at most this long for another thread of this process [s]
 PATIENCE_S = 20.0  # how long a server that does not run yet is tried again at the start [s]
 RETRY_S = 0.5
+PROBE_S = 12.0  # the client gives a silent server up before; this bounds the wait for one that answers nonsense [s]
 TIMEOUT_S = 5.0
 AGAIN_TIMEOUT_S = 2.0  # how long a try to connect again waits for the connection, and again for the first answer [s]
 SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within this time [s]
@@ -59,7 +60,8 @@ class RobotLink:
 
     def again(self) -> None:
         """Tries once to connect, or raises KstError; `arm` is another one then."""
-        self.arm = self._connected(AGAIN_TIMEOUT_S)
+        before, self.arm = self.arm, self._connected(AGAIN_TIMEOUT_S)
+        before.close()
 
     def _first(self) -> KstArm:
         config, waiting = self._config, False
@@ -178,20 +180,34 @@ class _Node:
                 return
 
     def _stand_by(self, error: KstError) -> bool:
-        """Waits until the robot is connected again; False: this controller is to end before.
+        """Waits until the robot answers again or is connected again; False: this controller is to end before.
 
         Raises:
             DeviceError: the robot was lost on the way to the end.
         """
+        exits = self._switches.now.exit_requested
+        self._services.hold("the robot does not answer")
+        supervisor = self._loop = ReconnectSupervisor(error, self._loop.counts, self._make_loop)
+        self._controller.restart(self._link.arm, supervisor)
+        if not isinstance(error, ConnectionLost):
+            rospy.logerr(supervisor.reason)
+            self._show(supervisor.waiting())
+            try:
+                deadline = time.monotonic() + PROBE_S
+                while time.monotonic() < deadline and not (rospy.is_shutdown() or self._exit_asked(exits)):
+                    if self._controller.regained():
+                        self._regained(supervisor)
+                        return True
+                    time.sleep(RETRY_POLL_S)
+            except KstError as failure:
+                error = failure
         self._services.hold("the robot is out of reach")
         if ends_soon():
             rospy.loginfo("The robot's controller ended while this controller shut down: %s.", error)
             return False
-        if self._switches.now.exit_requested:
+        if exits:
             raise DeviceError(f"The robot is out of reach: {error}. The arm is not at its zero position.") from error
-        supervisor = self._loop = ReconnectSupervisor(error, self._loop.counts, self._make_loop, time.monotonic())
-        self._controller.restart(self._link.arm, supervisor)
-        rospy.logerr(supervisor.reason)
+        self._say(supervisor.lost(error, time.monotonic()))
         self._show(supervisor.waiting())
         self._link.close()
         while not self._switches.now.exit_requested:
@@ -207,10 +223,17 @@ class _Node:
                 self._show(supervisor.waiting())
                 continue
             self._controller.restart(self._link.arm, supervisor)
-            self._say(supervisor.connected())
-            self._services.release()
+            self._regained(supervisor)
             return True
         return False
+
+    def _exit_asked(self, before: bool) -> bool:
+        """Returns whether the exit was requested after the robot fell silent; one from `before` waits for the robot."""
+        return self._switches.now.exit_requested and not before
+
+    def _regained(self, supervisor: ReconnectSupervisor) -> None:
+        self._say(supervisor.connected())
+        self._services.release()
 
     def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, float]:
         step = self._step
@@ -232,7 +255,9 @@ class _Node:
     def _diagnosis(self):
         step = self._step
         estimated = ", ".join(self._link.arm.estimated_in_servo)
-        counts = {**self._loop.counts, "missed_answers": self._controller.missed, "estimated_in_servo": estimated}
+        controller = self._controller
+        answers = {"missed_answers": controller.missed, "holds": controller.holds}
+        counts = {**self._loop.counts, **answers, "estimated_in_servo": estimated}
         if step is None:
             return DiagnosticStatus.OK, "starting", {"mode": Mode.STARTING.value, **counts}
         level = DiagnosticStatus.ERROR if self._loop.stopped_because else DiagnosticStatus.OK

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -46,8 +47,10 @@ class KstClient:
     """A connection to the server; `connect` makes it, `close` ends it. Also a context manager.
 
     Every call that talks to the server may raise, besides what it lists:
-        ConnectionLost: the link is gone, was aborted, or the server fell silent; all later calls raise it too.
-        ReplyTimeout: this answer did not come; the next call restores the pairing of answers first.
+        ConnectionLost: the link is gone, was aborted, or the server answered nothing for `KstTiming.silence`; all later
+            calls raise it too.
+        ReplyTimeout: this answer did not come, or an earlier one is still missing and nothing was sent; the next call
+            looks for it first. `silence` does so in small steps.
         UnexpectedReply: the answer does not fit the command.
         MotionRefused: the controller refused with a `nak`, or had left servo mode by itself; the tool is attached
             again.
@@ -60,7 +63,8 @@ class KstClient:
         self._tool = tool
         self._limits = limits
         self._mode = KstMode.IDLE
-        self._goal: np.ndarray | None = None
+        self._goal = np.zeros(7)
+        self._at_goal_since: float | None = None  # time at which a motion in doubt was first seen at its goal [s]
 
     @property
     def mode(self) -> KstMode:
@@ -105,9 +109,10 @@ class KstClient:
         try:
             transport.pause(timing.connect_settle)
             client._attach_tool(patience=max(timeout - timing.reply, timing.reply))
-        except ConnectionLost as error:
+        except (ConnectionLost, ReplyTimeout) as error:
+            ended = transport.ended_by_peer
             client.close()
-            if transport.ended_by_peer:
+            if ended:
                 raise NoServer(
                     f"the server at {address} closed the connection at once: its application has just ended; start"
                     " MatlabToolboxServer on the smartPad again (it waits 60 s for a client)",
@@ -135,6 +140,16 @@ class KstClient:
     def round_trip(self) -> float | None:
         """Time from the last answered command to its answer [s]; None before the first."""
         return self._session.round_trip
+
+    def silence(self, wait: float) -> float:
+        """Returns for how long an answer has been missing [s], 0 if none is; waits up to `wait` seconds for it.
+
+        While one is missing nothing but probes is sent. The server may be frozen, with its connection alive.
+        """
+        session = self._session
+        if session.in_step or session.settle(time.monotonic() + wait):
+            return 0.0
+        return session.silent
 
     def joints(self) -> np.ndarray:
         """Returns the measured joint angles, shape (7,) [rad]; in every mode."""
@@ -169,51 +184,97 @@ class KstClient:
             ReplyTimeout: the arm did not arrive in time. It may still move: the mode stays PTP.
         """
         self.start_ptp_joints(q, velocity)
-        if self._session.wait_for_final(timeout) is None:
-            left = np.abs(self.joints() - self._goal)
-            worst = int(np.argmax(left))
-            raise ReplyTimeout(
-                f"the PTP motion did not end within {timeout:g} s: joint {worst + 1} is still"
-                f" {np.degrees(left[worst]):.2f} deg away; the arm may keep moving, only the smartPad stops it",
-                command=codec.START_PTP.word,
-            )
-        self.ptp_arrived()
+        deadline = time.monotonic() + timeout
+        while not self.ptp_arrived():
+            if time.monotonic() >= deadline:
+                left = np.abs(self.joints() - self._goal)
+                worst = int(np.argmax(left))
+                raise ReplyTimeout(
+                    f"the PTP motion did not end within {timeout:g} s: joint {worst + 1} is still"
+                    f" {np.degrees(left[worst]):.2f} deg away; the arm may keep moving, only the smartPad stops it",
+                    command=codec.START_PTP.word,
+                )
+            self._session.wait_for_word(deadline)
 
     def start_ptp_joints(self, q: ArrayLike, velocity: float) -> None:
-        """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1]."""
+        """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1].
+
+        A start that is not acknowledged although it may have been carried out counts as a motion that runs: the arm
+        moves, or the server has fallen silent. Then the joints show later what became of it (`ptp_arrived`).
+        """
         goal = self._limits.check(q)
         velocity = check_relative_velocity(velocity)
         self._require_idle("a PTP motion")
         self._accept(codec.relative_velocity(velocity))
         self._ask(codec.joint_goal(goal))
         self._goal = goal
+        self._at_goal_since = None
         self._session.expect_final(True)
         self._mode = KstMode.PTP
         try:
-            self._accept(codec.START_PTP)
+            self._accept(codec.START_PTP, goal)
+            self._session.doubt |= (self._session.round_trip or 0.0) > self._session.timing.quiet
+        except (ReplyTimeout, UnexpectedReply) as error:
+            if self._session.in_step and not error.pending:
+                self._end_motion()
+                raise
         except KstError:
             if self._session.in_step:
                 self._end_motion()
             raise
 
     def ptp_arrived(self) -> bool:
-        """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has."""
+        """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has.
+
+        Raises:
+            MotionRefused: the controller gave the motion up, or it never began because its start was wiped.
+        """
         if self.mode is not KstMode.PTP:
             raise WrongMode(f"no PTP motion runs (mode {self.mode.value}); start one first", mode=self.mode)
         self._session.poll()
         final = self._session.final
         if final is None:
-            return False
+            return self._session.doubt and self._arrived_by_joints()
         self._end_motion()
         if final is ReplyKind.NAK:
             self._refused("the PTP motion (an unreachable goal, or a stop during the motion)")
         return True
 
+    def _arrived_by_joints(self) -> bool:
+        """Returns whether a motion has ended whose words leave that open: by its joints.
+
+        The final word may come somewhat after the arrival, so it is waited for as long as for any answer.
+        """
+        session = self._session
+        if session.arm_is_at(self._goal):
+            now = time.monotonic()
+            self._at_goal_since = now if self._at_goal_since is None else self._at_goal_since
+            if now < self._at_goal_since + session.timing.reply:
+                return False
+            session.expect_second_word()
+            self._mode = KstMode.IDLE
+            return True
+        self._at_goal_since = None
+        if session.acknowledged:
+            session.doubt = False
+        elif session.arm_moves():
+            session.doubt = session.acknowledged
+        elif not session.acknowledged:
+            self._end_motion()
+            raise MotionRefused("the PTP motion did not begin: its start was lost; nothing moves")
+        return False
+
     def start_joint_servo(self) -> None:
         """Starts the joint position servo with the present joints, which must be within the limits, as its goal."""
         self._require_idle("the joint servo")
         self._ask(codec.joint_goal(self._limits.check(self.joints())))
-        self._accept(codec.START_SERVO)
+        try:
+            self._accept(codec.START_SERVO)
+        except (ReplyTimeout, UnexpectedReply) as error:
+            if self._session.in_step:
+                raise
+            self._mode = KstMode.SERVO
+            raise ReplyTimeout(f"{error}; servo mode may have started", pending=True) from error
         self._mode = KstMode.SERVO
         self._session.transport.pause(self._session.timing.servo_start)
 
@@ -267,12 +328,13 @@ class KstClient:
     def close(self) -> None:
         """Stops the servo, ends the server's application and closes the socket, in about a second at most.
 
-        Never raises on a dead link. A running PTP motion continues to its goal; the application ends after it.
+        Never raises on a dead link. A running PTP motion continues to its goal; the application ends after it. A server
+        that is silent, frozen perhaps, gets the same words: they wait for it.
         """
         servo, timing = self.mode is KstMode.SERVO, self._session.timing
         with contextlib.suppress(KstError):
             if servo and self._session.in_step:
-                self._session.rest(min(timing.rest, timing.servo_reply))
+                self._session.rest(min(timing.rest, timing.farewell))
         with contextlib.suppress(KstError):
             self._session.farewell(stop_servo=servo)
         self._mode = KstMode.IDLE
@@ -300,9 +362,9 @@ class KstClient:
         self._heed_refusal()
         return reply
 
-    def _accept(self, command: KstCommand) -> KstReply:
-        """Asks the main thread; a `nak` becomes MotionRefused."""
-        reply = self._session.ask_main(command)
+    def _accept(self, command: KstCommand, goal: np.ndarray | None = None) -> KstReply:
+        """Asks the main thread; a `nak` becomes MotionRefused. `goal`: of the motion that the command starts."""
+        reply = self._session.ask_main(command, goal=goal)
         if reply.kind is ReplyKind.NAK:
             self._end_motion()
             self._refused(f"`{command.word}`")
@@ -330,6 +392,8 @@ class KstClient:
         try:
             reply = self._session.ask_main(command, patience)
         except ReplyTimeout as error:
+            if not self._session.in_step:
+                raise
             raise ToolNotAttached(
                 "the server answers but does not attach the tool: its main program has ended, or it is older than"
                 " version 1.7; restart MatlabToolboxServer on the smartPad"

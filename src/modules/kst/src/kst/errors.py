@@ -9,7 +9,12 @@ from typing import Any
 
 
 class KstError(Exception):
-    """Base of the errors of this package; keyword arguments become attributes."""
+    """Base of the errors of this package; keyword arguments become attributes.
+
+    `pending`: the command may take effect all the same.
+    """
+
+    pending: bool = False
 
     def __init__(self, message: str, **values: Any) -> None:
         super().__init__(message)

@@ -64,7 +64,7 @@ class PtpLimits:
     stalled: float = 3.0  # an arm that stands still for this long is stalled [s]
     given_up: float = 60.0  # an arm that stands still for this long is not awaited any longer [s]
     timeout: float = math.inf  # longest motion [s]
-    missed: int = 5  # this many missed readings in a row are an error
+    missed: int = 12  # this many missed readings in a row are an error; a silent server misses one a second, for 10 s
     period: float = 0.1  # time between two readings [s]
 
 

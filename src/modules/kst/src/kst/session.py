@@ -4,6 +4,10 @@ The server's reader thread answers in order. Its main thread clears the shared c
 main-thread command that comes too early is wiped without a reply (docs/handbook/wire-protocols.md, "Arm: Sunrise
 Toolbox"). Therefore the session pauses after such an answer and sends a wiped command again. The final word of a motion
 comes unasked and is not an answer.
+
+After a missing answer nothing is sent but probes: questions to the reader thread that ask for a reply of another kind
+than the missing one. What comes before the answer to a probe is late. A server that answers no probe for
+`KstTiming.silence` is given up; until then it may have been frozen, while its kernel kept the connection.
 """
 
 from __future__ import annotations
@@ -18,9 +22,10 @@ from kst.codec import KstCommand, KstReply, ReplyKind, ServerThread
 from kst.errors import ReplyTimeout, UnexpectedReply
 from kst.transport import KstTransport
 
+ARRIVED_RAD = float(np.radians(0.1))  # an arm with no joint farther from the goal than this has arrived [rad]
 STILL_RAD = 5e-4  # joints that change less than this between two readings, `KstTiming.quiet` apart, stand still [rad]
 MAX_FOREIGN = 20  # after more foreign lines than this before one answer, the peer is not a toolbox server
-MAX_STRAY = 200  # after more stray lines than this, resynchronisation fails
+MAX_STRAY = 200  # after more stray lines than this during a search for a missing answer, the link is given up
 
 
 @dataclass(frozen=True)
@@ -30,13 +35,15 @@ class KstTiming:
     connect_settle: float = 1.0  # after connecting, until the server's main thread has attached its own tool
     tool_settle: float = 0.4  # after the tool is attached
     reply: float = 1.0  # longest wait for an answer outside servo mode
-    servo_reply: float = 0.2  # longest wait for the answer to a servo goal
+    servo_reply: float = 0.05  # longest wait for the answer to a servo goal, which takes a few milliseconds
     main_pause: float = 0.005  # after an answer of the main thread, which could wipe a further command
     servo_start: float = 0.3  # after its start, while the server overwrites the goal with the present joints
     servo_stop: float = 0.1  # after the stop of servo mode, until the main thread reads again
     rest: float = 0.5  # longest wait for the arm to stand still before servo mode stops
     quiet: float = 0.1  # silence after which no late answer of the main thread comes
-    farewell: float = 0.2  # longest wait for the server's end of file after `end`
+    probe: float = 1.0  # time between two probes of a silent server
+    silence: float = 10.0  # a server that answers nothing for this long is given up
+    farewell: float = 0.2  # longest wait for the end of servo mode, and for the server's end of file after `end`
     tries: int = 3  # how often a main-thread command is sent at most
 
 
@@ -60,6 +67,8 @@ class KstSession:
         round_trip: time from the sending of the last answered command to its answer [s]; None before the first.
         final: the final word of the motion, DONE or NAK; None before it comes.
         refused: an unasked `nak` came: the main thread gave up a motion and dropped the tool.
+        doubt: only the joints can tell the state of the motion, because the acknowledgement of its start is missing: it
+            may have been wiped, or a `done` came that is the late acknowledgement or the final word.
     """
 
     def __init__(self, transport: KstTransport, timing: KstTiming) -> None:
@@ -68,9 +77,15 @@ class KstSession:
         self.counts = LinkCounts()
         self.round_trip: float | None = None
         self.final: ReplyKind | None = None
-        self.refused = False
-        self._awaits_final = False
+        self.refused = self.doubt = False
+        self._awaits_final = self._unacknowledged = False
         self._unanswered: KstCommand | None = None
+        self._late: KstReply | None = None  # its answer, if that came late
+        self._probe_lost = False  # whether the missing answer is that to a probe
+        self._probe = codec.JOINTS
+        self._probes = 0  # sent in this search and not answered
+        self._strays = 0  # lines in this search that nobody asked for
+        self._asked_at = self._probed_at = self._heard_at = 0.0
         self._main_answered_at = -np.inf
 
     @property
@@ -78,10 +93,26 @@ class KstSession:
         """Whether every command so far has its answer."""
         return self._unanswered is None
 
+    @property
+    def silent(self) -> float:
+        """Time since the command was sent whose answer is missing [s]; 0 if none is."""
+        return 0.0 if self.in_step else time.monotonic() - self._asked_at
+
     def expect_final(self, expected: bool) -> None:
         """Sets whether a motion is about to start, whose final word will come unasked, or is over."""
         self._awaits_final = expected
+        self._unacknowledged = self.doubt = False
         self.final = None
+
+    @property
+    def acknowledged(self) -> bool:
+        """Whether a `done` came since the start of the motion."""
+        return not self._unacknowledged
+
+    def expect_second_word(self) -> None:
+        """Ends a motion whose one `done` was its late acknowledgement or its final word: a second one is sorted out."""
+        self.expect_final(False)
+        self._search(codec.START_PTP, time.monotonic())
 
     def post(self, command: KstCommand) -> None:
         """Sends a command that has no answer."""
@@ -93,42 +124,38 @@ class KstSession:
         for reply in self.transport.waiting():
             self._sort(reply)
 
-    def wait_for_final(self, timeout: float) -> ReplyKind | None:
-        """Returns the final word of the motion, or None if it does not come within `timeout` seconds."""
-        deadline = time.monotonic() + timeout
-        while self.final is None:
-            reply = self.transport.receive(deadline)
+    def wait_for_word(self, deadline: float) -> None:
+        """Waits until `deadline`, in seconds of time.monotonic(), and for a short while at most, for the next line."""
+        if self.final is None:
+            reply = self.transport.receive(min(deadline, time.monotonic() + self.timing.quiet))
             if reply is not None:
                 self._sort(reply)
-            if reply is None or time.monotonic() > deadline:
-                break
-        return self.final
 
     def ask(self, command: KstCommand, timeout: float | None = None) -> KstReply:
         """Sends a command and returns its answer; for a command of the main thread that may be a `nak`.
 
         Raises:
-            ReplyTimeout: no answer within `timeout` seconds (None: `KstTiming.reply`).
+            ReplyTimeout: no answer within `timeout` seconds (None: `KstTiming.reply`); or an earlier answer is still
+                missing, and this command was not sent.
             UnexpectedReply: an answer that does not fit, or too many lines that are no replies.
-            ConnectionLost: also if the pairing is unknown since an earlier missing answer and could not be found again.
+            ConnectionLost: also if the server answers nothing for `KstTiming.silence`.
         """
         timeout = self.timing.reply if timeout is None else timeout
-        late = self.resynchronise()
-        self.refused = self.refused or (late is not None and late.kind is ReplyKind.NAK)
+        self._heed(self.resynchronise())
         self.poll()
         sent_at = self._send(command)
         foreign, last = 0, ""
         while foreign <= MAX_FOREIGN:
             reply = self.transport.receive(sent_at + timeout)
             if reply is None:
-                self._unanswered = command
+                self._search(command, sent_at)
                 self.counts.missed += 1
                 raise ReplyTimeout(f"`{command.word}` was not answered within {timeout:g} s", command=command.word)
             if command.accepts(reply):
                 self._note_answer(command, sent_at)
                 return reply
             if not self._sort(reply) and reply.kind is not ReplyKind.FOREIGN:
-                self._unanswered = command
+                self._search(command, sent_at)
                 raise UnexpectedReply(
                     f"`{command.word}` was answered by `{reply.text}` instead of {command.answer.value}: check the"
                     " version of the server",
@@ -137,7 +164,7 @@ class KstSession:
                 )
             foreign += reply.kind is ReplyKind.FOREIGN
             last = reply.text
-        self._unanswered = command
+        self._search(command, sent_at)
         raise UnexpectedReply(
             f"{foreign} lines after `{command.word}` were not replies, the last `{last}`: another program listens"
             " there; check address and port",
@@ -145,18 +172,20 @@ class KstSession:
             reply=last,
         )
 
-    def ask_main(self, command: KstCommand, patience: float | None = None) -> KstReply:
+    def ask_main(self, command: KstCommand, patience: float | None = None, goal: np.ndarray | None = None) -> KstReply:
         """Sends a command of the main thread, again if it was wiped, and returns its answer, which may be a `nak`.
 
-        It sends again only while the arm stands still and the reader thread answers within `patience` seconds (None:
-        `KstTiming.reply`).
+        It sends again only while the arm stands still, away from the `goal` of the command, shape (7,) [rad], and the
+        reader thread answers within `patience` seconds (None: `KstTiming.reply`).
 
         Raises:
-            ReplyTimeout: the main thread stays silent while the reader thread answers, or the arm moves.
+            ReplyTimeout: the main thread stays silent while the reader thread answers; or the arm moves or is at the
+                goal (`pending`); or the server answers nothing, then the link is not `in_step`.
             UnexpectedReply: as in `ask`.
             ConnectionLost: the link is lost or silent.
         """
         for attempt in range(self.timing.tries):
+            self._heed(self.resynchronise(patience))
             if attempt > 0:
                 self.counts.resent += 1
             try:
@@ -166,12 +195,15 @@ class KstSession:
                 if late is not None:
                     self._note_answer(command)
                     return late
-                if self._arm_moves():
-                    self._unanswered = command
+                moves = self.arm_moves()
+                if moves or (goal is not None and self.arm_is_at(goal)):
+                    self.doubt = self.acknowledged or not moves
                     raise ReplyTimeout(
                         f"`{command.word}` was not acknowledged and the arm moves; it was not sent again",
                         command=command.word,
+                        pending=True,
                     ) from error
+                self._unacknowledged = self.doubt = False
         raise ReplyTimeout(
             f"`{command.word}` was not answered in {self.timing.tries} tries though the server reads: its main thread"
             " is stuck or has ended; look at the smartPad and restart MatlabToolboxServer there",
@@ -181,50 +213,86 @@ class KstSession:
     def resynchronise(self, patience: float | None = None) -> KstReply | None:
         """Restores the pairing after a missing answer, and returns that answer if it came late.
 
-        The reader thread, which answers in order, is asked for a reply of another kind than the missing one: what comes
-            before it is late. For a command of the main thread a short silence follows. A probe without an answer:
-            ConnectionLost.
+        Raises:
+            ReplyTimeout: the server answers nothing within `patience` seconds (None: `KstTiming.reply`).
+            ConnectionLost: as in `settle`.
         """
-        missing = self._unanswered
-        if missing is None:
-            return None
-        late = self._sort_out(self.transport.waiting(), missing)
-        if late is not None:
-            return late
-        probe = codec.get_pin(codec.INPUT_PINS[0]) if missing.answer is ReplyKind.SEVEN else codec.JOINTS
-        sent_at = self._send(probe)
-        deadline = sent_at + (self.timing.reply if patience is None else patience)
-        for _ in range(MAX_STRAY):
-            reply = self.transport.receive(deadline)
-            if reply is None:
-                break
-            if reply.kind is probe.answer:
-                self._note_answer(probe, sent_at)
-                if late is None and missing.thread is ServerThread.MAIN:
-                    self.transport.pause(self.timing.quiet)
-                    late = self._sort_out(self.transport.waiting(), missing)
-                self._unanswered = None
-                return late
-            found = self._sort_out([reply], missing)
-            late = late or found
-        self.transport.give_up(
-            f"the controller answers neither `{missing.word}` nor `{probe.word}`: its application has stopped"
-        )
-        return None
+        if not self.settle(time.monotonic() + (self.timing.reply if patience is None else patience)):
+            raise ReplyTimeout(f"the controller has answered nothing for {self.silent:.1f} s; nothing was sent")
+        late, self._late = self._late, None
+        return late
+
+    def settle(self, deadline: float) -> bool:
+        """Looks for the missing answer until `deadline`, in seconds of time.monotonic(); returns whether none is missing.
+
+        Several calls may continue one search. It ends when every probe is answered. If one of them stays unanswered
+        while another one was, it is lost; it becomes the missing answer, and a probe of another kind follows. An answer
+        of the main thread may also come after that to the probe, within `KstTiming.quiet`.
+
+        Raises:
+            ConnectionLost: the server has answered nothing for `KstTiming.silence`, or much that nobody asked for.
+        """
+        if self._unanswered is not None:
+            self.poll()
+        while self._unanswered is not None:
+            now, missing, quiet_at = time.monotonic(), self._unanswered, self._heard_at + self.timing.quiet
+            if self._heard_at >= self._probed_at:
+                if self._probes == 0 and (missing.thread is ServerThread.READER or self._late or now >= quiet_at):
+                    self._end_search()
+                    continue
+                if now >= quiet_at:
+                    self._end_search()
+                    self._search(self._probe, now, probe_lost=True)
+                    continue
+                due = quiet_at
+            else:
+                if now >= self._asked_at + self.timing.silence or self._strays > MAX_STRAY:
+                    self.transport.give_up(
+                        f"the controller has answered neither `{missing.word}` nor a probe for"
+                        f" {now - self._asked_at:.1f} s: its application has stopped"
+                    )
+                if now >= self._probed_at + self.timing.probe:
+                    self._probed_at = self._send(self._probe)
+                    self._probes += 1
+                due = self._probed_at + self.timing.probe
+            if now >= deadline:
+                return False
+            reply = self.transport.receive(min(deadline, due))
+            if reply is not None:
+                self._sort(reply)
+        return True
 
     def rest(self, longest: float) -> None:
         """Waits until the arm stands still, at most `longest` seconds; raises as `ask`."""
         deadline = time.monotonic() + longest
-        while time.monotonic() < deadline and self._arm_moves():
+        while time.monotonic() < deadline and self.arm_moves(self.timing.servo_reply):
             pass
 
+    def arm_moves(self, timeout: float | None = None) -> bool:
+        """Returns whether two readings of the joints differ; raises as `ask`."""
+        before = np.array(self.ask(codec.JOINTS, timeout).numbers)
+        self.transport.pause(self.timing.quiet)
+        change = np.abs(np.array(self.ask(codec.JOINTS, timeout).numbers) - before)
+        return not np.all(change <= STILL_RAD)
+
+    def arm_is_at(self, goal: np.ndarray) -> bool:
+        """Returns whether every joint is at the goal, shape (7,) [rad]; raises as `ask`."""
+        return bool(np.max(np.abs(np.array(self.ask(codec.JOINTS).numbers) - goal)) <= ARRIVED_RAD)
+
     def farewell(self, stop_servo: bool) -> None:
-        """Ends the server's application: stops servo mode on request, sends `end`, waits for the end of file."""
+        """Ends the server's application: stops servo mode on request, sends `end`, waits for the end of file.
+
+        It also speaks to a server that is silent: the published one is deaf once its client has gone without a word.
+        """
+        self.transport.reopen()
+        heard = self.in_step
         if stop_servo:
             self._send(codec.STOP_SERVO)
-            self.transport.receive(time.monotonic() + self.timing.servo_reply)
-            self.transport.pause(self.timing.servo_stop)
+            if heard:
+                self.transport.receive(time.monotonic() + self.timing.farewell)
+                self.transport.pause(self.timing.servo_stop)
         self._send(codec.END)
+        self.transport.end_writing()
         deadline = time.monotonic() + self.timing.farewell
         while self.transport.receive(deadline) is not None and time.monotonic() < deadline:
             pass
@@ -246,38 +314,52 @@ class KstSession:
         if command.thread is ServerThread.MAIN:
             self._main_answered_at = now
 
+    def _heed(self, late: KstReply | None) -> None:
+        self.refused |= late is not None and late.kind is ReplyKind.NAK and not self._awaits_final
+
+    def _search(self, missing: KstCommand, asked_at: float, probe_lost: bool = False) -> None:
+        """Begins the search for an answer."""
+        if not probe_lost:
+            self._late = None
+        self._unanswered, self._asked_at, self._probe_lost = missing, asked_at, probe_lost
+        pin = codec.get_pin(codec.INPUT_PINS[0])
+        self._probe = pin if missing.answer is ReplyKind.SEVEN else codec.JOINTS
+        self._probes = self._strays = 0
+        self._probed_at, self._heard_at = asked_at - self.timing.probe, -np.inf  # a probe is due, none is answered
+
+    def _end_search(self) -> None:
+        missing, self._unanswered = self._unanswered, None
+        if self._late is None and missing is codec.START_PTP and self._awaits_final and self.final is None:
+            self._unacknowledged = self.doubt = True
+
     def _sort(self, reply: KstReply) -> bool:
         """Handles a reply that is not the awaited answer; returns whether it belongs to a motion or refuses one."""
-        missing = self._unanswered
-        if missing is not None and reply.kind is missing.answer:
-            self._unanswered = None
+        now, missing = time.monotonic(), self._unanswered
+        if missing is not None and self._probes > 0 and reply.kind is self._probe.answer:
+            self._probes -= 1
+            self._heard_at = now
+            self._note_answer(self._probe)
+            return False
+        if missing is not None and missing.accepts(reply) and self._late is None and not self._probe_lost:
+            self._late = reply
+            if missing is codec.START_PTP and self._awaits_final:
+                self.final = ReplyKind.NAK if reply.kind is ReplyKind.NAK else None
+                self.doubt = True
+            if self._probes == 0:
+                self._end_search()
         elif self._awaits_final and self.final is None and reply.kind in (ReplyKind.DONE, ReplyKind.NAK):
-            self.final = reply.kind
-            self._main_answered_at = time.monotonic()
+            self._main_answered_at = now
+            if self._unacknowledged and reply.kind is ReplyKind.DONE:
+                self._unacknowledged, self.doubt = False, True
+            else:
+                self.final = reply.kind
             return True
         elif reply.kind is ReplyKind.NAK and not self.refused:
             self.refused = True
-            self._main_answered_at = time.monotonic()
+            self._main_answered_at = now
             return True
         foreign = reply.kind is ReplyKind.FOREIGN
+        self._strays += 1
         self.counts.foreign += foreign
         self.counts.stray += not foreign
         return False
-
-    def _sort_out(self, replies: list[KstReply], missing: KstCommand) -> KstReply | None:
-        """Sorts replies and returns the one among them that answers `missing`."""
-        late = None
-        for reply in replies:
-            if missing.accepts(reply) and self._unanswered is missing:
-                self._unanswered = None
-                self.counts.stray += 1
-                late = reply
-            else:
-                self._sort(reply)
-        return late
-
-    def _arm_moves(self) -> bool:
-        before = np.array(self.ask(codec.JOINTS).numbers)
-        self.transport.pause(self.timing.quiet)
-        change = np.abs(np.array(self.ask(codec.JOINTS).numbers) - before)
-        return not np.all(change <= STILL_RAD)

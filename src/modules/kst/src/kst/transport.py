@@ -40,6 +40,7 @@ class KstTransport:
         self._replies: deque[KstReply] = deque()
         self._aborted = threading.Event()
         self._lost: str | None = None
+        self._closed = False
         self.ended_by_peer = False
 
     @classmethod
@@ -100,10 +101,19 @@ class KstTransport:
         self._check()
 
     def give_up(self, reason: str) -> None:
-        """Declares the link lost and raises ConnectionLost with the reason."""
+        """Declares the link lost and raises ConnectionLost with the reason; the socket stays open until `close`."""
         self._lost = self._lost or reason
-        self._shut_down()
         self._check()
+
+    def reopen(self) -> None:
+        """Allows the last words on a link that was given up, unless the peer ended it or it was aborted or closed."""
+        if not (self.ended_by_peer or self._aborted.is_set() or self._closed):
+            self._lost = None
+
+    def end_writing(self) -> None:
+        """Tells the peer that no more bytes will come; its own are still taken."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
 
     def abort(self) -> None:
         """Drops the connection without a command to the server; any thread may call it, a waiting call wakes up."""
@@ -111,10 +121,16 @@ class KstTransport:
         self._shut_down()
 
     def close(self) -> None:
-        """Closes the socket; only from the thread that uses it."""
+        """Ends the use of the socket; only from the thread that uses it.
+
+        A peer that is merely silent would lose the last words by answering to a closed socket, which resets the link.
+        So the socket stays open to it, until it is closed a second time or collected.
+        """
         self._lost = self._lost or "the connection is closed"
-        self._shut_down()
-        self._socket.close()
+        if self._closed or self.ended_by_peer or self._aborted.is_set():
+            self._shut_down()
+            self._socket.close()
+        self._closed = True
 
     def _read(self) -> None:
         try:
