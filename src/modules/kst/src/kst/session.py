@@ -223,7 +223,7 @@ class KstSession:
         return late
 
     def settle(self, deadline: float) -> bool:
-        """Looks for the missing answer until `deadline`, in seconds of time.monotonic(); returns whether none is missing.
+        """Looks for the missing answer until `deadline`, in seconds of time.monotonic(); returns whether all came.
 
         Several calls may continue one search. It ends when every probe is answered. If one of them stays unanswered
         while another one was, it is lost; it becomes the missing answer, and a probe of another kind follows. An answer
