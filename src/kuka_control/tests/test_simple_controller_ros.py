@@ -217,12 +217,14 @@ class TestWithoutMaster:
             code, text = run("zero", "--yes", *robot.here)
         assert code == 1 and "serves one program at a time" in text and "Traceback" not in text
 
-    def test_refuses_a_velocity_at_which_the_robot_would_stop_on_its_way(self, robot, run):
-        code, text = run(*NEAR, "--yes", "--velocity", "0.9", *robot.here)
-        assert code == 1
-        slower = float(re.search(r"above 0.8 m/s .* use --velocity ([0-9.]+)\.", text)[1])
-        assert 0.15 < slower < 0.4
-        np.testing.assert_allclose(robot.degrees, 0.0, atol=1e-6)
+    def test_slows_a_motion_at_which_the_robot_would_stop_on_its_way(self, robot, run):
+        code, text = run(*FAR, "--yes", "--velocity", "0.9", *robot.here)
+        assert code == 0, text
+        used = float(re.search(r"at ([0-9.]+) of full speed .*\n.*slowed from 0.9", text)[1])
+        assert 0.15 < used < 0.5
+        np.testing.assert_allclose(robot.degrees, FAR, atol=0.1)
+        truth = robot.ask("state")
+        assert truth["stops"] == 0 and 0.5 < truth["max_tcp_speed"] < 0.8
 
     def test_an_interruption_says_that_the_arm_goes_on_and_closes(self, robot, start, wait_until):
         process = start(*FAR, "--yes", *SLOW, *robot.here)

@@ -153,7 +153,7 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
         upper=rig.model.upper - RANGE_MARGIN_RAD,
     )
     slow, fast = config.velocity_ptp_slow, config.velocity_ptp_fast
-    settings = RealTimeSettings(rig.home.q, config.time_out, slow, fast, config.servo_law, goals)
+    settings = RealTimeSettings(rig.ptp_velocity, rig.home.q, config.time_out, slow, fast, config.servo_law, goals)
     return RealTimeLoop(settings, rig.chain, motion_limits(config, rig) if goals.shaped else Unlimited())
 
 
@@ -179,4 +179,4 @@ def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
 def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
     """Returns the PTP control loop."""
     velocity, threshold = config.velocity_ptp, float(np.radians(config.joints_thresh))
-    return PtpLoop(PtpSettings(rig.home.q, config.time_out, velocity, velocity, threshold), rig.chain)
+    return PtpLoop(PtpSettings(rig.ptp_velocity, rig.home.q, config.time_out, velocity, velocity, threshold), rig.chain)

@@ -45,6 +45,7 @@ WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED}  # the states that f
 class LoopSettings:
     """Settings of both loops."""
 
+    ptp_velocity: Callable[[np.ndarray, np.ndarray, float], float]  # slows a motion whose tool would be too fast
     q_home: np.ndarray  # home position, shape (7,) [rad]
     time_out: float  # go home after this time without a new desired tool frame [s]
     velocity_home: float  # fraction of the full joint speed to home at the start and when control goes off, and to zero
@@ -171,6 +172,7 @@ class ControlLoop(ABC, Generic[Settings]):
         name, velocity, data, enable_count = "", 0.0, None, before.enable_count
         if row.action is Action.PTP:
             name, q, velocity = self._motion(row.target, fired.trigger)
+            velocity = self._settings.ptp_velocity(cycle.observation.joints, q, velocity)
             data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity)
             self.counts["ptp_motions"] += 1
         elif row.action is Action.HOLD:

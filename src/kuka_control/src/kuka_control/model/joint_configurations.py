@@ -12,12 +12,10 @@ import numpy as np
 from common.config import parse, vector
 from common.errors import ConfigError
 from common.poses import read_only
-from iiwa_kinematics import jacobian
 from iiwa_kinematics.robot_model import RobotModel
 from kst import PtpLimits
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
-STEPS = 101  # number of points of the path at which the speed of the tool is calculated
 ARRIVED_DEG = float(np.degrees(PtpLimits.arrived))  # at a configuration no joint is further off [deg]
 
 
@@ -97,22 +95,6 @@ class JointMotion:
     def needed(self) -> bool:
         """Whether the arm is anywhere else than at the target."""
         return abs(self.largest[1]) > ARRIVED_DEG
-
-    def greatest_tool_speed(self, model: RobotModel, T_flange_tool: np.ndarray, velocity: float) -> float:
-        """Returns the greatest speed of the tool point on the path [m/s]; all joints start and arrive together.
-
-        `T_flange_tool` has the shape (4, 4) [m]; `velocity` is the fraction of full joint speed, above 0.
-        """
-        duration = self.least_duration(velocity * model.max_speed)
-        if duration == 0.0:
-            return 0.0
-        speeds = (self.target - self.start) / duration
-        path = (self.start + part * (self.target - self.start) for part in np.linspace(0.0, 1.0, STEPS))
-        return max(float(np.linalg.norm(jacobian(model, q, T_flange_tool)[:3] @ speeds)) for q in path)
-
-    def least_duration(self, speeds: np.ndarray) -> float:
-        """Returns how long it takes at the joint speeds, shape (7,) [rad/s], without the time to speed up [s]."""
-        return float(np.max(np.abs(self.target - self.start) / speeds))
 
     def table(self) -> list[str]:
         """Returns lines that show the present joints, the target and the steps between them."""

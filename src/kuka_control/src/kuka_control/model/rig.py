@@ -11,7 +11,7 @@ from common.config import parse
 from common.errors import ConfigError
 from common.mounting import MountingFrame, mounting_frame
 from common.poses import inverse
-from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, robot_model
+from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, ptp_velocity, robot_model
 from kuka_control.model.config import ControllerConfig, DhDeviations, neighbours
 from kuka_control.model.home_pose import Home, HomeError, custom_home, home_pose
 from kuka_control.model.target import TargetChain
@@ -62,6 +62,13 @@ class Rig:
             home = home_pose(kinematics, workspace, mounting)
         chain = TargetChain(home.centre, workspace, kinematics)
         return cls(model, T_flange_tool, mounting, kinematics, workspace, home, chain)
+
+    def ptp_velocity(self, start: np.ndarray, goal: np.ndarray, velocity: float) -> float:
+        """Returns the fraction of full joint speed of a PTP motion: `velocity`, or less for a tool too fast.
+
+        `start` and `goal` are joints of shape (7,) [rad]; the speed limit is `iiwa_kinematics.PTP_M_PER_S`.
+        """
+        return ptp_velocity(self.model, self.T_flange_tool, start, goal, velocity)
 
     def T_base_flange(self, T_base_tool: np.ndarray) -> np.ndarray:
         """Returns the flange, shape (4, 4) [m], of a tool frame."""

@@ -14,6 +14,7 @@ import numpy as np
 import rospy
 
 from common.errors import ConfigError, DeviceError, RigError
+from iiwa_kinematics import PTP_M_PER_S, full_speed_time, path_speed, ptp_velocity
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 from kst import JointLimits, KstClient, KstError, PtpProgress, PtpState, ServerBusy, read_joints, run_ptp
 from kuka_control.model.config import OPTIONS, RobotAddress, robot_address
@@ -30,7 +31,6 @@ from kuka_control.ros.parameter_server import (
 
 NODE = "kuka_simple_node"
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", NODE)  # nodes that hold the robot's only connection
-STOP_M_PER_S = 0.8  # above this speed of the tool point the robot's controller stops the arm [m/s]
 INTERRUPTED = 130
 BAR_CHARACTERS = 30
 
@@ -154,18 +154,15 @@ def _move(
         print(f"The arm is at {name} already; nothing was moved.")
         return 0
     joint, step = motion.largest
-    seconds = motion.least_duration(options.velocity * model.max_speed)
-    tool_speed = motion.greatest_tool_speed(model, T_flange_tool, options.velocity)
+    velocity = ptp_velocity(model, T_flange_tool, motion.start, motion.target, options.velocity)
+    seconds = full_speed_time(model, motion.start, motion.target) / velocity
+    tool_speed = path_speed(model, T_flange_tool, motion.start, motion.target) / seconds
     print(
-        f"Largest step: joint {joint} by {step:+.1f} deg; at {options.velocity:g} of full speed about {seconds:.1f} s, "
-        f"the tool at up to {tool_speed:.2f} m/s."
+        f"Largest step: joint {joint} by {step:+.1f} deg; at {velocity:g} of full speed about {seconds:.1f} s, "
+        f"the tool or the elbow at up to {tool_speed:.2f} m/s."
     )
-    if tool_speed > STOP_M_PER_S:
-        slower = np.floor(100.0 * options.velocity * STOP_M_PER_S / tool_speed) / 100.0
-        raise RigError(
-            f"The tool would move at up to {tool_speed:.2f} m/s, and above {STOP_M_PER_S:g} m/s the robot's controller "
-            f"stops the arm; use --velocity {slower:g}."
-        )
+    if velocity < options.velocity:
+        print(f"That is slowed from {options.velocity:g}: neither may pass {PTP_M_PER_S:g} m/s.")
     agreed = options.yes or agrees(f"Move the arm to {name}?")
     if not agreed:
         print("Nothing was moved.")
@@ -180,7 +177,7 @@ def _move(
 
     with noted_interruptions() as noted:
         try:
-            end = run_ptp(client, target, options.velocity, report=show, interrupted=lambda: bool(noted))
+            end = run_ptp(client, target, velocity, report=show, interrupted=lambda: bool(noted))
         finally:
             line.end()
     if end.state is PtpState.INTERRUPTED:

@@ -64,7 +64,7 @@ class KstClient:
         self._limits = limits
         self._mode = KstMode.IDLE
         self._goal = np.zeros(7)
-        self._at_goal_since: float | None = None  # time at which a motion in doubt was first seen at its goal [s]
+        self._still_since: float | None = None  # since when a motion in doubt has stood still [s]
 
     @property
     def mode(self) -> KstMode:
@@ -208,7 +208,7 @@ class KstClient:
         self._accept(codec.relative_velocity(velocity))
         self._ask(codec.joint_goal(goal))
         self._goal = goal
-        self._at_goal_since = None
+        self._still_since = None
         self._session.expect_final(True)
         self._mode = KstMode.PTP
         try:
@@ -243,26 +243,25 @@ class KstClient:
     def _arrived_by_joints(self) -> bool:
         """Returns whether a motion has ended whose words leave that open: by its joints.
 
-        The final word may come somewhat after the arrival, so it is waited for as long as for any answer.
+        The final word may come somewhat after the arrival, and a motion may begin late, so an arm that stands still is
+        watched as long as an answer is waited for.
         """
-        session = self._session
-        if session.arm_is_at(self._goal):
-            now = time.monotonic()
-            self._at_goal_since = now if self._at_goal_since is None else self._at_goal_since
-            if now < self._at_goal_since + session.timing.reply:
-                return False
+        session, now = self._session, time.monotonic()
+        at_goal = session.arm_is_at(self._goal)
+        acknowledged = session.acknowledged
+        if not at_goal and (acknowledged or session.arm_moves() or session.acknowledged):
+            # A word that came while the joints were read is the acknowledgement or the final one, as before.
+            session.doubt, self._still_since = session.acknowledged and not acknowledged, None
+            return False
+        self._still_since = now if self._still_since is None else self._still_since
+        if now < self._still_since + session.timing.reply:
+            return False
+        if at_goal:
             session.expect_second_word()
             self._mode = KstMode.IDLE
             return True
-        self._at_goal_since = None
-        if session.acknowledged:
-            session.doubt = False
-        elif session.arm_moves():
-            session.doubt = session.acknowledged
-        elif not session.acknowledged:
-            self._end_motion()
-            raise MotionRefused("the PTP motion did not begin: its start was lost; nothing moves")
-        return False
+        self._end_motion()
+        raise MotionRefused("the PTP motion did not begin: its start was lost; nothing moves")
 
     def start_joint_servo(self) -> None:
         """Starts the joint position servo with the present joints, which must be within the limits, as its goal."""

@@ -16,8 +16,10 @@ from common.config import choice, integer, parse, text
 from common.errors import ConfigError, DeviceError
 from common.frames import BASE, FLANGE_MEASURED
 from common.mounting import mounting_field
+from common.poses import translation
 from common.ros.conversions import stamped_transform
 from common.ros.service_calls import listens
+from iiwa_kinematics import ptp_velocity, robot_model
 from kst import JointLimits, KstClient, KstError, PtpLimits, PtpProgress, ServerBusy, read_joints, run_ptp
 from rig_description.arms import ARMS, MEDIA_FLANGES
 from vision.calibration.arm_model import JOINTS, ArmModel
@@ -25,6 +27,7 @@ from vision.ros.calibration.calibration_setup import StoreConfig
 
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", "kuka_simple_node")
 DEFAULT_PORT = 30001
+T_FLANGE_HAND = translation(0.0, 0.0, 0.2)  # the far end of a hand; its speed is limited, whatever is mounted [m]
 LIMITS = PtpLimits(arrived=np.radians(0.2))
 
 
@@ -72,6 +75,7 @@ class PtpArm:
                 )
         self._velocity = velocity
         self._model = model
+        self._robot = robot_model(address.robot, address.flange)
         self._broadcaster = tf2_ros.TransformBroadcaster()
         self._joint_states = rospy.Publisher("joint_states", JointState, queue_size=10)
         limits = JointLimits(model.lower, model.upper)
@@ -96,9 +100,13 @@ class PtpArm:
         return T
 
     def move_to(self, q: np.ndarray) -> None:
-        """Moves to q, shape (7,) [rad], and returns on arrival; prints a sentence while the arm is stalled."""
+        """Moves to q, shape (7,) [rad], and returns on arrival; prints a sentence while the arm is stalled.
+
+        It is slower than the given fraction where `T_FLANGE_HAND` or the elbow would pass `PTP_M_PER_S`.
+        """
         with _device_errors():
-            run_ptp(self._client, q, self._velocity, LIMITS, self._report)
+            velocity = ptp_velocity(self._robot, T_FLANGE_HAND, read_joints(self._client), q, self._velocity)
+            run_ptp(self._client, q, velocity, LIMITS, self._report)
 
     def close(self) -> None:
         """Closes the connection and tells the operator; never raises."""

@@ -1,0 +1,70 @@
+"""The tool's speed in a PTP motion, against finite differences along the path."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from iiwa_kinematics import ROBOTS, arm_points, forward, robot_model
+from iiwa_kinematics.ptp_speed import EXCESS, PTP_M_PER_S, STOP_M_PER_S, full_speed_time, path_speed, ptp_velocity
+
+CASES = 60
+PARTS = 300
+
+
+def motions(seed, count=CASES):
+    """Arms, tools and pairs of joints: far apart, near, and single joints."""
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        model = robot_model(ROBOTS[i % 2], "MF_elektrisch")
+        T = np.eye(4)
+        T[:3, 3] = [(0.0, 0.0, 0.106), (0.0, 0.0, 0.0), rng.uniform(-0.2, 0.2, 3)][i % 3]
+        start = rng.uniform(model.lower, model.upper)
+        goal = [rng.uniform(model.lower, model.upper), start + rng.normal(0.0, 0.1, 7), start][i // 3 % 3].copy()
+        if i // 3 % 3 == 2:
+            j = rng.integers(7)
+            goal[j] = rng.uniform(model.lower[j], model.upper[j])
+        yield model, T, start, np.clip(goal, model.lower, model.upper)
+
+
+def sampled(model, T, start, goal):
+    """The greatest |p'(s)| of tool point and elbow, by differences along the path."""
+    points = []
+    for s in np.linspace(0.0, 1.0, PARTS + 1):
+        q = start + s * (goal - start)
+        points.append([(forward(model, q) @ T)[:3, 3], arm_points(model, q)[2]])
+    steps = np.linalg.norm(np.diff(np.array(points), axis=0), axis=2)
+    return float(np.max(steps)) * PARTS
+
+
+@pytest.mark.parametrize("case", motions(1))
+def test_the_bound_is_above_the_path_and_near_it(case):
+    model, T, start, goal = case
+    elbow = model.shoulder_elbow * math.hypot(*(goal - start)[:2])
+    bound, true = path_speed(*case), sampled(*case)
+    assert true <= bound + 1e-9
+    assert bound <= (1.0 + EXCESS) * max(1.01 * true, elbow) + 1e-9
+
+
+@pytest.mark.parametrize("case", motions(2))
+def test_no_motion_passes_the_limit_and_none_is_slowed_for_nothing(case):
+    model, T, start, goal = case
+    for velocity in (0.05, 0.25, 1.0):
+        used = ptp_velocity(*case, velocity)
+        assert 0.0 < used <= velocity
+        if not np.array_equal(start, goal):
+            speed = used * sampled(*case) / full_speed_time(model, start, goal)
+            assert speed <= PTP_M_PER_S
+            elbow = used * model.shoulder_elbow * math.hypot(*(goal - start)[:2]) / full_speed_time(model, start, goal)
+            assert used == velocity or max(speed, elbow) > (PTP_M_PER_S - 0.001 / used) * (1.0 - 1.5 * EXCESS)
+
+
+def test_where_the_arm_is_already_any_velocity_is_allowed():
+    model = robot_model(ROBOTS[0], "MF_elektrisch")
+    assert ptp_velocity(model, np.eye(4), np.ones(7), np.ones(7), 1.0) == 1.0
+
+
+def test_the_limit_is_below_the_stop():
+    assert PTP_M_PER_S < 0.95 * STOP_M_PER_S
