@@ -91,6 +91,22 @@ def test_what_an_old_server_does_not_tell_is_said_once_and_calculated():
     assert arm.take_remarks() == []
 
 
+def test_a_server_that_freezes_at_the_start_of_servo_mode_lacks_nothing():
+    client = FakeClient()
+    client.fails = {Feedback.POSE: [ReplyTimeout("silent")] * 2}
+    arm = KstArm(client, wrench_of)
+    client._answer, answer = lambda asked: _silent_after_pose(client, answer, asked), client._answer
+    with pytest.raises(ReplyTimeout):
+        arm.start_servo()
+    assert arm.estimated_in_servo == ("moment",)
+
+
+def _silent_after_pose(client, answer, asked):
+    if asked == "joints" and client.asked[Feedback.POSE] == 2:
+        raise ReplyTimeout("silent")
+    return answer(asked)
+
+
 def test_one_lost_answer_drops_no_kind_of_reading():
     client = FakeClient()
     client.fails = {Feedback.POSE: [UnexpectedReply("NaN")], Feedback.FORCE: [ReplyTimeout("silent")]}

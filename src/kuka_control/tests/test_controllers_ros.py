@@ -554,6 +554,45 @@ def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on
     np.testing.assert_allclose(back.joints, np.zeros(7), atol=1e-3)
 
 
+def test_a_frozen_robot_is_waited_for_on_the_same_connection(ros, robot, start, hand, wait_until, suspend):
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    from rig_msgs.msg import KukaStatus
+
+    node = start(time_out=5.0)
+    node.wait_for_mode("home")
+    node.control(True)
+    hand(home_tool())
+    node.wait_for_mode("servo")
+    states, diagnostics = ros.record("kuka/status", KukaStatus), ros.record("/diagnostics", DiagnosticArray)
+    node.modes.clear()
+
+    def holds():
+        values = [{v.key: v.value for v in status.values} for m in diagnostics for status in m.status]
+        return [int(v["holds"]) for v in values if "holds" in v][-1:]
+
+    suspend(robot.process.pid)
+    time.sleep(0.3)
+    robot.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: any("ms; the goals hold" in state.reason for state in states), 10.0, "the hold")
+    wait_until(lambda: "The robot answers again after" in node.log, 10.0, "the end of the hold")
+    wait_until(lambda: any(holds()), 10.0, "the count")
+    assert not node.modes and states[-1].mode == "servo"
+
+    suspend(robot.process.pid)
+    node.wait_for_mode("stopped")
+    wait_until(lambda: "the same connection is probed" in states[-1].reason, 10.0, "the status")
+    refused = node.control(True)
+    assert not refused.success and refused.message == "Control stays off: the robot does not answer."
+    robot.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: "connected again" in states[-1].reason, 20.0, "the robot's return")
+    truth = robot.ask()
+    assert truth["mode"] == "idle" and truth["connected"] and "deaf" not in node.log
+    assert node.control(True).success
+    node.wait_for_mode("servo")
+    assert [m.data for m in node.modes][:2] == ["stopped", "homing"]
+
+
 def test_a_controller_that_waits_for_its_robot_ends_when_asked(lost_in_servo):
     answer = lost_in_servo.call("exit_app", "exitApp")
     assert answer.success and "leaves the arm as it is: the robot is out of reach" in answer.message

@@ -238,6 +238,7 @@ class KstArm(Arm):
             try:
                 _second_try(partial(self._client.servo, q, feedback))
             except NO_READING:
+                self._client.joints()  # a server that answers nothing at all lacks nothing; this raises then
                 self._lacking += (feedback,)
                 self._remarks.append(
                     f"In servo mode this toolbox server does not tell the {name}, as those before May 2019; "

@@ -137,7 +137,7 @@ def end_in_order(deaths: Deaths) -> None:
     try:
         call("kuka/exit_app", exitApp, timeout=EXIT_TIMEOUT_S)
     except ServiceFailed as error:
-        print(f"The controller did not accept the request to exit: {error}.")
+        deaths.sentences.append(f"{CONTROLLER} did not accept the request to exit: {error}")
         return
     deadline = time.monotonic() + EXIT_TIMEOUT_S
     while CONTROLLER not in deaths.ended and time.monotonic() < deadline:
