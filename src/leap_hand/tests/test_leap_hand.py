@@ -17,7 +17,7 @@ from common.errors import ConfigError
 from common.rotations import rotation_from_zyx
 from leap_hand.config import HandConfig
 from leap_hand.flexion import angle_between, flexion, map_angles
-from leap_hand.teleop import MAX_BAD_FRAMES, GripperState, HandTeleop
+from leap_hand.teleop import GripperState, HandTeleop
 from leap_motion.frames import FingerPoints, TrackedHand, TrackingFrame
 
 SHIPPED = yaml.safe_load((Path(__file__).parents[1] / "config" / "leap_hand.yaml").read_text())
@@ -66,8 +66,8 @@ def changed(hand, field, value):
 class Player:
     """Feeds hands to a HandTeleop as frames of a tracker at 100 Hz."""
 
-    def __init__(self, hand_only=True):
-        self.teleop = HandTeleop(CONFIG, hand_only)
+    def __init__(self, hand_only=True, **changes):
+        self.teleop = HandTeleop(dataclasses.replace(CONFIG, **changes), hand_only)
         self.number = 0
         self.now = 50.0
 
@@ -75,6 +75,9 @@ class Player:
         self.number += 1
         self.now += 0.01
         return self.teleop.step(TrackingFrame(self.number, 0.0, hands), self.now)
+
+    def steps(self, count, *hands):
+        return [self.step(*hands) for _ in range(count)]
 
 
 @given(*[st.floats(5.0, 175.0)] * 3, st.floats(1.0, 90.0))
@@ -159,12 +162,67 @@ def test_open_and_closed_hands():
 @pytest.mark.parametrize(
     "hands, word", [((), "no hand"), ((dataclasses.replace(hand_with(), fingers=None),), "five fingers")]
 )
-def test_without_a_whole_hand_the_robot_hand_opens(hands, word):
-    play = Player()
+@pytest.mark.parametrize("hold", [0.2, 1.0])
+def test_without_a_whole_hand_the_grip_is_kept_for_a_while_then_the_robot_hand_opens(hands, word, hold):
+    play = Player(grip_hold=hold)
     play.step(hand_with(20.0, 20.0, 20.0))
-    result = play.step(*hands)
+    kept = play.steps(round(hold * 100) - 1, *hands)
+    assert all((r.state, r.command) == (GripperState.KEEPING, None) and word in r.reason for r in kept)
+    result = play.steps(2, *hands)[-1]
     assert result.state == GripperState.OPEN and word in result.reason
     np.testing.assert_array_equal(result.command, OPEN_POSE)
+    assert (play.teleop.counts.grips_kept, play.teleop.counts.grips_opened) == (1, 1)
+
+
+def test_without_a_grip_hold_the_hand_opens_at_once():
+    play = Player(grip_hold=0.0)
+    play.step(hand_with(20.0, 20.0, 20.0))
+    assert play.step().state == GripperState.OPEN
+
+
+def test_another_open_hand_in_view_does_not_open_the_robot_hand():
+    """The operator's fist is not seen in single frames while an open left hand lies beside it."""
+    play = Player()
+    fist, lies = (
+        hand_with(20.0, 20.0, 20.0),
+        dataclasses.replace(hand_with(), id=9, is_left=True, palm=[-0.3, 0.0, 0.0]),
+    )
+    results = play.steps(5, fist, lies)
+    for missing in (1, 3, 15):
+        results += play.steps(missing, lies) + play.steps(5, fist, lies)
+    commands = [r.command for r in results if r.command is not None]
+    np.testing.assert_allclose(commands, [np.radians([115, 115, 100, 0])] * len(commands), atol=1e-12)
+    opened = play.steps(200, lies)[-1]
+    assert opened.state == GripperState.OPEN and "was in view already" in opened.reason
+    play.steps(30)
+    assert play.step(lies).state == GripperState.FOLLOWING
+
+
+def test_in_the_rig_the_robot_hand_follows_the_hand_that_steers_the_arm_alone():
+    play = Player(hand_only=False)
+    play.teleop.switch(True)
+    fist, lies = (
+        hand_with(20.0, 20.0, 20.0),
+        dataclasses.replace(hand_with(), id=9, is_left=True, palm=[-0.3, 0.0, 0.0]),
+    )
+    play.teleop.steered_by(None)
+    waits = play.steps(30, fist, lies)[-1]
+    assert waits.state == GripperState.OPEN and "interaction box" in waits.reason
+    play.teleop.steered_by((7, False))
+    assert play.step(lies, fist).reason == "right hand 7 is followed"
+    renamed = dataclasses.replace(fist, id=8)
+    assert play.step(lies, renamed).state == GripperState.KEEPING, "until leap_kuka reports the new id"
+    play.teleop.steered_by((8, False))
+    assert play.step(lies, renamed).reason == "right hand 8 is followed"
+    play.teleop.steered_by(None)
+    states = [r.state for r in play.steps(30, renamed, lies)]
+    assert states[18] == GripperState.KEEPING and states[21:] == [GripperState.OPEN] * 9
+
+
+def test_the_hand_alone_ignores_what_the_arm_does():
+    play = Player(hand_only=True)
+    play.teleop.steered_by(None)
+    assert play.step(hand_with(20.0)).state == GripperState.FOLLOWING
 
 
 def test_nothing_is_sent_before_the_gripper_flag_came():
@@ -203,11 +261,12 @@ def test_the_hand_that_was_first_counts():
     assert result.reason == "right hand 9 is followed"
 
 
-def test_one_torn_frame_does_not_let_go_and_many_do():
+def test_torn_frames_do_not_let_go_as_long_as_the_grip_is_kept():
     play = Player()
+    play.step(hand_with(20.0))
     torn = changed(hand_with(20.0), "index_tip", (float("nan"), 0.0, 0.0))
-    results = [play.step(torn) for _ in range(MAX_BAD_FRAMES)]
-    assert [r.command is None for r in results] == [True] * (MAX_BAD_FRAMES - 1) + [False]
+    results = play.steps(22, torn)
+    assert all(r.command is None for r in results[:18])
     assert results[-1].state == GripperState.OPEN and "invalid numbers" in results[-1].reason
     assert play.step(hand_with(20.0)).state == GripperState.FOLLOWING
     assert play.step(torn).command is None
@@ -224,6 +283,14 @@ def test_a_silent_tracker_opens_the_hand_once():
     play.now += 1.0
     assert play.step(hand_with(20.0)).state == GripperState.FOLLOWING
     assert play.teleop.silence(play.now + 0.51) is not None
+
+
+def test_a_silent_tracker_does_not_cut_a_longer_grip_short():
+    play = Player(grip_hold=2.0)
+    play.step(hand_with(20.0))
+    assert play.teleop.silence(play.now + 1.9).state == GripperState.KEEPING
+    assert play.teleop.silence(play.now + 2.1).state == GripperState.OPEN
+    assert play.teleop.silence(play.now + 2.2) is None
 
 
 def test_repeated_and_stale_frames_are_no_frames():

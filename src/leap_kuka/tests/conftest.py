@@ -1,5 +1,6 @@
 """Hands made by hand and hands from recordings, for the tests of leap_kuka."""
 
+import dataclasses
 import gzip
 import json
 
@@ -72,6 +73,12 @@ def player():
 
         def steps(self, count, *hands):
             return [self.step(*hands) for _ in range(count)]
+
+        def come_in(self, hand, *others):
+            """The hand comes from in front of the box and stays for a second; returns the results."""
+            way = [0.3] * 3 + np.arange(0.3, 0.0, -0.015).tolist() + [0.0] * 100
+            hands = [dataclasses.replace(hand, palm=np.add(hand.palm, (0.0, 0.0, back))) for back in way]
+            return [self.step(hand, *others) for hand in hands]
 
     return Player
 

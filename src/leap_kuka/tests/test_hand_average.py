@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.rotations import check_rotation, rotation_about
-from leap_kuka.hand_average import MAX_LEFT_OUT, HandAverage, hand_fault, hand_rotation
+from leap_kuka.hand_average import MAX_LEFT_OUT, NOMINAL_RATE_HZ, HandAverage, hand_fault, hand_rotation
 
 angles = st.floats(-180.0, 180.0)
 small = st.floats(-60.0, 60.0)
@@ -79,7 +79,7 @@ def test_records_cannot_be_written_to(sample):
 def test_there_is_a_mean_of_the_newest_exactly_when_the_window_is_full(sample, size, count):
     average = HandAverage(size)
     for i in range(count):
-        assert average.add(sample(position=(0.001 * i, 0.35, 0.0)), 0.01 * i) is None
+        assert average.add(sample(position=(0.001 * i, 0.35, 0.0)), i / NOMINAL_RATE_HZ) is None
     assert (average.mean() is not None) == (count >= size)
     if count >= size:
         assert average.mean().palm[0] == pytest.approx(0.001 * np.mean(range(count - size, count)))
@@ -115,6 +115,43 @@ def test_the_mean_follows_with_half_the_window_as_delay(sample):
     np.testing.assert_allclose(average.mean().palm, [0.0045, 0.35, 0.0])
 
 
+@pytest.mark.parametrize("rate", [25.0, 50.0, 74.0, 110.0, 150.0, 295.0])
+def test_at_any_rate_the_mean_lags_by_half_the_window_at_most(sample, rate):
+    """Ten samples of a tracker at 25 Hz would lag by 180 ms."""
+    average = HandAverage(10)
+    times = np.arange(round(0.5 * rate)) / rate
+    for t in times:
+        average.add(sample(position=(0.1 * t, 0.35, 0.0)), t)
+    lag = times[-1] - average.mean().palm[0] / 0.1
+    assert lag <= 0.5 * average.window and average.count <= 10
+    assert lag == pytest.approx(0.5 * (average.count - 1) / rate, abs=1e-9)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.0005, 0.002])
+def test_noise_does_not_make_a_still_hand_fast_and_no_hand_slow(sample, noise):
+    rng = np.random.default_rng(3)
+
+    def speeds(velocity):
+        average = HandAverage(10)
+        for i in range(1000):
+            position = np.array([velocity * i / NOMINAL_RATE_HZ, 0.35, 0.0]) % 1.0
+            average.add(sample(position=position + rng.normal(0.0, noise, 3)), i / NOMINAL_RATE_HZ)
+            if average.mean() is not None:
+                yield average.mean().speed
+
+    assert max(speeds(0.0)) < 0.3
+    assert np.mean([speed > 0.3 for speed in speeds(0.5)]) > 0.95
+
+
+def test_a_hand_that_shakes_is_never_slow(sample):
+    """5 Hz and 30 mm; a line through the whole window is level where the hand turns back."""
+    average = HandAverage(10)
+    for i in range(400):
+        t = i / NOMINAL_RATE_HZ
+        average.add(sample(position=(0.03 * np.sin(2.0 * np.pi * 5.0 * t), 0.35, 0.0)), t)
+        assert average.mean() is None or average.mean().speed > 0.3
+
+
 def test_a_hand_that_turns_over_within_the_window_has_no_mean(sample):
     average = HandAverage(2)
     average.add(sample(), 0.0)
@@ -145,7 +182,18 @@ def test_a_palm_that_jumped_and_stays_there_is_lost(sample):
 
 
 @pytest.mark.parametrize(
-    "step, dt, taken", [(19, 0.009, True), (21, 0.009, False), (34, 0.0175, True), (19, 0.0, True)]
+    "step, dt, taken",
+    [
+        (19, 0.009, True),
+        (21, 0.009, False),
+        (34, 0.0175, True),
+        (19, 0.0, True),
+        (190, 0.099, True),
+        (190, 0.101, False),
+        (29, 0.101, True),
+        (56, 0.19, True),
+        (58, 0.19, False),
+    ],
 )
 def test_the_gate_is_one_of_speed_with_a_floor(sample, step, dt, taken):
     average = HandAverage(3)

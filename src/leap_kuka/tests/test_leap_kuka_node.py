@@ -124,6 +124,10 @@ def node(ros):
         def states(self):
             return [{v.key: v.value for v in m.values}["state"] for m in self.stream]
 
+        def owners(self):
+            values = [{v.key: v.value for v in m.values} for m in self.stream]
+            return [(v["hand_id"], v["hand_side"]) for v in values]
+
         def holds(self):
             return [{v.key: v.value for v in m.values}["hold"] for m in self.stream]
 
@@ -169,6 +173,17 @@ def test_a_hand_is_followed_and_lost(ros, node, tracker, hand, wait_until):
     wait_until(lambda: node.children() == {"leap_motion/virtual_frame"}, 20.0, "the frames of the hand to end")
     wait_until(lambda: node.states()[-1] == "waiting", 5.0, "the end to be announced")
     assert any(m.level == 1 and m.message == "right hand 12 was lost" for m in node.stream)
+    assert node.owners()[-1] == ("", "") and ("12", "right") in node.owners()
+    tracker.show(hand(id=13))
+    rests = "out of the box and back in"
+    wait_until(lambda: rests in node.stream[-1].message, 10.0, "the reason of a hand that is found in the box")
+    tracker.show(hand(id=13, position=(0.0, 0.35, 0.3)))
+    wait_until(lambda: "in front of the box" in node.stream[-1].message, 10.0, "the hand in front of the box")
+    tracker.show(hand(id=13))
+    wait_until(lambda: node.owners()[-1] == ("13", "right"), 10.0, "the hand that came in")
+    tracker.show(hand(id=14, position=(0.005, 0.35, 0.0)))
+    wait_until(lambda: node.owners()[-1] == ("14", "right"), 10.0, "the same hand with another number")
+    assert node.states()[-1] == "running"
     listener.unregister()
 
 
@@ -191,6 +206,10 @@ def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, han
 
     wait_until(lambda: node.children(), 20.0, "frames")
     assert hold(tool, 30.0).message == "The tool is not held: control of the arm is off."
+    wait_until(lambda: status.get_num_connections() > 0, 10.0, "the node to listen")
+    status.publish(KukaStatus(control_on=False))
+    seen = len(node.tf)
+    wait_until(lambda: len(node.tf) > seen + 20, 10.0, "frames meanwhile: the node keeps the newest status alone")
     status.publish(KukaStatus(control_on=True))
 
     def held():

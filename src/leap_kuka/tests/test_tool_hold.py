@@ -38,6 +38,7 @@ def holding(leap, arm, player):
     def make(T=None, duration=30.0):
         play = player(ArmTeleop(leap(), arm()))
         play.step()
+        play.teleop.control(False)
         play.teleop.control(True)
         answer = play.teleop.hold(tool() if T is None else T, duration, play.now)
         assert answer.success, answer.sentence
@@ -106,10 +107,10 @@ def test_the_hand_that_took_over_steers_for_as_long_as_it_is_there(holding, samp
 def test_afterwards_a_stream_begins_where_it_always_does(leap, arm, player, holding, sample):
     held, free = holding(), player(ArmTeleop(leap(), arm()))
     held.steps(20, sample())
-    lost = held.step()
+    lost = held.steps(22)[-1]
     assert (lost.state, lost.hold, lost.T_virtual_tool) == (StreamState.WAITING, HoldState.NONE, None)
     hand = sample(yaw=20.0, position=(0.03, BOX_HEIGHT, 0.02))
-    again, first = held.steps(10, hand)[-1], free.steps(10, hand)[-1]
+    again, first = held.come_in(hand)[-1], free.come_in(hand)[-1]
     assert (again.state, again.hold) == (StreamState.RUNNING, HoldState.NONE)
     np.testing.assert_array_equal(again.T_base_virtual, first.T_base_virtual)
     np.testing.assert_array_equal(again.T_virtual_tool, first.T_virtual_tool)
@@ -203,10 +204,11 @@ def test_when_nothing_can_be_held(leap, arm, player, sample):
     assert refusal() == "The tool is not held: no tracking frames come in."
     play.step()
     assert refusal() == "The tool is not held: control of the arm is off."
+    play.teleop.control(False)
     play.teleop.control(True)
     play.steps(10, sample())
     assert refusal() == "The tool is not held: a hand is followed."
-    play.step()
+    play.steps(22)
     assert play.teleop.hold(tool(), 10.0, play.now).success
     assert "it is held already" in refusal()
     assert play.teleop.end_hold().success and play.teleop.end_hold().success
@@ -217,6 +219,7 @@ def test_a_hold_that_is_over_leaves_no_trace(recording, leap, arm, name):
     """Bit for bit, on a recording of a real hand."""
     lift = {"confidence-74fps": (0.0, 0.19, 0.0), "rollAndPitchWithEntry": (-0.05, 0.19, 0.0)}[name]
     held, free = ArmTeleop(leap(), arm()), ArmTeleop(leap(), arm())
+    held.control(False)
     held.control(True)
     for i, (t, hands) in enumerate(recording(name, lift)):
         frame = TrackingFrame(i, 0.0, hands)

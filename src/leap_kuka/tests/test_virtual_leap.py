@@ -4,13 +4,23 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.mounting import mounting_frame
 from common.poses import check_pose, pose
 from common.rotations import check_rotation, rotation_about, rotation_angle, rotation_from_zyx
-from leap_kuka.virtual_leap import R_LEAP_REFERENCE, Attitude, attitude, heading, tool_rotation, virtual_leap_pose
+from leap_kuka.virtual_leap import (
+    MAX_GAIN,
+    R_LEAP_REFERENCE,
+    UPRIGHT,
+    Attitude,
+    SteadyAttitude,
+    attitude,
+    heading,
+    tool_rotation,
+    virtual_leap_pose,
+)
 
 anywhere = st.floats(-math.pi, math.pi)
 tilt = st.floats(-1.4, 1.4)
@@ -81,6 +91,71 @@ def test_a_hand_that_pitches_over_the_vertical_stays_at_the_pitch_limit():
             [0.0, np.clip(pitch, -LIMITS.pitch, LIMITS.pitch), 0.0],
             atol=1e-6,
         )
+
+
+def wandering(rng, seconds, rate):
+    """Yields orientations of a hand that turns at random between anatomical and stranger poses, with the noise of a
+    tracker: yaw and roll all around, pitch up to and past the vertical."""
+    spread = rng.uniform(0.2, 1.0) * np.array([math.pi, 1.7, math.pi])
+    angles, goal, noise, speed = np.zeros(3), np.zeros(3), rng.uniform(0.0, 0.05), rng.uniform(0.5, 12.0)
+    for _ in range(int(seconds * rate)):
+        way = goal - angles
+        angles = angles + way * min(1.0, speed / rate / max(1e-9, np.abs(way).max()))
+        if np.abs(goal - angles).max() < 1e-6:
+            goal = rng.uniform(-spread, spread)
+        yield hand(*angles) @ rotation_from_zyx(*rng.normal(0.0, noise, 3))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**9), st.sampled_from([20.0, 110.0, 295.0]), anywhere)
+def test_the_tool_never_turns_faster_than_a_multiple_of_the_hand(seed, rate, psi):
+    """Also where roll passes 180 deg, with the hand upright or on end, and where the angles are replaced."""
+    before = steady = None
+    for R in wandering(np.random.default_rng(seed), 3.0, rate):
+        if steady is None:
+            steady = SteadyAttitude(R, psi, LIMITS)
+        steady.follow(R)
+        tool = tool_rotation(steady.clipped, psi, turned=True)
+        assert np.all(np.abs(steady.clipped.array) <= LIMITS.array + 1e-12)
+        if before is not None:
+            assert rotation_angle(before[1].T @ tool) <= MAX_GAIN * rotation_angle(before[0].T @ R) + 1e-6
+        before = R, tool
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**9), st.floats(-1.2, 1.2), st.floats(-0.7, 0.7), st.floats(-1.2, 1.2))
+def test_wherever_the_hand_was_its_way_back_is_free(seed, yaw, pitch, roll):
+    """Once the hand is back in front of the operator and has moved there a little, the tool has its clipped angles."""
+    steady = SteadyAttitude(hand(0.0, 0.0, 0.0), 0.0, LIMITS)
+    for R in wandering(np.random.default_rng(seed), 2.0, 110.0):
+        steady.follow(R)
+    for s in np.linspace(0.0, 1.0, 60):
+        steady.follow(hand(0.5 * math.sin(6.0 * s) + s * yaw, s * pitch, s * roll))
+    steady.follow(hand(yaw, pitch, roll))
+    np.testing.assert_allclose(steady.clipped.array, Attitude(yaw, pitch, roll).clipped(LIMITS).array, atol=1e-9)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_an_angle_that_passes_180_deg_stays_at_its_limit(axis):
+    angles = np.zeros(3)
+    steady = SteadyAttitude(hand(*angles), 0.0, LIMITS)
+    rng = np.random.default_rng(5)
+    for angle in np.radians([*np.arange(0.0, 180.0, 2.0), *(180.0 + rng.normal(0.0, 4.0, 500))]):
+        angles[axis] = angle
+        steady.follow(hand(*angles))
+        assert steady.clipped.array[axis] == pytest.approx(min(angle, LIMITS.array[axis]), abs=1e-9)
+    assert steady.limited == [("yaw", "pitch", "roll")[axis]]
+
+
+@given(st.floats(-1.5, 1.5), st.floats(-1.0, 1.0), st.floats(-1.5, 1.5))
+def test_an_ordinary_hand_is_clipped_as_ever(yaw, pitch, roll):
+    """The limit of the turn has no effect on a hand that moves evenly, with little pitch."""
+    steady = SteadyAttitude(hand(0.0, 0.0, 0.0), 0.0, LIMITS)
+    for s in np.linspace(0.0, 1.0, 50):
+        goal = Attitude(*(s * np.array([yaw, 0.75 * pitch, roll])).tolist())
+        assert np.all(np.abs(goal.array) <= UPRIGHT)
+        steady.follow(hand(*goal.array))
+        np.testing.assert_allclose(steady.clipped.array, goal.clipped(LIMITS).array, atol=1e-9)
 
 
 def test_the_signs_of_the_angles():

@@ -7,6 +7,7 @@ the calls of `HandPuppet` are taken. A process of its own, because the frames mu
 
 from __future__ import annotations
 
+import itertools
 import signal
 import sys
 import threading
@@ -27,6 +28,8 @@ HOST = "127.0.0.1"
 PERIOD_S = 1.0 / 50.0
 """Half the tracker's frame rate, to leave the processor time for other things."""
 
+ENTRY_M, ENTRY_S = 0.25, 0.8
+GONE_FRAMES = 70  # more than the node under test waits for a hand that is missing
 BOX_CENTRE_MM = np.array([0.0, 350.0, 0.0])
 """Centre of the interaction box with the parameters as shipped, in Leap axes."""
 
@@ -46,7 +49,7 @@ class Hand:
 
 
 class HandPuppet:
-    """A source of the simulated service. Every call of `show` brings another hand, with a new id."""
+    """A source of the simulated service. Every call of `show` or `flash` brings another hand, with a new id."""
 
     def __init__(self) -> None:
         self._seen = 0
@@ -59,11 +62,14 @@ class HandPuppet:
         self._moving = False
 
     def show(self, **at: float) -> None:
-        """Shows another hand from the next frame on, in place of the one before."""
-        self._follow(iter([Hand(**at)]), new=True)
+        """Brings another hand in from the operator's side of the box, once the one before is gone and given up."""
+        hand = Hand(**at)
+        entry = replace(hand, back=hand.back + ENTRY_M)
+        gone = [] if self._hand is None else [None] * GONE_FRAMES
+        self._follow(itertools.chain(gone, [entry] * 5, _glide(entry, hand, ENTRY_S)), new=True)
 
     def flash(self, frames: int, **at: float) -> None:
-        """Shows another hand for so many frames only."""
+        """Shows another hand where it is to be, for so many frames only."""
         self._follow(iter([Hand(**at)] * frames + [None]), new=True)
 
     def hide(self) -> None:

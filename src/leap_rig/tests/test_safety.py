@@ -89,18 +89,23 @@ def test_a_hand_starts_only_inside_the_box_level_and_well_seen(rig):
     rig.wait(lambda: rig.stream_state == "waiting", "the end of the stream of a badly seen hand")
 
 
-def test_nothing_is_published_before_the_mean_is_full(rig):
+def test_a_hand_that_is_found_in_the_box_starts_nothing_and_one_that_comes_in_does(rig):
+    rig.hand.show()
+    rig.wait(lambda: rig.stream_state == "running", "a first stream")
+    rig.hand.hide()
+    rig.wait(lambda: rig.stream_state == "waiting", "its end")
+    rig.desired.clear()
     humans = rig.listen_to_hands()
 
     def hands_were_seen():
-        rig.hand.flash(9)
+        rig.hand.flash(60)
         rig.wait(lambda: rig.hand.still, "the end of the hand")
         return len(humans) >= 15
 
     rig.wait(hands_were_seen, "15 frames with a hand on leap_motion/leap_device, some may be left behind", 15.0)
-    assert not rig.desired and not any("followed" in said for _, said in rig.stream)
-    rig.hand.flash(60)
-    rig.wait(lambda: rig.desired, "the desired tool frames of a hand that stays")
+    assert not rig.desired and any("out of the box and back in" in said for _, said in rig.stream)
+    rig.hand.show()
+    rig.wait(lambda: rig.desired, "the desired tool frames of a hand that comes in")
 
 
 def test_outliers_make_no_step_and_each_angle_is_clipped_by_itself(rig):

@@ -83,6 +83,7 @@ class Rig:
         known = {key: arm[key] for key in ("center_line", "z_lower_limit", "tool_length", "ws_center")}
         leap = parse(LeapConfig, parameters("leap_kuka/config/leap_params.yaml"), "leap/")
         self.teleop = ArmTeleop(leap, parse(ArmPlacement, known, "kuka/"))
+        self.teleop.control(False)
         self.arm = StillArm()
         self.controller = Controller(self.arm, algorithms.real_time_loop(config, self.rig))
         self.scale = 1.0

@@ -1,15 +1,27 @@
-"""Whether the stream of tracking frames is alive, and which of the hands in view is the operator's.
+"""Whether the stream of tracking frames is alive and fast enough, and which of the hands in view is the operator's.
 
-Times are seconds of a monotonic clock; only `age`, arrival less the frame's stamp, uses the clock of the stamps.
+Times are seconds of a monotonic clock; only `age`, arrival less the frame's stamp, uses the clock of the stamps. The
+time of a frame's stamp is its arrival less its age.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
 
 MAX_SKEW_S = 0.5  # how far a frame's stamp may be from the present time [s]
+RATE_WINDOW_S = 0.5  # time over which the frame rate is measured [s]
+RATE_FRAMES = 3  # fewest frames that have a rate
+
+MAX_STEP_M = 0.02  # farthest that a palm moves between two frames; the largest true step in recordings was 15 mm
+MAX_SPEED_M_S = 2.0  # fastest palm
+LONG_GAP_S = 0.1  # after a longer gap only a slow hand is the same: nobody saw where it was
+LONG_GAP_SPEED_M_S = 0.3  # as at the start of a stream
 
 
 @dataclass(frozen=True)
@@ -18,6 +30,7 @@ class FrameArrival:
 
     usable: bool  # whether it is new and of the present; otherwise it must be ignored
     broken: str | None = None  # why it must not continue the stream before it
+    stamp: float = 0.0  # time of its stamp, never before that of the frame before [s]; of a usable frame only
 
 
 class FrameWatch:
@@ -29,6 +42,7 @@ class FrameWatch:
         self._max_silence = max_silence
         self._last_id: int | None = None
         self._last_time: float | None = None
+        self._stamps: deque[float] = deque()
         self._refusal: tuple[str, float] | None = None
 
     def arrived(self, frame_id: int, age: float, now: float) -> FrameArrival:
@@ -48,7 +62,21 @@ class FrameWatch:
         elif self._last_time is not None and now - self._last_time > self._max_silence:
             broken = f"no tracking frame came for {now - self._last_time:.1f} s"
         self._last_id, self._last_time = frame_id, now
-        return FrameArrival(True, broken)
+        if broken:
+            self._stamps.clear()
+        # Age and arrival are read one after the other, so the stamps jitter by what a busy processor does between them.
+        stamp = max(now - age, self._stamps[-1]) if self._stamps else now - age
+        self._stamps.append(stamp)
+        while stamp - self._stamps[0] > RATE_WINDOW_S:
+            self._stamps.popleft()
+        return FrameArrival(True, broken, stamp)
+
+    @property
+    def rate(self) -> float | None:
+        """Usable frames per second by their stamps, over RATE_WINDOW_S [Hz]; None while there are too few."""
+        if len(self._stamps) < RATE_FRAMES or self._stamps[-1] == self._stamps[0]:
+            return None
+        return (len(self._stamps) - 1) / (self._stamps[-1] - self._stamps[0])
 
     def silence(self, now: float) -> str | None:
         """Returns why no usable frame came for longer than `max_silence`, or None where one came."""
@@ -59,34 +87,133 @@ class FrameWatch:
         return "no tracking frames come in"
 
 
-class Identified(Protocol):
-    """A hand: the tracker's number of it, and its side."""
+class TrackerHand(Protocol):
+    """A hand of a frame: the tracker's number of it, its side, and its pose in the Leap frame."""
 
     @property
     def id(self) -> int: ...
     @property
     def is_left(self) -> bool: ...
+    @property
+    def palm(self) -> np.ndarray: ...  # shape (3,) [m]
+    @property
+    def direction(self) -> np.ndarray: ...  # unit vector, shape (3,)
+    @property
+    def normal(self) -> np.ndarray: ...  # unit vector, shape (3,)
 
 
-Hand = TypeVar("Hand", bound=Identified)
+Hand = TypeVar("Hand", bound=TrackerHand)
 
 
-class HandChoice:
-    """Chooses the hand that has been visible longest; one that is missing in a frame counts as new afterwards.
+def plausible_step(elapsed: float) -> float:
+    """Returns how far a palm may have moved within `elapsed` [s] to be the same one [m]."""
+    return max(MAX_STEP_M, (MAX_SPEED_M_S if elapsed <= LONG_GAP_S else LONG_GAP_SPEED_M_S) * elapsed)
 
-    The reported visible time is unreliable (early Leap services put the service's uptime there), so the order of
-    appearance is kept here. A hand whose side changes was mistaken for another one.
+
+MAX_SUCCESSOR_STEP_M = 0.07  # less than the width of a palm: two hands side by side are never taken for one
+MAX_SUCCESSOR_TURN = math.radians(20.0)  # a hand that is found anew differs by some 10 deg, and turns meanwhile
+LEFT_BOX_M = 0.02  # a palm is out of the box when it is so far from it,
+LEFT_BOX_FRAMES = 3  # in so many frames in a row: neither noise at the edge nor an outlier leaves the box
+
+
+def succeeds(hand: TrackerHand, before: TrackerHand, elapsed: float) -> bool:
+    """Returns whether a hand with a new id is the one that was seen `elapsed` [s] ago: same side, near, same pose."""
+    cosine = math.cos(MAX_SUCCESSOR_TURN)
+    return (
+        hand.is_left == before.is_left
+        and float(np.linalg.norm(hand.palm - before.palm)) <= min(plausible_step(elapsed), MAX_SUCCESSOR_STEP_M)
+        and float(hand.direction @ before.direction) >= cosine
+        and float(hand.normal @ before.normal) >= cosine
+    )
+
+
+@dataclass(eq=False)
+class _Track(Generic[Hand]):
+    """A hand over its changes of id."""
+
+    hand: Hand  # as it was seen last
+    seen: float  # time of that frame's stamp [s]
+    came_in: bool  # whether it may start an engagement
+    visible: bool = True  # in the newest frame
+    frames_outside: int = 0  # newest frames in a row in which it was out of the box
+
+    @property
+    def key(self) -> tuple[int, bool]:
+        return self.hand.id, self.hand.is_left
+
+
+class HandLock(Generic[Hand]):
+    """One engagement, one owner: the hand that is locked by `engage`, until `end` or its loss.
+
+    The owner is known by id and side. When the tracker gives it a new id, it stays the owner if side, place,
+    orientation and time fit. Once `max_gap` [s] have passed without it, the engagement has ended; no other hand takes
+    its place.
+
+    The first engagement takes any hand. Each later one takes only a hand that came in after the end of the one before:
+    into the box from outside of it, or, without a box, into view. `outside` returns how far a palm, shape (3,) [m], is
+    outside of the box [m].
+
+    `hand` is the owner, or without one the hand that would be next: one that may start, in the box, seen longest. It is
+    None where that hand is not in the newest frame. `changed` tells that it is another one than in the frame before.
+    The visible time that the tracker reports is unreliable (early Leap services put the service's uptime there), so the
+    order of appearance is kept here.
     """
 
-    def __init__(self) -> None:
-        self._visible: list[tuple[int, bool]] = []
+    def __init__(self, max_gap: float, outside: Callable[[np.ndarray], float] | None = None) -> None:
+        self._max_gap, self._outside = max_gap, outside
+        self._tracks: list[_Track[Hand]] = []  # in the order of appearance
+        self._followed: _Track[Hand] | None = None
+        self._any_hand = True  # before the first end
+        self.engaged = self.changed = False
+        self.hand: Hand | None = None
 
-    def choose(self, hands: Iterable[Hand]) -> Hand | None:
-        """Returns the hand of a frame that has been visible longest, or None without a hand.
+    @property
+    def came_in(self) -> bool:
+        """Whether the hand may start an engagement."""
+        return self._followed is not None and self._followed.came_in
 
-        Of hands that appear in the same frame, the lower id counts as older: the tracker counts its ids upwards.
-        """
+    def engage(self) -> None:
+        """Makes the hand the owner."""
+        self.engaged = self._followed is not None
+
+    def end(self) -> None:
+        """Ends the engagement; every hand in view must go out and come in again."""
+        self.engaged = self._any_hand = False
+        for track in self._tracks:
+            track.came_in, track.frames_outside = False, 0
+
+    def update(self, hands: Iterable[Hand], now: float) -> Hand | None:
+        """Updates the choice from the hands of a frame whose stamp is at `now` [s]; returns `hand`."""
+        before = self._followed
+        self._tracks = [track for track in self._tracks if now - track.seen <= self._max_gap]
+        if self.engaged and before not in self._tracks:
+            self.end()
+        self._match(hands, now)
+        if not self.engaged:
+            self._followed = min((track for track in self._tracks if track.visible), key=self._rank, default=None)
+        self.changed = self._followed is not before
+        self.hand = self._followed.hand if self._followed is not None and self._followed.visible else None
+        return self.hand
+
+    def _match(self, hands: Iterable[Hand], now: float) -> None:
+        """Assigns the hands of a frame to the tracks by id and side, the rest by what they may be successors of."""
+        for track in self._tracks:
+            track.visible = False
+        known = {track.key: track for track in self._tracks}
         visible = {(hand.id, hand.is_left): hand for hand in hands}
-        staying = [key for key in self._visible if key in visible]
-        self._visible = staying + sorted(key for key in visible if key not in staying)
-        return visible[self._visible[0]] if self._visible else None
+        for key in sorted(visible, key=lambda key: (key not in known, key)):
+            hand, track = visible[key], known.get(key)
+            if track is None:
+                gone = (t for t in self._tracks if t.key not in visible and succeeds(hand, t.hand, now - t.seen))
+                track = next(gone, None)
+            if track is None:
+                track = _Track(hand, now, self._any_hand or self._outside is None)
+                self._tracks.append(track)
+            track.hand, track.seen, track.visible = hand, now, True
+            out = self._outside is not None and self._outside(hand.palm) > LEFT_BOX_M
+            track.frames_outside = track.frames_outside + 1 if out else 0
+            track.came_in |= track.frames_outside >= LEFT_BOX_FRAMES
+
+    def _rank(self, track: _Track[Hand]) -> tuple[bool, bool]:
+        inside = self._outside is None or self._outside(track.hand.palm) <= 0.0
+        return not (inside and track.came_in), not inside

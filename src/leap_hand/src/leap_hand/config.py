@@ -48,6 +48,10 @@ class HandConfig:
         "s", low=0.1, high=5.0, doc="without a state of the hand for this long no finger closes", absent=0.5
     )
 
+    grip_hold: float = number(
+        "s", low=0.0, high=10.0, doc="how long the grip is kept after the operator's hand is lost", absent=0.2
+    )
+
     @property
     def human(self) -> np.ndarray:
         """Angles of the open and of the closed human hand, shape (4, 2) [rad]."""

@@ -1,27 +1,31 @@
-"""From tracking frames to commands of the robot hand: choice of the hand, flexion, mapping, and when to open.
+"""From tracking frames to commands of the robot hand: whom it follows, flexion, mapping, and when to open.
 
-The hand opens when no hand is in view, when the hand in view lacks a finger, and when control of the gripper is off.
-A frame with invalid numbers is skipped, so that one bad frame does not drop the object. After MAX_SILENCE_S without a
-usable frame the hand opens once, as it would without a hand in view.
+Arm and robot hand have one owner: the hand that leap_kuka has locked, by id and side (`steered_by`). Where no leap_kuka
+reports, the lock is made here, by the same rules without a box (common.hand_tracking.HandLock).
+
+The hand opens when gripper control is off. It opens when its owner is missing, lacks a finger or has invalid numbers,
+or nobody is the owner: but only `grip_hold` after the last good frame, so that the object is held as long as the arm
+waits for its hand. Another hand in view changes nothing. Without a usable frame it opens once, after MAX_SILENCE_S.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
-from common.hand_tracking import FrameWatch, HandChoice
+from common.hand_tracking import FrameWatch, HandLock
 from common.poses import read_only
 from leap_hand.config import HandConfig
 from leap_hand.flexion import flexion, map_angles
-from leap_motion.frames import FingerPoints, TrackedHand, TrackingFrame
+from leap_motion.frames import TrackedHand, TrackingFrame
 
 GRIPPER_OFF = "the control of the gripper is off"
 
 MAX_SILENCE_S = 0.5
-MAX_BAD_FRAMES = 5  # the hand opens after this many frames with invalid numbers in a row
+MAX_MISSING_S = 0.2  # longest time without the owner of a lock that is made here
 
 
 class GripperState(Enum):
@@ -29,6 +33,7 @@ class GripperState(Enum):
 
     WAITING = "waiting"  # for the first message on kuka/gripper_control
     FOLLOWING = "following"  # the operator's hand
+    KEEPING = "keeping"  # its grip, without the operator's hand
     OPEN = "open"
 
 
@@ -41,20 +46,37 @@ class GripperResult:
     command: np.ndarray | None  # angles of index, middle, thumb, spread, shape (4,) [rad]; None: send nothing
 
 
+@dataclass
+class GripperCounts:
+    """Events since the start."""
+
+    grips_kept: int = 0  # times that the hand went missing and the grip was kept
+    grips_opened: int = 0  # of them, times that it stayed missing and the hand opened
+
+
 class HandTeleop:
     """The chain of steps with its state; `open_pose` has the angles of the open robot hand, shape (4,) [rad].
 
-    With `hand_only` it starts without a message on kuka/gripper_control.
+    With `hand_only` it starts without a message on kuka/gripper_control, and makes the lock itself.
     """
 
     def __init__(self, config: HandConfig, hand_only: bool) -> None:
-        self._human, self._robot = config.human, config.robot
+        self._human, self._robot, self._grip_hold = config.human, config.robot, config.grip_hold
         self.open_pose = read_only(self._robot[:, 0])
+        self.counts = GripperCounts()
         self._watch = FrameWatch(MAX_SILENCE_S)
-        self._choice = HandChoice()
+        self._lock: HandLock[TrackedHand] = HandLock(max(MAX_MISSING_S, config.grip_hold))
+        self._hand_only = hand_only
+        self._arm_reports = False
+        self._owner: tuple[int, bool] | None = None
         self._gripper_on: bool | None = True if hand_only else None
         self._opened_in_silence = False
-        self._bad_frames = 0
+        self._state = GripperState.WAITING
+        self._followed_at = -math.inf
+
+    def steered_by(self, owner: tuple[int, bool] | None) -> None:
+        """Sets id and side (whether left) of the hand that steers the arm, None while no hand does."""
+        self._arm_reports, self._owner = not self._hand_only, owner
 
     def switch(self, gripper_on: bool) -> GripperResult | None:
         """Sets control of the gripper; returns the open pose if this switches it off, else None."""
@@ -67,39 +89,62 @@ class HandTeleop:
 
         Returns None for a repeated frame and for one with an old or future stamp.
         """
-        if not self._watch.arrived(frame.id, frame.age, now).usable:
+        arrival = self._watch.arrived(frame.id, frame.age, now)
+        if not arrival.usable:
             return None
         self._opened_in_silence = False
-        hand = self._choice.choose(frame.hands)
+        hand, absence = self._choose(frame, arrival.stamp)
         if self._gripper_on is None:
             return GripperResult(GripperState.WAITING, "waiting for kuka/gripper_control", None)
         if not self._gripper_on:
             return self._open(GRIPPER_OFF)
         if hand is None:
-            return self._open("no hand is seen")
+            return self._keep(absence, now)
         if hand.fingers is None:
-            return self._open(f"{hand.name} has not five fingers")
-        return self._follow(hand, hand.fingers)
+            return self._keep(f"{hand.name} has not five fingers", now)
+        try:
+            angles = flexion(hand.palm, hand.normal, hand.fingers)
+        except ValueError as error:
+            return self._keep(f"{hand.name} has invalid numbers: {error}", now)
+        self._state, self._followed_at = GripperState.FOLLOWING, now
+        command = map_angles(angles, self._human, self._robot)
+        return GripperResult(GripperState.FOLLOWING, f"{hand.name} is followed", read_only(command))
 
     def silence(self, now: float) -> GripperResult | None:
         """Returns the open pose, once, when no usable frame came for MAX_SILENCE_S, else None."""
         silence = self._watch.silence(now)
         if silence is None or self._opened_in_silence or self._gripper_on is None:
             return None
-        self._opened_in_silence = True
-        return self._open(silence)
+        result = self._keep(silence, now) if self._gripper_on else self._open(GRIPPER_OFF)
+        self._opened_in_silence = result.state is GripperState.OPEN
+        return result
 
-    def _follow(self, hand: TrackedHand, fingers: FingerPoints) -> GripperResult:
-        try:
-            angles = flexion(hand.palm, hand.normal, fingers)
-        except ValueError as error:
-            self._bad_frames += 1
-            if self._bad_frames >= MAX_BAD_FRAMES:
-                return self._open(f"{hand.name} has invalid numbers: {error}")
-            return GripperResult(GripperState.FOLLOWING, f"one frame of {hand.name} was skipped: {error}", None)
-        self._bad_frames = 0
-        command = map_angles(angles, self._human, self._robot)
-        return GripperResult(GripperState.FOLLOWING, f"{hand.name} is followed", read_only(command))
+    def _choose(self, frame: TrackingFrame, stamp: float) -> tuple[TrackedHand | None, str]:
+        """Returns the owner as this frame shows it, or None and why."""
+        if self._arm_reports:
+            if self._owner is None:
+                return None, "no hand steers the arm; bring one into the interaction box"
+            owner = next((hand for hand in frame.hands if (hand.id, hand.is_left) == self._owner), None)
+            return owner, "the hand that steers the arm is not seen"
+        hand = self._lock.update(frame.hands, stamp)
+        if hand is None:
+            return None, "no hand is seen"
+        if not self._lock.engaged and not self._lock.came_in:
+            return None, f"{hand.name} was in view already; take it away and bring it back"
+        self._lock.engage()
+        return hand, ""
+
+    def _keep(self, reason: str, now: float) -> GripperResult:
+        """Keeps the grip for `grip_hold` after the hand was followed, then opens the hand."""
+        if self._state not in (GripperState.FOLLOWING, GripperState.KEEPING):
+            return self._open(reason)
+        if now - self._followed_at >= self._grip_hold:
+            self.counts.grips_opened += 1
+            return self._open(reason)
+        self.counts.grips_kept += self._state is GripperState.FOLLOWING
+        self._state = GripperState.KEEPING
+        return GripperResult(GripperState.KEEPING, f"{reason}; the grip is kept for {self._grip_hold:g} s", None)
 
     def _open(self, reason: str) -> GripperResult:
+        self._state = GripperState.OPEN
         return GripperResult(GripperState.OPEN, reason, self.open_pose)

@@ -20,7 +20,9 @@ class LeapConfig:
     box_dimensions: np.ndarray = vector(
         3, "m", above=0.0, high=1.0, doc="size of the interaction box along the Leap's axes"
     )
-    buffer_size: int = integer("samples", low=1, high=1000, doc="how many samples of the hand are averaged")
+    buffer_size: int = integer(
+        "samples", low=1, high=1000, doc="samples averaged, or as many as come in buffer_size / 110 s"
+    )
     start_tol_pitch: float = number("deg", above=0.0, below=90.0, doc="largest pitch at which a stream starts")
     start_tol_roll: float = number("deg", above=0.0, below=90.0, doc="largest roll at which a stream starts")
     run_tol_yaw: float = number("deg", low=0.0, high=90.0, doc="yaw is clipped to this, counted from the start")

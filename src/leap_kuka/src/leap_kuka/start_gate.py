@@ -1,4 +1,4 @@
-"""The start gate: a hand starts a stream in the interaction box, level, slow and tracked with confidence.
+"""The start gate: a hand that came into the interaction box starts a stream, level, slow and tracked with confidence.
 
 A running stream ends only on low confidence. The interaction box is centred on the Leap's y axis; its axes are the
 Leap's.
@@ -29,6 +29,10 @@ class InteractionBox:
     center: np.ndarray  # in the Leap frame, shape (3,) [m]
     size: np.ndarray  # lengths of its edges, shape (3,) [m]
 
+    def outside(self, palm: np.ndarray) -> float:
+        """Returns how far a palm, shape (3,) [m], is outside of the box along one of its axes, negative inside [m]."""
+        return float(np.max(np.abs(palm - self.center) - self.size / 2.0))
+
 
 def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
     """Returns the box whose centre maps to the centre of the workspace.
@@ -50,9 +54,14 @@ class StartGate:
         self._leap, self._box = leap, box
         self.running = False
 
-    def step(self, hand: MeanHand) -> list[str]:
-        """Updates `running` from the averaged hand; returns the unmet conditions, none while the stream runs."""
+    def step(self, hand: MeanHand, obstacle: str | None = None) -> list[str]:
+        """Updates `running` from the averaged hand; returns the unmet conditions, none while the stream runs.
+
+        An `obstacle` is one more condition for a start that is not met.
+        """
         faults = [] if self.running else self._outside(hand) + self._tilted(hand)
+        if obstacle and not self.running:
+            faults.append(obstacle)
         if not self.running and not hand.speed < START_SPEED_M_S:
             too_fast = f"the hand moves too fast for a start, at {hand.speed:.2f} m/s"
             faults.append(f"{too_fast}, and must be below {START_SPEED_M_S:g} m/s")

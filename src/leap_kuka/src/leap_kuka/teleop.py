@@ -1,7 +1,9 @@
-"""From tracking frames to the desired tool frame of the arm: choice of the hand, mean, start gate, virtual Leap, tool.
+"""From tracking frames to the desired tool frame of the arm: lock on a hand, mean, start gate, virtual Leap, tool.
 
-One object composes the steps. Poses are in the frame of the virtual Leap, which has the same coordinates as the real
-Leap's frame; `T_base_virtual` is its pose in the robot's base frame; metres and radians.
+One object composes the steps. A stream is one engagement of one hand (common.hand_tracking.HandLock). While that hand
+is missing, or the tracker is slower than MIN_RATE_HZ, the stream runs on and the tool stays. Poses are in the frame of
+the virtual Leap, which has the same coordinates as the real Leap's frame; `T_base_virtual` is its pose in the robot's
+base frame; metres and radians.
 
 While no hand steers, the tool may be held at a pose for a hand that then starts from there (tool_hold.py): as long as
 tracking frames come in and control of the arm is on.
@@ -14,16 +16,19 @@ from enum import Enum
 
 import numpy as np
 
-from common.hand_tracking import FrameWatch, HandChoice
+from common.hand_tracking import MAX_STEP_M, FrameWatch, HandLock
 from common.poses import inverse, pose, read_only
+from common.rotations import rotation_angle
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.hand_average import HandAverage, MeanHand
 from leap_kuka.start_gate import StartGate, interaction_box
 from leap_kuka.tool_hold import HandOver, HoldAnswer, HoldState, ToolHold, hand_over
-from leap_kuka.virtual_leap import Attitude, attitude, heading, tool_rotation, virtual_leap_pose
+from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, tool_rotation, virtual_leap_pose
 from leap_motion.frames import TrackedHand, TrackingFrame
 
-MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream
+MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream, or two frames with its hand
+MIN_RATE_HZ, ENOUGH_RATE_HZ = 20.0, 24.0  # below the first frame rate the tool stays, until the second is reached
+MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
 
 
 class StreamState(Enum):
@@ -46,6 +51,8 @@ class TeleopResult:
     measured: Attitude | None = None  # of the hand relative to the heading of its stream, while that runs
     clipped: Attitude | None = None  # the same with each angle within its limit
     hold: HoldState = HoldState.NONE  # HELD while the tool is held, TAKEN while the hand that took it over steers
+    owner: tuple[int, bool] | None = None  # id of the hand that steers, and whether it is a left one
+    obstacle: str | None = None  # why the tool does not follow the hand although the stream runs
 
 
 @dataclass
@@ -56,6 +63,9 @@ class TeleopCounts:
     frames_refused: int = 0
     samples_left_out: int = 0
     streams: int = 0
+    id_changes: int = 0  # of the hand that steers
+    frames_without_owner: int = 0
+    slow_frames: int = 0  # in which the tool stayed because the tracker was slow
     holds: int = 0
 
 
@@ -77,10 +87,16 @@ class ArmTeleop:
         self.T_tool_flange = read_only(inverse(arm.T_flange_tool))
         self.counts = TeleopCounts()
         self._watch = FrameWatch(MAX_SILENCE_S)
-        self._choice = HandChoice()
+        self._lock: HandLock[TrackedHand] = HandLock(MAX_SILENCE_S, self.box.outside)
         self._average = HandAverage(leap.buffer_size)
         self._gate = StartGate(leap, self.box)
+        self._control_known = False
         self._hand: TrackedHand | None = None
+        self._attitude: SteadyAttitude | None = None
+        self._slow = False
+        self._newest: np.ndarray | None = None  # T_virtual_tool of the newest frame of the stream
+        self._stays: np.ndarray | None = None  # the same while the tool stays because the tracker is slow
+        self._obstacle: str | None = None
         self._reason = "no tracking frames come in"
         self._hold = ToolHold(self._mounting.up)
         self._hand_over: HandOver | None = None
@@ -100,8 +116,20 @@ class ArmTeleop:
         return HoldAnswer(True, "The hold has ended." if held else "The tool is not held.")
 
     def control(self, on: bool) -> None:
-        """Sets whether control of the arm is on; switching it off ends a hold."""
+        """Sets whether control of the arm is on; switching it off ends a hold.
+
+        Where it is on from the beginning, this program was started anew, perhaps under the operator's hand.
+        """
+        if on and not self._control_known:
+            self._lock.end()
+            self._lose("control of the arm was on at the start; take the hand out of the box and back in")
+        self._control_known = True
         self._hold.control(on)
+
+    @property
+    def frame_rate(self) -> float | None:
+        """Tracking frames per second [Hz], None while it is unknown."""
+        return self._watch.rate
 
     def step(self, frame: TrackingFrame, now: float) -> TeleopResult:
         """Processes the newest frame; `now` is its time of arrival on a monotonic clock [s]."""
@@ -115,15 +143,22 @@ class ArmTeleop:
             self.counts.frames_refused += 1
             return self._result(False, now)
         self.counts.frames += 1
-        hand = self._choice.choose(frame.hands)
-        if self._hand is not None and (hand is None or (hand.id, hand.is_left) != (self._hand.id, self._hand.is_left)):
+        rate = self._watch.rate
+        self._slow = rate is not None and rate < (ENOUGH_RATE_HZ if self._slow else MIN_RATE_HZ)
+        self._obstacle = None
+        hand = self._lock.update(frame.hands, arrival.stamp)
+        if self._gate.running and not self._lock.engaged:
             end = f"{self._hand.name} was lost"
             self._lose(end)
-        self._hand = hand
-        if hand is None:
-            self._reason = "no hand is seen"
+        elif self._lock.changed:
+            self._average.reset()
+        if hand is not None:
+            self._follow(hand, arrival.stamp, now)
+        elif self._gate.running:
+            self.counts.frames_without_owner += 1
+            self._reason = self._obstacle = f"{self._hand.name} is not seen; the tool stays"
         else:
-            self._add(hand, now)
+            self._reason = "no hand is seen"
         if ran and end:
             self._reason = end
         return self._result(True, now)
@@ -141,14 +176,17 @@ class ArmTeleop:
         self._lose(reason)
         self._hold.end(reason)
 
-    def _add(self, hand: TrackedHand, now: float) -> None:
+    def _follow(self, hand: TrackedHand, stamp: float, now: float) -> None:
         """Adds a sample of the followed hand to the mean, and updates the gate."""
-        left_out = self._average.add(hand, now)
+        if self._gate.running and (hand.id, hand.is_left) != (self._hand.id, self._hand.is_left):
+            self.counts.id_changes += 1
+        self._hand = hand
+        left_out = self._average.add(hand, stamp)
         mean = self._average.mean()
         if left_out:
             self.counts.samples_left_out += 1
             self._reason = f"{hand.name}: {left_out}"
-        elif mean is None and self._average.count < self._average.size:
+        elif mean is None and not self._average.full:
             self._reason = f"{hand.name}: {self._average.count} of {self._average.size} samples are in"
         elif mean is None:
             self._reason = f"{hand.name} turns too fast"
@@ -158,13 +196,29 @@ class ArmTeleop:
             self._lose(f"{hand.name} was lost: {left_out or 'it turns too fast'}")
 
     def _update_gate(self, hand: TrackedHand, mean: MeanHand, now: float) -> None:
-        ran = self._gate.running
-        faults = self._gate.step(mean)
+        ran, obstacle = self._gate.running, None
+        if not self._lock.came_in:
+            obstacle = "it was in the box already, or was found there; take it out of the box and back in"
+        elif self._slow:
+            obstacle = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
+        faults = self._gate.step(mean, obstacle)
         self._reason = f"{hand.name}: {'; '.join(faults)}" if faults else f"{hand.name} is followed"
-        if self._gate.running and not ran:
+        if ran and faults:
+            self._lock.end()
+        elif self._gate.running and not ran:
+            self._lock.engage()
             self._turn(heading(mean.T_leap_hand[:3, 0]))
+            self._attitude = SteadyAttitude(mean.T_leap_hand[:3, :3], self._heading, self._limits)
             self._take_over(mean, now)
+            self._stays = None
             self.counts.streams += 1
+        elif self._gate.running:
+            self._attitude.follow(mean.T_leap_hand[:3, :3])
+            self._stay_while_slow(hand, mean, now)
+
+    @property
+    def _slowness(self) -> str:
+        return f"the tracker delivers only {self._watch.rate or 0.0:.0f} frames per second"
 
     def _turn(self, psi: float) -> None:
         """Turns the virtual Leap so that the heading psi [rad] points forward."""
@@ -177,39 +231,58 @@ class ArmTeleop:
         T_base_held, self._hand_over = self._hold.take(), None
         if T_base_held is None:
             return
-        T_virtual_tool, _, _ = self._tool(mean)
+        T_virtual_tool = self._tool(mean, now)
         R_virtual_level = tool_rotation(Attitude(0.0, 0.0, 0.0), self._heading, self._mounting.tool_reversed)
         self._hand_over = hand_over(T_base_held, self._T_base_virtual, T_virtual_tool, R_virtual_level, now)
         self._T_base_virtual = self._hand_over.T_base_virtual
 
+    def _stay_while_slow(self, hand: TrackedHand, mean: MeanHand, now: float) -> None:
+        """Keeps the tool where it is while the tracker is slow; afterwards only a hand that stayed too steers on."""
+        if self._slow:
+            self.counts.slow_frames += 1
+            self._stays = self._newest if self._stays is None else self._stays
+            self._reason = self._obstacle = f"{self._slowness}; the tool stays until {ENOUGH_RATE_HZ:g} come"
+        elif self._stays is not None:
+            step, self._stays = inverse(self._stays) @ self._tool(mean, now), None
+            if np.linalg.norm(step[:3, 3]) > MAX_STEP_M or rotation_angle(step[:3, :3]) > MAX_HELD_TURN:
+                self._lose(f"{hand.name} moved while the tracker was slow")
+
     def _lose(self, reason: str) -> None:
+        """Ends the stream, if it runs."""
+        if self._lock.engaged:
+            self._lock.end()
         self._average.reset()
         self._gate.running = False
         self._hand, self._reason = None, reason
 
-    def _tool(self, mean: MeanHand) -> tuple[np.ndarray, Attitude, Attitude]:
-        """Returns T_virtual_tool as the hand asks for it without a hold, and its attitude, measured and clipped."""
-        measured = attitude(mean.T_leap_hand[:3, :3], self._heading)
-        clipped = measured.clipped(self._limits)
-        R_virtual_tool = tool_rotation(clipped, self._heading, self._mounting.tool_reversed)
-        return pose(R_virtual_tool, mean.palm), measured, clipped
+    def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
+        """Returns T_virtual_tool as the hand of the stream asks for it."""
+        T_virtual_tool = pose(
+            tool_rotation(self._attitude.clipped, self._heading, self._mounting.tool_reversed), mean.palm
+        )
+        if self._hand_over is not None:
+            T_virtual_tool[:3, :3] = self._hand_over.rotation(T_virtual_tool[:3, :3], now)
+        return T_virtual_tool
 
     def _result(self, usable: bool, now: float) -> TeleopResult:
-        mean = self._average.mean()
+        mean = None if self._lock.hand is None else self._average.mean()
         T_virtual_hand = None if mean is None else mean.T_leap_hand
         hold_end = self._hold.end_reason()
-        if mean is None or not self._gate.running:
+        if not self._gate.running:
             T_held, T_virtual_tool, hold = self._hold.T_base_tool, None, HoldState.NONE
             if T_held is not None:
                 T_virtual_tool, hold = read_only(inverse(self._T_base_virtual) @ T_held), HoldState.HELD
             poses = (self._T_base_virtual, T_virtual_hand, T_virtual_tool)
             return TeleopResult(StreamState.WAITING, hold_end or self._reason, usable, *poses, hold=hold)
-        T_virtual_tool, measured, clipped = self._tool(mean)
-        hold = HoldState.NONE
-        if self._hand_over is not None:
-            T_virtual_tool[:3, :3] = self._hand_over.rotation(T_virtual_tool[:3, :3], now)
-            hold = HoldState.TAKEN
-        held = [name for name in ("yaw", "pitch", "roll") if getattr(measured, name) != getattr(clipped, name)]
-        reason = self._reason + (f"; {' and '.join(held)} at the limit" if held else "")
-        poses = (self._T_base_virtual, T_virtual_hand, read_only(T_virtual_tool))
-        return TeleopResult(StreamState.RUNNING, reason, usable, *poses, measured, clipped, hold)
+        hold = HoldState.NONE if self._hand_over is None else HoldState.TAKEN
+        owner = self._hand.id, self._hand.is_left
+        if mean is None:
+            poses = (self._T_base_virtual, None, None)
+            obstacle = self._obstacle or self._reason
+            return TeleopResult(StreamState.RUNNING, self._reason, usable, *poses, None, None, hold, owner, obstacle)
+        self._newest = read_only(self._tool(mean, now)) if self._stays is None else self._stays
+        limited = self._attitude.limited
+        reason = self._reason + (f"; {' and '.join(limited)} at the limit" if limited else "")
+        poses = (self._T_base_virtual, T_virtual_hand, self._newest)
+        angles = (self._attitude.measured, self._attitude.clipped)
+        return TeleopResult(StreamState.RUNNING, reason, usable, *poses, *angles, hold, owner, self._obstacle)

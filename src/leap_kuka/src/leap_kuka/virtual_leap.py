@@ -12,6 +12,12 @@ and positive roll lowers the right side. (The tracker's own roll has the opposit
 
 Yaw is relative to the heading of the hand at the start of the stream, not to the Leap's -z axis, so that a hand that
 comes in at a large yaw does not start clipped. Pitch and roll do not depend on the heading.
+
+During a stream the angles are continuous: those of each frame are the ones nearest to the frame before, so a palm that
+turns up past 180 deg stays at the limit that it reached. An angle is never clipped for ever: as soon as the hand is
+within UPRIGHT, where each orientation has one triple of angles, that triple counts, however the hand got there. And the
+tool never turns by more than MAX_GAIN times the turn of the hand, also where the angles themselves jump: near a pitch
+of 90 deg, and when a triple is replaced.
 """
 
 from __future__ import annotations
@@ -23,7 +29,10 @@ import numpy as np
 
 from common.mounting import MountingFrame
 from common.poses import pose
-from common.rotations import rotation_about, rotation_from_zyx, zyx_from_rotation
+from common.rotations import rotation_about, rotation_angle, rotation_from_zyx, zyx_from_rotation
+
+UPRIGHT = np.radians([90.0, 60.0, 90.0])  # largest yaw, pitch and roll of a hand whose angles are beyond doubt [rad]
+MAX_GAIN = 3.0  # turn of the tool per turn of the hand; up to 45 deg of pitch the angles alone need less than that
 
 R_LEAP_REFERENCE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
@@ -44,6 +53,41 @@ class Attitude:
         )
         return Attitude(yaw, pitch, roll)
 
+    @property
+    def array(self) -> np.ndarray:
+        """Yaw, pitch and roll, shape (3,) [rad]."""
+        return np.array([self.yaw, self.pitch, self.roll])
+
+
+class SteadyAttitude:
+    """The attitude of a hand over the frames of a stream, `measured` and `clipped` to `limits`, without jumps.
+
+    It starts at the orientation R_leap_hand, shape (3, 3), relative to `heading` [rad].
+    """
+
+    def __init__(self, R_leap_hand: np.ndarray, heading: float, limits: Attitude) -> None:
+        self._heading, self._limits = heading, limits
+        self._R_leap_hand = R_leap_hand
+        self.measured = attitude(R_leap_hand, heading)
+        self.clipped = self.measured.clipped(limits)
+
+    @property
+    def limited(self) -> list[str]:
+        """Names of the angles that are beyond their limits."""
+        limit = self.measured.clipped(self._limits)
+        return [name for name in ("yaw", "pitch", "roll") if getattr(limit, name) != getattr(self.measured, name)]
+
+    def follow(self, R_leap_hand: np.ndarray) -> None:
+        """Updates both attitudes to the orientation of the hand in the newest frame, shape (3, 3)."""
+        turn = rotation_angle(self._R_leap_hand.T @ R_leap_hand)
+        self._R_leap_hand = R_leap_hand
+        self.measured = attitude(R_leap_hand, self._heading, self.measured)
+        now, goal = self.clipped.array, self.measured.clipped(self._limits).array
+        way = float(np.sum(np.abs(goal - now)))  # no less than the turn of the tool
+        if way > MAX_GAIN * turn:
+            goal = now + MAX_GAIN * turn / way * (goal - now)
+        self.clipped = Attitude(*goal.tolist())
+
 
 def heading(direction: np.ndarray) -> float:
     """Returns the heading [rad] of a direction in the Leap frame, shape (3,); 0 for one that is vertical."""
@@ -61,16 +105,23 @@ def virtual_leap_pose(mounting: MountingFrame, ws_center: np.ndarray, height: fl
     return pose(straight @ rotation_about(1, psi), ws_center - height * up)
 
 
-def attitude(R_leap_hand: np.ndarray, heading: float) -> Attitude:
+def attitude(R_leap_hand: np.ndarray, heading: float, before: Attitude | None = None) -> Attitude:
     """Returns the attitude of the hand frame, shape (3, 3), relative to the reference hand turned to `heading` [rad].
 
-    Two triples of angles describe each orientation; this returns the one with the smaller sum. So a hand pitched beyond
-    the vertical has a pitch above 90 deg, and its yaw does not flip by 180 deg from one limit to the other.
+    Two triples of angles, plus full turns, describe each orientation. This returns the smallest, measured by the sum;
+    unless that is within UPRIGHT, the nearest to the attitude `before`. So a hand pitched beyond the vertical has a
+    pitch above 90 deg, and its yaw does not flip by 180 deg from one limit to the other.
     """
     yaw, pitch, roll = zyx_from_rotation(R_LEAP_REFERENCE.T @ R_leap_hand)
-    near = Attitude(_wrapped(yaw - heading), pitch, roll)
-    far = Attitude(_wrapped(near.yaw + math.pi), _wrapped(math.pi - pitch), _wrapped(roll + math.pi))
-    return min(near, far, key=lambda a: abs(a.yaw) + abs(a.pitch) + abs(a.roll))
+    triples = np.array([[yaw - heading, pitch, roll], [yaw - heading + math.pi, math.pi - pitch, roll + math.pi]])
+
+    def nearest(centre: np.ndarray) -> np.ndarray:
+        turned = triples - 2.0 * math.pi * np.round((triples - centre) / (2.0 * math.pi))
+        return turned[np.argmin(np.abs(turned - centre).sum(axis=1))]
+
+    smallest = nearest(np.zeros(3))
+    ambiguous = before is not None and np.any(np.abs(smallest) > UPRIGHT)
+    return Attitude(*(nearest(before.array) if ambiguous else smallest).tolist())
 
 
 def tool_rotation(angles: Attitude, heading: float, turned: bool) -> np.ndarray:
@@ -80,8 +131,3 @@ def tool_rotation(angles: Attitude, heading: float, turned: bool) -> np.ndarray:
     """
     R_virtual_tool = R_LEAP_REFERENCE @ rotation_from_zyx(angles.yaw + heading, angles.pitch, angles.roll)
     return R_virtual_tool @ rotation_about(2, math.pi) if turned else R_virtual_tool
-
-
-def _wrapped(angle: float) -> float:
-    """Returns the angle [rad] within (-pi, pi]."""
-    return math.pi - (math.pi - angle) % (2.0 * math.pi)

@@ -211,12 +211,12 @@ def test_of_a_backlog_only_the_newest_frame_is_returned(start, wait_until):
 
 
 def test_bad_frames_are_dropped_with_a_reason_and_the_stream_goes_on(start, wait_until):
-    bad = ['{"id":2,"timestamp":NaN,"hands":[],"pointables":[]}', '{"id":3,"hands":[', frame(4, hands=[{}]), b"\xff"]
+    bad = ['{"id":2,"timestamp":NaN,"hands":[],"pointables":[]}', '{"id":3,"hands":[', frame(4, hands=7), b"\xff"]
     step = threading.Semaphore(0)
 
     def talk(service, connection):
         greet(service, connection)
-        for text in [*bad, frame(5), frame(5), frame(6)]:
+        for text in [*bad, frame(5), frame(5), frame(6, hands=[{}])]:
             connection.send(text)
             step.acquire(timeout=10.0)
         service.stay(connection)
@@ -233,9 +233,10 @@ def test_bad_frames_are_dropped_with_a_reason_and_the_stream_goes_on(start, wait
     assert client.counts.dropped == {
         "The text holds the number NaN.": 1,
         "The text is not JSON.": 2,
-        "The field type is missing.": 1,
+        "A field has an unexpected form: TypeError 'int' object is not iterable.": 1,
         "A frame came twice.": 1,
     }
+    assert client.counts.hands_dropped == {"The field id is missing.": 1}
     assert client.counts.connections == 1
 
 

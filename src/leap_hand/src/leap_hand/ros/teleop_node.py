@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
 
@@ -20,7 +21,7 @@ from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.teleop import GripperResult, GripperState, HandTeleop
 from leap_motion.frames import TrackingFrame
-from leap_motion.ros.tracking import subscribe
+from leap_motion.ros.tracking import LEFT, subscribe
 from reflex_msgs.msg import Hand, RadianServoCommands
 
 WATCH_PERIOD_S = 0.1
@@ -53,6 +54,7 @@ class HandTeleopNode:
         """Follows the operator's hand once the state of the robot hand is known, until ROS shuts down."""
         self._state_received.wait(FIRST_STATE_S)
         rospy.Subscriber("kuka/gripper_control", Bool, self._on_gripper, queue_size=1)
+        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10, tcp_nodelay=True)
         subscribe(self._on_frame)
         while not rospy.is_shutdown():
             with self._lock:
@@ -62,6 +64,10 @@ class HandTeleopNode:
     def _on_gripper(self, message: Bool) -> None:
         with self._lock:
             self._carry_out(self._teleop.switch(message.data))
+
+    def _on_stream(self, stream: DiagnosticStatus) -> None:
+        with self._lock:
+            self._teleop.steered_by(owner(stream))
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
@@ -84,7 +90,8 @@ class HandTeleopNode:
         if result.command is not None:
             self._send(result.command)
         if (result.state, result.reason) != (self._result.state, self._result.reason):
-            rospy.loginfo("Hand %s: %s.", result.state.value, result.reason)
+            lost = result.state is GripperState.KEEPING
+            (rospy.logwarn if lost else rospy.loginfo)("Hand %s: %s.", result.state.value, result.reason)
         self._result = result
 
     def _send(self, wanted: np.ndarray) -> None:
@@ -105,6 +112,7 @@ class HandTeleopNode:
         values = {
             "state": self._result.state.value,
             "commands_sent": self._commands_sent,
+            **dataclasses.asdict(self._teleop.counts),
             "limited": ", ".join(f"{finger} ({why})" for finger, why in limited.items()),
             "limit_trips": self._force_limit.trips,
         }
@@ -112,6 +120,12 @@ class HandTeleopNode:
             return DiagnosticStatus.WARN, f"{self._result.reason}; {silence}", values
         level = DiagnosticStatus.OK if self._result.state is GripperState.FOLLOWING else DiagnosticStatus.WARN
         return level, self._result.reason, values
+
+
+def owner(stream: DiagnosticStatus) -> tuple[int, bool] | None:
+    """Returns id and side (whether left) of the hand that steers the arm, from a message on leap_kuka/stream."""
+    values = {value.key: value.value for value in stream.values}
+    return (int(values["hand_id"]), values["hand_side"] == LEFT) if values.get("hand_id") else None
 
 
 def finger_feedback(hand: Hand) -> FingerFeedback:

@@ -15,6 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from leap_kuka.start_gate import InteractionBox
 from leap_kuka.teleop import StreamState, TeleopResult
 from leap_kuka.tool_hold import HoldState
+from leap_motion.ros.tracking import LEFT, RIGHT
 
 GREEN = (0.2, 0.8, 0.3)
 AMBER = (1.0, 0.7, 0.1)
@@ -37,11 +38,12 @@ class StreamStatus:
         self._published: TeleopResult | None = None
 
     def update(self, result: TeleopResult) -> None:
-        """Sets the newest result; publishes it if the state changed."""
+        """Sets the newest result; publishes it if the state or the hand that steers changed."""
         with self._lock:
             self._newest = result
             before = self._published
-            if before is None or (before.state, before.hold) != (result.state, result.hold):
+            changes = (result.state, result.hold, result.owner)
+            if before is None or (before.state, before.hold, before.owner) != changes:
                 held = ", the tool is held" if result.hold is HoldState.HELD else ""
                 rospy.loginfo("Stream %s%s: %s.", result.state.value, held, result.reason)
                 self._publish(result)
@@ -63,11 +65,17 @@ class StreamStatus:
 
     def _publish(self, result: TeleopResult) -> None:
         self._published = result
-        values = [KeyValue("state", result.state.value), KeyValue("hold", result.hold.value)]
+        number, side = ("", "") if result.owner is None else (str(result.owner[0]), LEFT if result.owner[1] else RIGHT)
+        values = [
+            KeyValue("state", result.state.value),
+            KeyValue("hold", result.hold.value),
+            KeyValue("hand_id", number),
+            KeyValue("hand_side", side),
+        ]
         self._status.publish(
             DiagnosticStatus(level=_level(result), name="leap_kuka", message=result.reason, values=values)
         )
-        colour = GREEN if result.state is StreamState.RUNNING else AMBER
+        colour = GREEN if _level(result) == DiagnosticStatus.OK else AMBER
         self._markers.publish(MarkerArray([self._box_marker(colour), self._text_marker(colour, result.reason)]))
 
     def _box_marker(self, colour: tuple[float, float, float]) -> Marker:
@@ -100,4 +108,5 @@ class StreamStatus:
 
 
 def _level(result: TeleopResult) -> int:
-    return DiagnosticStatus.OK if result.state is StreamState.RUNNING else DiagnosticStatus.WARN
+    follows = result.state is StreamState.RUNNING and result.obstacle is None
+    return DiagnosticStatus.OK if follows else DiagnosticStatus.WARN

@@ -93,7 +93,9 @@ class ArmTeleopNode:
 
     def _diagnostics(self):
         level, reason, state = self._status.text
-        return level, reason, {"state": state, **dataclasses.asdict(self._teleop.counts)}
+        rate = self._teleop.frame_rate
+        values = {"state": state, "frame_rate": "" if rate is None else f"{rate:.1f}"}
+        return level, reason, {**values, **dataclasses.asdict(self._teleop.counts)}
 
 
 def read_arm_placement() -> ArmPlacement:

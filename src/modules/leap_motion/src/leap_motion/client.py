@@ -51,6 +51,7 @@ class LeapCounts:
     received: int = 0  # frames read from the socket
     superseded: int = 0  # frames that a newer one replaced before anybody asked for them
     dropped: Counter[str] = field(default_factory=Counter)  # unusable frames, by reason
+    hands_dropped: Counter[str] = field(default_factory=Counter)  # unusable hands of frames that were used, by reason
     connections: int = 0  # headers received; all but the first are reconnects
 
 
@@ -125,6 +126,8 @@ class LeapClient:
             except LeapProtocolError as error:
                 self._drop(str(error))
                 continue
+            for reason in frame.left_out:
+                self._drop(reason, hand=True)
             self._last = (frame.id, frame.timestamp_us)
             return StampedFrame(frame, stamp)
 
@@ -228,9 +231,9 @@ class LeapClient:
             return UNKNOWN_CAUSE
         return "tracking is paused." if event.attached else "the controller is not plugged in."
 
-    def _drop(self, reason: str) -> None:
+    def _drop(self, reason: str, hand: bool = False) -> None:
         with self._changed:
-            dropped = self._counts.dropped
+            dropped = self._counts.hands_dropped if hand else self._counts.dropped
             dropped[reason if reason in dropped or len(dropped) < MAX_REASONS else "other reasons"] += 1
 
     def _set_status(self, link: LeapLink, sentence: str, service: str | None = None) -> None:

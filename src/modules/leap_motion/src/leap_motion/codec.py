@@ -1,8 +1,9 @@
 """Text on the WebSocket of the Leap service to records; millimetres end here.
 
 The first message of a connection is the header; later messages with the key `event` are events, the others frames.
-Fields that control depends on must be present, finite and plausible, or the frame is refused with a reason. Unknown
-fields are ignored, and fields that some services leave out have defaults:
+Fields that control depends on must be present, finite and plausible, or the frame is refused with a reason; a hand with
+such a fault is left out alone, with its reason, and the others stay. Unknown fields are ignored, and fields that some
+services leave out have defaults:
 
 | missing | default |
 | --- | --- |
@@ -18,8 +19,9 @@ Handedness is taken from `type`: some services write right-handed bases for left
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -33,6 +35,7 @@ UNIT_TOLERANCE = 0.01  # how far the length of a unit vector, or a product of tw
 LIMIT = 1e9  # numbers beyond this are not measurements; they would not fit into the fields of messages either
 MM = 1e-3
 ZERO = (0, 0, 0)
+Read = TypeVar("Read")
 
 
 class LeapProtocolError(ValueError):
@@ -70,8 +73,13 @@ def read_message(text: str | bytes) -> LeapFrame | DeviceEvent | None:
         LeapProtocolError: the text is torn, or the frame is unusable.
     """
     message = _object(text)
+    return _checked(_event, message["event"]) if "event" in message else _checked(_frame, message)
+
+
+def _checked(read: Callable[..., Read], *fields: Any) -> Read:
+    """Returns what `read` makes of the fields; a LeapProtocolError where their form is not as expected."""
     try:
-        return _event(message["event"]) if "event" in message else _frame(message)
+        return read(*fields)
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         if isinstance(error, LeapProtocolError):
             raise
@@ -108,19 +116,26 @@ def _frame(message: dict) -> LeapFrame:
     for pointable in _field(message, "pointables"):
         if not pointable.get("tool") and "dipPosition" in pointable:
             fingers_of.setdefault(pointable.get("handId"), []).append(pointable)
-    hands = tuple(_hand(hand, fingers_of.get(hand.get("id"), [])) for hand in _field(message, "hands"))
+    hands, left_out = [], []
+    for hand in _field(message, "hands"):
+        try:
+            hands.append(_checked(_hand, hand, fingers_of))
+        except LeapProtocolError as error:
+            left_out.append(str(error))
     if len({hand.id for hand in hands}) < len(hands):
         raise LeapProtocolError("Two hands have the same id.")
     return LeapFrame(
         id=_whole(message, "id"),
         timestamp_us=_whole(message, "timestamp"),
         rate=_number(message, "currentFrameRate", 0.0),
-        hands=hands,
+        hands=tuple(hands),
+        left_out=tuple(left_out),
         gestures=len(message.get("gestures", ())),
     )
 
 
-def _hand(hand: dict, pointables: list[dict]) -> LeapHand:
+def _hand(hand: dict, fingers_of: dict[int, list[dict]]) -> LeapHand:
+    pointables = fingers_of.get(_whole(hand, "id"), [])
     if _field(hand, "type") not in ("right", "left"):
         raise LeapProtocolError(f"A hand has the type {str(hand['type'])[:40]!r}.")
     normal, direction = _unit(hand, "palmNormal"), _unit(hand, "direction")

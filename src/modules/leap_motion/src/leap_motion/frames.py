@@ -95,6 +95,7 @@ class LeapFrame:
     rate: float  # the service's estimate of the frame rate [Hz]
     hands: tuple[LeapHand, ...]  # in the order of the service
     gestures: int = 0  # number of gestures; zero unless the client asked for them
+    left_out: tuple[str, ...] = ()  # why hands of the service's frame are missing here, a sentence each
 
     @property
     def finger_count(self) -> int:

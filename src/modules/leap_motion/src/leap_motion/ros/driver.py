@@ -51,7 +51,8 @@ class LinkReport:
             "frames_superseded": counts.superseded,
             "frames_dropped": sum(counts.dropped.values()),
             "reconnects": max(0, counts.connections - 1),
-            **{f"dropped: {reason}": count for reason, count in counts.dropped.items()},
+            "hands_dropped": sum(counts.hands_dropped.values()),
+            **{f"dropped: {reason}": count for reason, count in (counts.dropped + counts.hands_dropped).items()},
         }
         level = DiagnosticStatus.OK if status.link is LeapLink.STREAMING else DiagnosticStatus.ERROR
         return level, status.sentence, values

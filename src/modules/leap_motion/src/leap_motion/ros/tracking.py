@@ -11,6 +11,7 @@ from common.ros.node import while_running
 from leap_motion.frames import DISTAL, INDEX, INTERMEDIATE, MIDDLE, THUMB, FingerPoints, TrackedHand, TrackingFrame
 from leap_motion.msg import Human
 
+RIGHT, LEFT = "right", "left"
 HUMAN_BUFFER_BYTES = 2**20  # room for many messages: rospy drops all but the newest only among those that it has read
 
 

@@ -34,6 +34,7 @@ GRIP_OFFSET = (-0.0152, 0.0, 0.0)
 """From the tool point to the middle between fingers and thumb, in the flange's axes [m]: the hand's x axis is reversed
 there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
 AT_HOME, FOLLOWING = "home", "servo"
+ENTRY_M, ENTRY_S = 0.25, 1.0  # the hand enters so far in front of the workspace's centre, and needs so long to it
 LOST_S, AWAY_S, MOST_VISITS = 2.0, 2.0, 3
 """After a lost stream: delay until the operator reacts, time of the hand out of view, and most entries into view."""
 FRESH_S = 2.0  # proposals of an older image are ignored
@@ -80,6 +81,11 @@ class Scenario(abc.ABC):
             if result.over:
                 break
         self._leapd.ask(assisted.HIDE)
+
+    def _show_hand(self) -> None:
+        """Brings the hand into the interaction box, from the operator's side of it."""
+        self._leapd.ask(assisted.SHOW, back=ENTRY_M)
+        self._leapd.ask("reach", seconds=ENTRY_S)
 
     @abc.abstractmethod
     def _start(self) -> None:
@@ -131,7 +137,7 @@ class PickScenario(Scenario):
             raise RigError(f"The scenario {name} needs an object {thing!r}; the scene has {sorted(self._shapes)}.")
 
     def _start(self) -> None:
-        self._leapd.ask(assisted.SHOW)
+        self._show_hand()
         self._operator, self._followed = PickAndPlace(Plan(), self._center_line), None
         self._visits += 1
 
@@ -173,8 +179,10 @@ class AssistedScenario(Scenario):
 
     def _step(self, now: float) -> assisted.AssistedStep:
         result = self._operator.step(self._view(), now)
-        if result.request in (assisted.SHOW, assisted.HIDE):
-            self._leapd.ask(result.request)
+        if result.request == assisted.SHOW:
+            self._show_hand()
+        elif result.request == assisted.HIDE:
+            self._leapd.ask(assisted.HIDE)
         elif result.request:
             try:
                 answer = call(f"grasping/{result.request}", Trigger, timeout=SERVICE_TIMEOUT_S, wait=SERVICE_TIMEOUT_S)
