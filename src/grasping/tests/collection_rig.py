@@ -101,9 +101,9 @@ def camera_pose(stamp):
 
 def stream(active: bool):
     """The message of leap_kuka/stream."""
-    from diagnostic_msgs.msg import DiagnosticStatus
+    from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-    return DiagnosticStatus(level=DiagnosticStatus.OK if active else DiagnosticStatus.WARN, name="stream")
+    return DiagnosticStatus(name="stream", values=[KeyValue("state", "running" if active else "waiting")])
 
 
 class PuppetRig:

@@ -172,6 +172,11 @@ class HandLock(Generic[Hand]):
         """Whether the hand may start an engagement."""
         return self._followed is not None and self._followed.came_in
 
+    @property
+    def owner(self) -> tuple[int, bool] | None:
+        """Id of the owner, and whether it is a left hand; None without an engagement."""
+        return self._followed.key if self.engaged and self._followed is not None else None
+
     def engage(self) -> None:
         """Makes the hand the owner."""
         self.engaged = self._followed is not None
@@ -190,15 +195,16 @@ class HandLock(Generic[Hand]):
             self.end()
         self._match(hands, now)
         if not self.engaged:
-            self._followed = min((track for track in self._tracks if track.visible), key=self._rank, default=None)
+            visible = [track for track in self._tracks if track.visible]
+            self._followed = min(visible, key=self._rank) if visible else None
         self.changed = self._followed is not before
         self.hand = self._followed.hand if self._followed is not None and self._followed.visible else None
         return self.hand
 
     def _match(self, hands: Iterable[Hand], now: float) -> None:
         """Assigns the hands of a frame to the tracks by id and side, the rest by what they may be successors of."""
-        for track in self._tracks:
-            track.visible = False
+        for known_track in self._tracks:
+            known_track.visible = False
         known = {track.key: track for track in self._tracks}
         visible = {(hand.id, hand.is_left): hand for hand in hands}
         for key in sorted(visible, key=lambda key: (key not in known, key)):

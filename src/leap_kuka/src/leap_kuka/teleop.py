@@ -11,7 +11,7 @@ tracking frames come in and control of the arm is on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -91,8 +91,8 @@ class ArmTeleop:
         self._average = HandAverage(leap.buffer_size)
         self._gate = StartGate(leap, self.box)
         self._control_known = False
-        self._hand: TrackedHand | None = None
-        self._attitude: SteadyAttitude | None = None
+        self._attitude = SteadyAttitude(np.eye(3), 0.0, self._limits)
+        self._name = ""  # of the hand that was followed last
         self._slow = False
         self._newest: np.ndarray | None = None  # T_virtual_tool of the newest frame of the stream
         self._stays: np.ndarray | None = None  # the same while the tool stays because the tracker is slow
@@ -146,17 +146,19 @@ class ArmTeleop:
         rate = self._watch.rate
         self._slow = rate is not None and rate < (ENOUGH_RATE_HZ if self._slow else MIN_RATE_HZ)
         self._obstacle = None
+        owner = self._lock.owner
         hand = self._lock.update(frame.hands, arrival.stamp)
-        if self._gate.running and not self._lock.engaged:
-            end = f"{self._hand.name} was lost"
+        if self._gate.running and self._lock.owner is None:
+            end = f"{self._name} was lost"
             self._lose(end)
         elif self._lock.changed:
             self._average.reset()
+        self.counts.id_changes += self._lock.owner not in (owner, None)
         if hand is not None:
             self._follow(hand, arrival.stamp, now)
         elif self._gate.running:
             self.counts.frames_without_owner += 1
-            self._reason = self._obstacle = f"{self._hand.name} is not seen; the tool stays"
+            self._reason = self._obstacle = f"{self._name} is not seen; the tool stays"
         else:
             self._reason = "no hand is seen"
         if ran and end:
@@ -178,9 +180,7 @@ class ArmTeleop:
 
     def _follow(self, hand: TrackedHand, stamp: float, now: float) -> None:
         """Adds a sample of the followed hand to the mean, and updates the gate."""
-        if self._gate.running and (hand.id, hand.is_left) != (self._hand.id, self._hand.is_left):
-            self.counts.id_changes += 1
-        self._hand = hand
+        self._name = hand.name
         left_out = self._average.add(hand, stamp)
         mean = self._average.mean()
         if left_out:
@@ -249,11 +249,11 @@ class ArmTeleop:
 
     def _lose(self, reason: str) -> None:
         """Ends the stream, if it runs."""
-        if self._lock.engaged:
+        if self._lock.owner is not None:
             self._lock.end()
         self._average.reset()
         self._gate.running = False
-        self._hand, self._reason = None, reason
+        self._reason = reason
 
     def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
         """Returns T_virtual_tool as the hand of the stream asks for it."""
@@ -275,14 +275,17 @@ class ArmTeleop:
             poses = (self._T_base_virtual, T_virtual_hand, T_virtual_tool)
             return TeleopResult(StreamState.WAITING, hold_end or self._reason, usable, *poses, hold=hold)
         hold = HoldState.NONE if self._hand_over is None else HoldState.TAKEN
-        owner = self._hand.id, self._hand.is_left
+        result = TeleopResult(StreamState.RUNNING, self._reason, usable, self._T_base_virtual, hold=hold)
+        result = replace(result, owner=self._lock.owner, obstacle=self._obstacle)
         if mean is None:
-            poses = (self._T_base_virtual, None, None)
-            obstacle = self._obstacle or self._reason
-            return TeleopResult(StreamState.RUNNING, self._reason, usable, *poses, None, None, hold, owner, obstacle)
+            return result
         self._newest = read_only(self._tool(mean, now)) if self._stays is None else self._stays
-        limited = self._attitude.limited
-        reason = self._reason + (f"; {' and '.join(limited)} at the limit" if limited else "")
-        poses = (self._T_base_virtual, T_virtual_hand, self._newest)
-        angles = (self._attitude.measured, self._attitude.clipped)
-        return TeleopResult(StreamState.RUNNING, reason, usable, *poses, *angles, hold, owner, self._obstacle)
+        angles, limited = self._attitude, self._attitude.limited
+        return replace(
+            result,
+            reason=self._reason + (f"; {' and '.join(limited)} at the limit" if limited else ""),
+            T_virtual_hand=T_virtual_hand,
+            T_virtual_tool=self._newest,
+            measured=angles.measured,
+            clipped=angles.clipped,
+        )

@@ -120,8 +120,9 @@ def attitude(R_leap_hand: np.ndarray, heading: float, before: Attitude | None = 
         return turned[np.argmin(np.abs(turned - centre).sum(axis=1))]
 
     smallest = nearest(np.zeros(3))
-    ambiguous = before is not None and np.any(np.abs(smallest) > UPRIGHT)
-    return Attitude(*(nearest(before.array) if ambiguous else smallest).tolist())
+    if before is not None and np.any(np.abs(smallest) > UPRIGHT):
+        return Attitude(*nearest(before.array).tolist())
+    return Attitude(*smallest.tolist())
 
 
 def tool_rotation(angles: Attitude, heading: float, turned: bool) -> np.ndarray:

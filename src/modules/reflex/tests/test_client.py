@@ -51,9 +51,10 @@ def test_calibrates_closes_feels_and_lets_go(simulated_hand, hand_of, wait_until
         assert hand.diagnosis()[2]["interface"] == "lo"
     assert len(readings) > 20 and not threads()
     wait_until(lambda: control.ask("state")["torque"] == [False] * 4, 10.0, "torque off")
-    with hand_of(port) as again:
+    with hand_of(port, hold_at_exit=True) as again:
         assert again.calibrated
     again.disconnect()
+    assert control.ask("state")["torque"] == [True] * 4
     for use in (lambda: again.command((0.0,) * 4), again.connect, lambda: again.wait_for_packet(0.1)):
         with pytest.raises(CommandRefused):
             use()

@@ -30,6 +30,8 @@ def test_starts_and_stops_like_the_makers_driver(bench):
     b = bench()
     assert b.sent == [bytes.fromhex("0102020202")]
     assert b.driver.stop().send == (bytes.fromhex("0100000000"),)
+    held = b.driver.stop(hold=True)
+    assert held.send == () and "keep torque" in held.notes[0].text
 
 
 def test_the_speed_is_set_when_the_hand_appears(bench):

@@ -70,7 +70,7 @@ class RigListener:
         self.recorder.stage(message.source, message.header.stamp.to_sec(), message.time_ref.to_sec())
 
     def _stream(self, message: DiagnosticStatus) -> None:
-        self.recorder.stream(message.level == DiagnosticStatus.OK, message.message, time.monotonic())
+        self.recorder.stream(_values(message).get("state") == "running", message.message, time.monotonic())
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

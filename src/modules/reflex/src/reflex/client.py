@@ -50,12 +50,13 @@ class ReflexHand:
         # `on_reading` runs in the receive thread, `on_note` in any calling one; neither may call a method that waits.
         on_reading: Callable[[HandReading], None] = lambda reading: None,
         on_note: Callable[[HandNote], None] = lambda note: None,
+        hold_at_exit: bool = False,  # keep torque and goals at the end, instead of letting the fingers go
     ) -> None:
         self._interface, self._port = interface, port
         self._settings = HandSettings() if settings is None else settings
         self._transport = HandTransport(interface, port)
         self._files = CalibrationFiles(f"~/.ros/reflex/{interface}") if files is None else files
-        self._on_reading, self._on_note = on_reading, on_note
+        self._on_reading, self._on_note, self._hold_at_exit = on_reading, on_note, hold_at_exit
         try:
             self._logic = HandLogic(self._settings, *self._files.load())
         except BaseException:
@@ -88,7 +89,7 @@ class ReflexHand:
         self._thread.start()
 
     def disconnect(self) -> None:
-        """Lets the fingers go, stops the thread and closes the sockets. Any thread may call it, also twice."""
+        """Lets the fingers go or holds them, stops the thread and closes the sockets. Any thread may call it, also twice."""
         self._let_go()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join()
@@ -203,7 +204,7 @@ class ReflexHand:
         with self._lock:
             if self._stopped.is_set():
                 return
-            notes = self._send(self._logic.stop())
+            notes = self._send(self._logic.stop(self._hold_at_exit))
             self._stopped.set()
         self._report(notes)
 

@@ -95,9 +95,12 @@ class HandLogic:
         """Returns the first packet of a driver: torque on, targets are positions."""
         return HandUpdate(send=(encode_mode(POSITION),))
 
-    def stop(self) -> HandUpdate:
-        """Returns the last packet of a driver: torque off."""
-        return HandUpdate(send=(encode_mode(IDLE),))
+    def stop(self, hold: bool = False) -> HandUpdate:
+        """Returns the last packet of a driver: torque off; with `hold` none, so that the motors keep their goals."""
+        if hold:
+            kept = "The motors keep torque and goals, without protection from overload, until a driver starts again."
+            return HandUpdate(notes=(HandNote("warning", kept),))
+        return HandUpdate(send=(encode_mode(IDLE),), notes=(HandNote("info", "Torque is off: the fingers let go."),))
 
     def receive(self, data: bytes, source: tuple, now: float) -> HandUpdate:
         """Handles a datagram from `source` (address, port)."""

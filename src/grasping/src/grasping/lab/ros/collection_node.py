@@ -186,7 +186,7 @@ class GraspCollection:
 
     def _on_stream(self, message: DiagnosticStatus) -> None:
         with self._lock:
-            self._collector.stream(message.level == DiagnosticStatus.OK)
+            self._collector.stream({value.key: value.value for value in message.values}.get("state") == "running")
 
     def _on_state(self, message: DiagnosticStatus) -> None:
         values = {value.key: value.value for value in message.values}

@@ -40,13 +40,14 @@ class HandDriver:
         shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
         files = CalibrationFiles(config.calibration_folder, shipped)
         interface, port = config.network_interface, config.port
-        self._hand = ReflexHand(interface, port, config.settings(), files, self._publish, self._say)
+        hooks = (self._publish, self._say)
+        self._hand = ReflexHand(interface, port, config.settings(), files, *hooks, hold_at_exit=config.hold_at_exit)
         rospy.loginfo("Calibrations are kept in %s.", files.folder)
         rospy.loginfo("Listening for the hand on %s, port %d.", interface, port)
         Diagnostics("reflex", self._diagnosis)
 
     def run(self) -> None:
-        """Runs until ROS shuts down; leaves the hand idle."""
+        """Runs until ROS shuts down; leaves the hand idle, or holding."""
         try:
             self._hand.connect()
             rospy.on_shutdown(self._hand.disconnect)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import Field, dataclass, fields, make_dataclass
 from typing import Any
 
-from common.config import integer, number, text, vector
+from common.config import flag, integer, number, text, vector
 from reflex.conversions import MOTORS
 from reflex.settings import HandSettings
 
@@ -17,6 +17,7 @@ class HandAddresses:
     network_interface: str = text("interface on which the hand is, such as eth0; lo for the simulated hand")
     port: int = integer(low=1, high=65535, doc="UDP port of hand and host")
     calibration_folder: str = text("where calibrations are kept; may begin with ~")
+    hold_at_exit: bool = flag("keep torque and goals when the driver exits", absent=False)
 
     def faults(self) -> list[str]:
         """Returns what is wrong beyond the range of single fields: travel above what the hand's fingers can do."""
