@@ -89,7 +89,7 @@ class ReflexHand:
         self._thread.start()
 
     def disconnect(self) -> None:
-        """Lets the fingers go or holds them, stops the thread, closes the sockets. Any thread may call it, also twice."""
+        """Ends the thread and the connection; the fingers let go or hold. Any thread may call it, also twice."""
         self._let_go()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join()
