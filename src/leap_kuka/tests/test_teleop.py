@@ -222,6 +222,34 @@ def test_control_that_turns_out_to_be_on_ends_a_stream_that_began_before_that_wa
     assert play.steps(50, sample())[-1].state == StreamState.WAITING
 
 
+def test_no_stream_starts_where_the_arm_cannot_come(leap, arm, player, sample):
+    """It is asked where everything else is met, for the tool frame that the stream would start with."""
+    asked, answer = [], ["joint 4 would pass its limit"]
+    play = player(ArmTeleop(leap(), arm(), lambda T: asked.append(T) or answer[0]))
+    play.steps(20, sample(pitch=30.0))
+    assert not asked
+    result = play.steps(20, sample(yaw=40.0, pitch=10.0))[-1]
+    assert result.state == StreamState.WAITING and result.reason == "right hand 12: joint 4 would pass its limit"
+    answer[0] = None
+    count = len(asked)
+    started = play.step(sample(yaw=40.0, pitch=10.0))
+    assert started.state == StreamState.RUNNING and len(asked) == count + 1
+    np.testing.assert_allclose(asked[-1], tool_in_base(started), atol=1e-9)
+
+
+def test_while_the_arm_cannot_come_a_stream_runs_on_and_says_so(leap, arm, player, sample):
+    asked, answer = [], [None]
+    play = player(ArmTeleop(leap(), arm(), lambda T: asked.append(T) or answer[0]))
+    play.steps(10, sample())
+    answer[0] = "joint 4 would pass its limit"
+    results = play.steps(100, sample())
+    assert all(r.state == StreamState.RUNNING and r.T_virtual_tool is not None for r in results)
+    assert results[-1].obstacle == "right hand 12 is followed, but joint 4 would pass its limit"
+    assert 5 <= len(asked) <= 6, "five times a second, and at the start"
+    answer[0] = None
+    assert play.steps(25, sample())[-1].obstacle is None
+
+
 @pytest.mark.parametrize("beside", [(-0.2, 0.3, 0.0), (0.0, 0.2, 0.0)])
 def test_a_hand_that_lies_outside_of_the_box_blocks_nobody(play, sample, beside):
     lies = sample(id=3, is_left=True, position=beside)

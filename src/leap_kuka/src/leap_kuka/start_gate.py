@@ -7,6 +7,7 @@ Leap's.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,10 +55,12 @@ class StartGate:
         self._leap, self._box = leap, box
         self.running = False
 
-    def step(self, hand: MeanHand, obstacle: str | None = None) -> list[str]:
+    def step(
+        self, hand: MeanHand, obstacle: str | None = None, last: Callable[[], str | None] = lambda: None
+    ) -> list[str]:
         """Updates `running` from the averaged hand; returns the unmet conditions, none while the stream runs.
 
-        An `obstacle` is one more condition for a start that is not met.
+        An `obstacle` is one more condition for a start that is not met; `last` is asked for one when all others are.
         """
         faults = [] if self.running else self._outside(hand) + self._tilted(hand)
         if obstacle and not self.running:
@@ -67,6 +70,8 @@ class StartGate:
             faults.append(f"{too_fast}, and must be below {START_SPEED_M_S:g} m/s")
         if not hand.confidence > self._leap.min_confidence:
             faults.append(f"the confidence is {hand.confidence:.2f} and must be above {self._leap.min_confidence:g}")
+        if not faults and not self.running and (reason := last()):
+            faults.append(reason)
         self.running = not faults
         return faults
 

@@ -11,6 +11,7 @@ tracking frames come in and control of the arm is on.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -28,6 +29,7 @@ from leap_motion.frames import TrackedHand, TrackingFrame
 
 MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream, or two frames with its hand
 MIN_RATE_HZ, ENOUGH_RATE_HZ = 20.0, 24.0  # below the first frame rate the tool stays, until the second is reached
+REACH_PERIOD_S = 0.2  # time between two questions whether the arm reaches the desired tool
 MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
 
 
@@ -73,13 +75,17 @@ class ArmTeleop:
     """The chain of steps with its state.
 
     `box` is the interaction box in the Leap frame, `T_tool_flange` the pose of the flange in the tool frame, shape
-    (4, 4), and `counts` has the events since the start.
+    (4, 4), and `counts` has the events since the start. `can_reach` returns why the arm cannot come to a desired tool
+    frame, shape (4, 4) [m], or None: it is asked last before a stream starts, and every REACH_PERIOD_S while it runs.
 
     Raises:
         ConfigError: the interaction box would reach into the Leap.
     """
 
-    def __init__(self, leap: LeapConfig, arm: ArmPlacement) -> None:
+    def __init__(
+        self, leap: LeapConfig, arm: ArmPlacement, can_reach: Callable[[np.ndarray], str | None] = lambda _: None
+    ) -> None:
+        self._can_reach, self._asked, self._out_of_reach = can_reach, 0.0, ""
         self._mounting = arm.mounting_frame
         self._ws_center = arm.ws_center
         self._limits = Attitude(*np.radians([leap.run_tol_yaw, leap.run_tol_pitch, leap.run_tol_roll]).tolist())
@@ -201,7 +207,7 @@ class ArmTeleop:
             obstacle = "it was in the box already, or was found there; take it out of the box and back in"
         elif self._slow:
             obstacle = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
-        faults = self._gate.step(mean, obstacle)
+        faults = self._gate.step(mean, obstacle, lambda: self._start_out_of_reach(mean))
         self._reason = f"{hand.name}: {'; '.join(faults)}" if faults else f"{hand.name} is followed"
         if ran and faults:
             self._lock.end()
@@ -210,7 +216,7 @@ class ArmTeleop:
             self._turn(heading(mean.T_leap_hand[:3, 0]))
             self._attitude = SteadyAttitude(mean.T_leap_hand[:3, :3], self._heading, self._limits)
             self._take_over(mean, now)
-            self._stays = None
+            self._stays, self._asked, self._out_of_reach = None, now, ""
             self.counts.streams += 1
         elif self._gate.running:
             self._attitude.follow(mean.T_leap_hand[:3, :3])
@@ -220,11 +226,22 @@ class ArmTeleop:
     def _slowness(self) -> str:
         return f"the tracker delivers only {self._watch.rate or 0.0:.0f} frames per second"
 
+    def _start_out_of_reach(self, mean: MeanHand) -> str | None:
+        """Returns why the arm cannot come to where the hand would start, or None; a held tool is there already."""
+        if self._hold.T_base_tool is not None:
+            return None
+        R_leap_hand, psi = mean.T_leap_hand[:3, :3], heading(mean.T_leap_hand[:3, 0])
+        clipped = SteadyAttitude(R_leap_hand, psi, self._limits).clipped
+        T_virtual_tool = pose(tool_rotation(clipped, psi, self._mounting.tool_reversed), mean.palm)
+        return self._can_reach(self._virtual_leap(psi) @ T_virtual_tool)
+
+    def _virtual_leap(self, psi: float) -> np.ndarray:
+        return virtual_leap_pose(self._mounting, self._ws_center, float(self.box.center[1]), psi)
+
     def _turn(self, psi: float) -> None:
         """Turns the virtual Leap so that the heading psi [rad] points forward."""
         self._heading = psi
-        height = float(self.box.center[1])
-        self._T_base_virtual = read_only(virtual_leap_pose(self._mounting, self._ws_center, height, psi))
+        self._T_base_virtual = read_only(self._virtual_leap(psi))
 
     def _take_over(self, mean: MeanHand, now: float) -> None:
         """Starts the stream of the hand at the held tool, if the tool is held."""
@@ -275,6 +292,11 @@ class ArmTeleop:
             poses = (self._T_base_virtual, T_virtual_hand, T_virtual_tool)
             return TeleopResult(StreamState.WAITING, hold_end or self._reason, usable, *poses, hold=hold)
         hold = HoldState.NONE if self._hand_over is None else HoldState.TAKEN
+        if self._newest is not None and now - self._asked >= REACH_PERIOD_S:
+            self._asked = now
+            self._out_of_reach = self._can_reach(self._T_base_virtual @ self._newest) or ""
+        if self._out_of_reach and self._obstacle is None:
+            self._reason = self._obstacle = f"{self._name} is followed, but {self._out_of_reach}"
         result = TeleopResult(StreamState.RUNNING, self._reason, usable, self._T_base_virtual, hold=hold)
         result = replace(result, owner=self._lock.owner, obstacle=self._obstacle)
         if mean is None:

@@ -14,6 +14,7 @@ from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches, SwitchReply
 from kuka_control.model.target import check_tool_pose, seed
+from kuka_control.model.workspace import Infeasible
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
 from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
 
@@ -69,8 +70,11 @@ def offer_tool_check(rig: Rig, read: Callable[[], tuple[Mode, np.ndarray | None,
         except ValueError as error:
             return CheckToolPoseResponse(success=False, message=f"The tool pose is refused: {error}.")
         mode, joints, scale = read()
-        check = check_tool_pose(rig.chain, T_base_tool, scale, seed(mode, joints, rig.home.q))
+        q_seed = seed(mode, joints, rig.home.q)
+        check = check_tool_pose(rig.chain, T_base_tool, scale, q_seed)
         response = CheckToolPoseResponse(success=check.T_base_desired is not None, message=check.sentence)
+        target = rig.chain.reach(T_base_tool, q_seed)
+        response.obstacle = str(target) if isinstance(target, Infeasible) else target.failure or ""
         if check.T_base_desired is not None:
             response.desired = message_from_pose(check.T_base_desired)
         return response

@@ -19,6 +19,7 @@ from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import wait_for_config, wait_for_param
 from leap_kuka.config import ArmPlacement, LeapConfig
+from leap_kuka.ros.reach import ReachCheck
 from leap_kuka.ros.stream_status import StreamStatus
 from leap_kuka.teleop import ArmTeleop, TeleopResult
 from leap_kuka.tool_hold import HoldAnswer
@@ -33,8 +34,8 @@ WATCH_PERIOD_S = 0.1
 class ArmTeleopNode:
     """Runs the chain on each frame, and watches for the stream falling silent."""
 
-    def __init__(self, teleop: ArmTeleop) -> None:
-        self._teleop = teleop
+    def __init__(self, teleop: ArmTeleop, reach: ReachCheck) -> None:
+        self._teleop, self._reach = teleop, reach
         self._lock = threading.Lock()
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=10, tcp_nodelay=True)
         self._stage_times = StageTimes("leap_kuka")
@@ -64,6 +65,7 @@ class ArmTeleopNode:
 
     def _on_status(self, status: KukaStatus) -> None:
         with self._lock:
+            self._reach.scale = status.scaling_factor
             self._teleop.control(status.control_on)
 
     def _on_hold_request(self, request: HoldToolRequest) -> tuple[bool, str]:
@@ -107,7 +109,9 @@ def read_arm_placement() -> ArmPlacement:
 
 def _run() -> None:
     leap = wait_for_config(LeapConfig, "leap")
-    ArmTeleopNode(ArmTeleop(leap, read_arm_placement())).watch()
+    arm = read_arm_placement()
+    reach = ReachCheck(arm.ws_center)
+    ArmTeleopNode(ArmTeleop(leap, arm, reach), reach).watch()
 
 
 def main() -> None:

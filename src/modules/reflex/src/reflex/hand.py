@@ -100,7 +100,7 @@ class HandLogic:
         if hold:
             kept = "The motors keep torque and goals, without protection from overload, until a driver starts again."
             return HandUpdate(notes=(HandNote("warning", kept),))
-        return HandUpdate(send=(encode_mode(IDLE),), notes=(HandNote("info", "Torque is off: the fingers let go."),))
+        return HandUpdate(send=(encode_mode(IDLE),))
 
     def receive(self, data: bytes, source: tuple, now: float) -> HandUpdate:
         """Handles a datagram from `source` (address, port)."""
