@@ -38,8 +38,18 @@ def test_flat_sinusoids():
     assert positive(0.0, 0.0, 0.0) is None
     assert positive(1e-17, 1e-17, 1e-17) is None
     assert positive(0.0, 0.0, 1.0) == CIRCLE
-    assert positive(1.0, 0.0, 1.0) == CIRCLE
+    assert positive(1.0, 0.0, 1.0 + 1e-12) == CIRCLE
     assert positive(1.0, 0.0, -1.0) is None
+
+
+def test_two_sinusoids_that_leave_a_single_angle_leave_it_in_spite_of_rounding_errors():
+    for zero in ANGLES:
+        c, s = math.cos(zero), math.sin(zero)
+        touching = [positive(-c, -s, 1.0 + 4e-16)]
+        meeting = [positive(s, -c, 4e-16), positive(-s, c, 4e-16)]
+        for arcs in (touching, meeting):
+            free = remaining([arc for arc in arcs if arc is not None])
+            assert any(min((low - zero) % TURN, (zero - low) % TURN) < 1e-6 for low, _ in free)
 
 
 @given(arcs, arcs)
