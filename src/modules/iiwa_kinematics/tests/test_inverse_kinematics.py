@@ -187,7 +187,8 @@ def wiggled(arm, q, steps, size=0.02):
     """The last result after the tool of an arm at joints q moved about in circles of radius `size` [m]."""
     T = arm.forward(q)
     for i in range(steps):
-        result = arm.inverse(translation(0.0, size * np.sin(i / 20.0), size * np.cos(i / 20.0)) @ T, q)
+        T_moved = translation(0.0, size * np.sin(i / 20.0), size * np.cos(i / 20.0)) @ T
+        result = arm.inverse(T_moved, q, keep_branch=True)
         q = result.q
     return result
 
@@ -220,7 +221,7 @@ def test_elbow_is_not_wound_up_to_go_back_to_its_preference():
     """With the elbow up joint 2 would be negative; while it is positive, up means joints 1 and 3 near their ends."""
     arm = ARMS[0]
     T = arm.forward(np.radians([-45.0, -8.0, 0.0, -90.0, 0.0, 75.0, 0.0]))
-    q = arm.inverse(T, np.radians([-105.0, 20.0, 60.0, -90.0, 0.0, 75.0, 0.0])).q
+    q = arm.inverse(T, np.radians([-105.0, 20.0, 60.0, -90.0, 0.0, 75.0, 0.0]), keep_branch=True).q
     assert q[1] > 0.0 and q[0] > np.radians(-130.0)
     assert wiggled(arm, q, 1500).q[0] > np.radians(-145.0)
 

@@ -4,6 +4,9 @@ The pose leaves one angle free, the elbow's position on its circle, and up to ei
 order: all joints within their ranges; close to the seed; then a slow return to the preferred arm angle, away from the
 ends of the joint ranges and from the singular poses in which joint 2 or joint 6 is zero.
 
+An arm that follows a path keeps its branch, except where joint 2 or 6 is near zero. For a motion from rest all eight
+branches are compared by the time that the motion takes.
+
 Close means a small weighted joint step in which joint 3 counts most. With joint 3 nearly fixed, the arm moves like one
 with six joints: its elbow stays in its plane, and the tool may pass over positions in which joint 2 goes through zero
 without any joint racing. The slow return adds at most a fraction of the joint step that the tool asks for, so an arm
@@ -25,7 +28,8 @@ JOINT_3_WEIGHT = 10.0  # how much more a step of joint 3 costs than one of anoth
 RETURN_FRACTION = 0.25  # fraction of the joint step that may be added for the return to the preferred arm angle
 MARGIN_RAD = radians(5.0)  # the arm angle is led away where a joint is nearer to its limit, or joint 2 or 6 to zero
 NEARBY_RAD = radians(3.0)  # a solution with a joint step of at most this is taken without trying others
-CROSSING_RAD = radians(10.0)  # a joint goes through zero if it is nearer to zero than this before and after the step
+CROSSING_RAD = radians(10.0)  # a joint that is nearer to zero than this may change its sign along a path
+LIMIT_S = 0.1  # how much longer a motion may take to avoid ending with one more joint at its limit, at full speed [s]
 WOUND = -0.5
 """Below this cosine of joint 3, the preferred arm angle would need joints 1 and 3 turned over: it is not used."""
 
@@ -48,9 +52,9 @@ class ElbowChoice:
         self._preference = preference
         self._limits = Limits(model.lower, model.upper)
         self._margins = Limits(model.lower + MARGIN_RAD, model.upper - MARGIN_RAD, MARGIN_RAD)
-        speeds = model.max_speed.tolist()
-        mean = sum(speeds) / len(speeds)
-        self._weights = [(mean / speed) ** 2 for speed in speeds]
+        self._speeds = model.max_speed.tolist()
+        mean = sum(self._speeds) / len(self._speeds)
+        self._weights = [(mean / speed) ** 2 for speed in self._speeds]
         self._weights[2] *= JOINT_3_WEIGHT
 
     def can_bend(self, angle: float) -> bool:
@@ -59,7 +63,7 @@ class ElbowChoice:
         return low - JOINT_TOLERANCE_RAD <= angle <= high + JOINT_TOLERANCE_RAD
 
     def continued(self, circle: ElbowCircle, seed: list[float]) -> Candidate | None:
-        """Returns the best joints of the seed's branch, or of one that joint 2 or joint 6 enters through zero."""
+        """Returns the best joints of the seed's branch, or of one that joint 2 or joint 6, near zero, may enter."""
         present = Branch.of(seed)
         best = self._best_in_branch(circle, present, seed)
         if best is not None and _step(best.q, seed) <= NEARBY_RAD:
@@ -68,15 +72,18 @@ class ElbowChoice:
             crossed = [joint for joint, a, b in zip((1, 3, 5), branch, present) if a != b]
             if crossed and 3 not in crossed and all(abs(seed[joint]) < CROSSING_RAD for joint in crossed):
                 found = self._best_in_branch(circle, branch, seed)
-                if found is not None and all(abs(found.q[joint]) < CROSSING_RAD for joint in crossed):
-                    best = found if best is None or found.cost < best.cost else best
+                if found is not None and (best is None or found.cost < best.cost):
+                    best = found
         return best
 
-    def refolded(self, circle: ElbowCircle, seed: list[float]) -> Candidate | None:
-        """Returns the best joints of all branches."""
+    def quickest(self, circle: ElbowCircle, seed: list[float]) -> Candidate | None:
+        """Returns the joints of all branches to which a motion from rest at the seed takes the least time."""
+        best = self._best_in_branch(circle, Branch.of(seed), seed)
+        if best is not None and _step(best.q, seed) <= NEARBY_RAD:
+            return best
         found = [self._best_in_branch(circle, branch, seed) for branch in BRANCHES]
         reached = [one for one in found if one is not None]
-        return min(reached, key=lambda one: one.cost) if reached else None
+        return min(reached, key=lambda one: self._time(one.q, seed)) if reached else None
 
     def led_back(self, circle: ElbowCircle, found: Candidate, seed: list[float], zero: float) -> Candidate:
         """Returns `found`, led towards the preferred arm angle by a small part of its joint step.
@@ -92,6 +99,12 @@ class ElbowChoice:
         angle = min(max(found.angle + step, found.interval[0]), found.interval[1])
         q = self._in_range(circle.joints(angle, found.branch, seed, self._limits))
         return found if q is None else Candidate(found.cost, angle, q, found.branch, found.interval)
+
+    def _time(self, q: list[float], seed: list[float]) -> float:
+        """Returns the time of a motion at full joint speed [s], and more for joints near the ends of their ranges."""
+        rooms = (min(a - low, high - a) for a, low, high in zip(q, self._limits.lower, self._limits.upper))
+        near = sum(max(1.0 - room / MARGIN_RAD, 0.0) for room in rooms)
+        return max(abs(a - b) / speed for a, b, speed in zip(q, seed, self._speeds)) + LIMIT_S * near
 
     def _best_in_branch(self, circle: ElbowCircle, branch: Branch, seed: list[float]) -> Candidate | None:
         """Returns the joints of a branch that are cheapest to reach from `seed`, or None if it has none in range."""

@@ -58,13 +58,14 @@ class Kinematics:
     """
 
     calibrated = False  # whether this arm differs from the one that the robot's own controller computes with
+    slack = 0.0, 0.0  # how much earlier this arm's reach may end than the data sheet's, in length [m] and angle [rad]
 
     def __init__(
         self, model: RobotModel, T_flange_tool: np.ndarray | None = None, elbow_preference: float = 0.0
     ) -> None:
         self.model = model
         self.T_flange_tool = read_only(np.eye(4) if T_flange_tool is None else T_flange_tool)
-        self._T_tool_flange = inverse_pose(self.T_flange_tool)
+        self.T_tool_flange = inverse_pose(self.T_flange_tool)
         self._lengths = (model.shoulder_elbow, model.elbow_wrist)
         self._elbow = ElbowChoice(model, elbow_preference)
 
@@ -86,19 +87,19 @@ class Kinematics:
     def inverse(self, T_base_tool: np.ndarray, q_seed: np.ndarray, keep_branch: bool = False) -> IkResult:
         """Returns joints that bring the tool to a pose, close to the seed.
 
-        The branch of the seed is left only through a zero of joint 2 or joint 6, or if it does not reach the pose.
-
         Args:
             T_base_tool: pose of the tool in the base, shape (4, 4) [m].
             q_seed: joints to continue from, shape (7,) [rad]: the present ones of the arm.
-            keep_branch: whether it is a failure that the seed's branch does not reach the pose.
+            keep_branch: whether the arm follows a path: then the branch of the seed is left only where joint 2 or joint
+                6 is near zero, and it is a failure that it does not reach the pose. Otherwise the arm moves there from
+                rest, and the joints are those of all branches to which the motion takes the least time.
 
         Raises:
             ValueError: the pose is not finite or not rigid, or the seed is not seven finite numbers.
         """
         T, seed_array = self._checked(T_base_tool, q_seed)
         seed = seed_array.tolist()
-        flange, position = _axes_and_position(T @ self._T_tool_flange)
+        flange, position = _axes_and_position(T @ self.T_tool_flange)
         w = combination(1.0, position, -self.model.wrist_flange, flange[2])
         w = (w[0], w[1], w[2] - self.model.base_shoulder)
         reach = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
@@ -116,13 +117,10 @@ class Kinematics:
         reference = _elbow_across(u, seed)
         zero = _arm_angle(u, reference)
         circle = ElbowCircle(bend, self._lengths, u, reference, flange)
-        best = self._elbow.continued(circle, seed)
+        best = self._elbow.continued(circle, seed) if keep_branch else self._elbow.quickest(circle, seed)
         if best is None:
-            best = self._elbow.refolded(circle, seed)
-            if best is None:
-                return IkResult(None, IkFailure.NO_ARM_ANGLE)
-            if keep_branch:
-                return IkResult(None, IkFailure.OTHER_BRANCH)
+            other = keep_branch and self._elbow.quickest(circle, seed) is not None
+            return IkResult(None, IkFailure.OTHER_BRANCH if other else IkFailure.NO_ARM_ANGLE)
         best = self._elbow.led_back(circle, best, seed, zero)
         return IkResult(read_only(best.q), arm_angle=wrapped(best.angle + zero), branch=Branch.of(best.q))
 
