@@ -224,8 +224,15 @@ def ptp(q, velocity):
     return ("ptp", tuple(np.round(q, 9)), velocity)
 
 
+def tipped(angle, x=0.0, y=0.0, z=0.0):
+    """The home tool frame, shifted [m] and tipped [rad] towards the base; by 80 deg the arm does not come near."""
+    T = shifted(x, y, z)
+    T[:3, :3] = T[:3, :3] @ rotation_about(1, angle)
+    return T
+
+
 def out_of_reach_and_back(turn=0.0, jump=0.0):
-    """Up where the tool cannot be brought, 17 cm aside there, and slowly down again, in 9 s.
+    """Up and tipped so far that the arm cannot come near, 17 cm aside there, and slowly down again, in 9 s.
 
     Up there the tool also turns by `turn` [rad] about the vertical, and jumps aside by `jump` [m].
     """
@@ -233,7 +240,7 @@ def out_of_reach_and_back(turn=0.0, jump=0.0):
     def tool(t):
         up, aside = (np.interp(t, times, (0.0, 1.0)) for times in ((0.0, 2.0), (2.5, 4.5)))
         up -= np.interp(t, (5.0, 9.0), (0.0, 1.0))
-        T = shifted(0.12 * aside + jump * (t > 3.0), 0.12 * aside, 0.25 * up)
+        T = tipped(1.4 * up, 0.12 * aside + jump * (t > 3.0), 0.12 * aside, 0.15 * up)
         T[:3, :3] = rotation_about(2, turn * aside) @ T[:3, :3]
         return T
 

@@ -195,7 +195,7 @@ def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(where, ser
     assert np.max(turns) < 24
 
 
-def test_a_hand_that_comes_back_into_reach_elsewhere_is_caught_up_with_in_servo_mode():
+def test_a_hand_that_leaves_the_reach_and_comes_back_elsewhere_is_followed_in_servo_mode():
     """Up where the wrist comes to its limit, aside there, with the hand tilted, and down."""
     r = rig(time_out=1.0)
     T = home(r)
@@ -207,7 +207,7 @@ def test_a_hand_that_comes_back_into_reach_elsewhere_is_caught_up_with_in_servo_
         return moved(T, [aside, aside, 0.25 * up - 0.15 * down], about("x", 0.8 * np.sin(np.pi * over)))
 
     r.follow(9.0, tool)
-    assert r.loop.counts["ik_failures"] > 50 and r.step.mode == "servo"
+    assert r.loop.counts["ik_failures"] == 0 and r.step.mode == "servo"
     assert r.loop.counts["ptp_motions"] == 1 and r.loop.counts["jumps"] == 0, r.events[-3:]
     assert r.joints.stops == 0 and r.joints.max_tool_speed < STOP - 0.02
     assert np.all(np.abs(goal_speeds(r)) <= 1.01 * r.config.joint_speed * r.rig.model.max_speed)

@@ -50,7 +50,7 @@ def test_the_answer_is_what_the_control_loop_makes_of_the_desired_frame(x, y, z,
     answer = check(T, scale)
     target = RIG.chain.resolve(pose(T[:3, :3], unscaled(T[:3, 3], HOME.centre, scale)), scale, HOME.q)
     if answer.T_base_desired is None:
-        assert isinstance(target, Infeasible) or target.bounds or target.failure
+        assert isinstance(target, Infeasible) or target.bounds or target.failure or target.deviation
     else:
         target = RIG.chain.resolve(answer.T_base_desired, scale, HOME.q)
         np.testing.assert_allclose(target.T_base_tool, T, atol=1e-9)
@@ -72,6 +72,10 @@ def test_the_desired_frame_of_half_the_scale_is_twice_as_far_from_the_centre():
         (tool(x=0.2, y=-0.2, z=0.3), "the upper z limit and the outer sphere would move it by"),
         (tool(x=-0.8, y=0.8), "infeasible: it lies behind the base"),
         (tool() @ pose(rotation_about(1, np.pi / 2.0)), "The tool pose is out of reach"),
+        (
+            tool() @ pose(rotation_about(1, np.radians(60.0))),
+            "in this position the tool would deviate from it by 36.8 deg.",
+        ),
         (tool(x=1e3), "m from the base; is it in metres?"),
         (tool(x=np.nan), "The tool pose is refused: a pose needs 4 x 4 finite numbers"),
         (2.0 * tool(), "The tool pose is refused"),

@@ -121,8 +121,9 @@ class ControlLoop(ABC, Generic[Settings]):
         self._active = Active()
         self._target: Target | None = None
         self._infeasible: str | None = None
+        self._target_stamp = 0.0
         self._unreachable: str | None = None
-        self._unreachable_reported = False
+        self._unreachable_reported: bool | None = None
         # What this cycle has brought so far.
         self._events: list[Event] = []
         self._limited_by: tuple[str, ...] = ()
@@ -137,7 +138,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self._report("warn", update.refused)
         command = self._command(Cycle(observation, update.fresh, now))
         active = self._active
-        bounds = self._target.bounds if self._target else ()
+        bounds = self._target.limited_by if self._target else ()
         return Step(
             command,
             active.state.mode,
@@ -277,26 +278,30 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _resolve(self, observation: Observation, fresh: DesiredFrame, q_seed: np.ndarray) -> np.ndarray | None:
         """Returns the joints of a desired tool frame, shape (7,) [rad]; without a solution the arm keeps its own."""
-        target = self._chain.resolve(fresh.T_base_tool, observation.inputs.switches.scale, q_seed)
+        before = self._target if self._active.state is State.SERVO else None
+        dt = fresh.stamp - self._target_stamp
+        target = self._chain.resolve(fresh.T_base_tool, observation.inputs.switches.scale, q_seed, before, dt)
         if isinstance(target, Infeasible):
             self._infeasible = f"The controller shuts down because of the desired tool frame: {target}."
             self._report("error", self._infeasible)
             return None
+        keeps = target.q is None
+        self._unreachable = f"The arm keeps its joints: {target.failure}" if keeps else target.limitation
+        if self._unreachable is None:
+            self._unreachable_reported = None
+        elif self._unreachable_reported is not keeps:
+            self._unreachable_reported = keeps
+            self._report("warn", self._unreachable)
         if target.q is None:
             self.counts["ik_failures"] += 1
-            self._unreachable = f"The arm keeps its joints: {target.failure}"
-            if not self._unreachable_reported:
-                self._report("warn", self._unreachable)
-            self._unreachable_reported = True
             return None
-        self._unreachable_reported, self._unreachable = False, None
         if target.bounds and not (self._target and self._target.bounds):
             self.counts["workspace_clips"] += 1
-        self._target = target
+        self._target, self._target_stamp = target, fresh.stamp
         return target.q
 
     def _inhibited_by(self, observation: Observation, now: float) -> str | None:
-        """Returns why the frames that come in are not followed although control is on, a sentence; else None."""
+        """Returns why incoming frames are not followed, or not exactly, although control is on; a sentence or None."""
         if not observation.inputs.switches.control_on:
             return None
         unreachable = self._unreachable if self._stream.silent_for(now) <= self._settings.time_out else None

@@ -2,6 +2,10 @@
 
 The scaling factor says how far the tool moves for a motion of the hand, from the workspace centre; rotations are not
 scaled. Positions in the base frame [m].
+
+Position first: a tool frame out of the arm's reach is tilted by the least angle that brings it into reach. An arm that
+follows reaches and leaves such a target steadily: where the joints would have to hurry although the tool does not, the
+tool keeps its position and its orientation comes after it.
 """
 
 from __future__ import annotations
@@ -11,10 +15,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import pose, read_only
-from iiwa_kinematics import Kinematics
+from common.rotations import rotation_angle
+from iiwa_kinematics import Kinematics, approached, tilted
 from kuka_control.model.desired_frame import rejection_reason
 from kuka_control.model.switches import Mode
 from kuka_control.model.workspace import Infeasible, Workspace
+
+MAX_DEVIATION_RAD = float(np.radians(45.0))  # an orientation further from the desired one than this is not followed
+ABSURD_RAD = float(np.radians(150.0))
+"""A motion from rest that turns a joint by more than this is refused: of the motions between poses within the shipped
+workspaces, the operator's tolerances included, none needs it, unless the arm has to be folded differently."""
+STEADY_RAD = float(np.radians(1.0))  # the joints hurry if their step is larger than this and what full speed allows
+STEADY_TURN_RAD = float(np.radians(4.0))  # a tool frame with a step beyond these has jumped: the joints may, too
+STEADY_M = 0.02
+FAR_RAD = float(np.radians(60.0))  # joints that are further off than this are not approached at the first sight
+STEADY_PACE = 0.9  # fraction of full joint speed at which they come after it
+SHORTEST_S, LONGEST_S = 0.002, 0.05  # the time between two frames counts as within these for the joints' steps [s]
+
+SHOWN_RAD = float(np.radians(0.5))  # a smaller deviation is not reported
 
 FOLLOWING = (Mode.PICK_UP, Mode.SERVO)  # modes in which the arm follows the desired tool frame from where it is
 
@@ -34,9 +52,25 @@ class Target:
     """Where the arm is to go."""
 
     q: np.ndarray | None  # joints, shape (7,) [rad]; None when no valid solution reaches the tool frame
-    T_base_tool: np.ndarray  # the tool frame after scaling and workspace, shape (4, 4) [m]
+    T_base_tool: np.ndarray  # the tool frame after scaling, workspace and reach, shape (4, 4) [m]
     bounds: tuple[str, ...] = ()  # names of the workspace's bounds that acted
     failure: str | None = None  # why there are no joints, a sentence; None when there are
+    deviation: float = 0.0  # angle between the desired orientation and that of T_base_tool [rad]
+
+    @property
+    def limited_by(self) -> tuple[str, ...]:
+        """What keeps the tool from the desired frame: the workspace's bounds, and "reach" if its orientation yields."""
+        return (*self.bounds, "reach") if self.deviation > SHOWN_RAD else self.bounds
+
+    @property
+    def limitation(self) -> str | None:
+        """A sentence about the orientation, if it yields."""
+        if self.deviation <= SHOWN_RAD:
+            return None
+        return (
+            f"The desired orientation is out of the arm's reach; the tool keeps its position and deviates by "
+            f"{np.degrees(self.deviation):.0f} deg."
+        )
 
 
 class TargetChain:
@@ -50,30 +84,92 @@ class TargetChain:
         self._workspace = workspace
         self._kinematics = kinematics
 
-    def resolve(self, T_base_desired: np.ndarray, scale: float, q_seed: np.ndarray) -> Target | Infeasible:
+    def resolve(
+        self,
+        T_base_desired: np.ndarray,
+        scale: float,
+        q_seed: np.ndarray,
+        before: Target | None = None,
+        dt: float = 0.0,
+    ) -> Target | Infeasible:
         """Returns the target of a desired tool frame, shape (4, 4) [m].
 
-        The solution continues from the joints `q_seed`, shape (7,) [rad]; `scale` is the scaling factor.
+        Args:
+            scale: the scaling factor.
+            q_seed: joints to continue from, shape (7,) [rad].
+            before: the target that an arm in motion follows, `dt` [s] older; None for an arm at rest.
         """
-        return self.reach(pose(T_base_desired[:3, :3], scaled(T_base_desired[:3, 3], self._centre, scale)), q_seed)
+        T_base_scaled = pose(T_base_desired[:3, :3], scaled(T_base_desired[:3, 3], self._centre, scale))
+        target = self.reach(T_base_scaled, q_seed, before is not None)
+        if before is None or isinstance(target, Infeasible) or target.q is None:
+            return target
+        return self._steady(target, T_base_scaled, q_seed, before, dt)
 
     def desired(self, T_base_tool: np.ndarray, scale: float) -> np.ndarray:
         """Returns the desired tool frame, shape (4, 4) [m], that the scaling makes the given one of."""
         return read_only(pose(T_base_tool[:3, :3], unscaled(T_base_tool[:3, 3], self._centre, scale)))
 
-    def reach(self, T_base_scaled: np.ndarray, q_seed: np.ndarray) -> Target | Infeasible:
-        """Returns the target of a tool frame that is scaled already; arguments as in `resolve`."""
+    def reach(self, T_base_scaled: np.ndarray, q_seed: np.ndarray, follows: bool = False) -> Target | Infeasible:
+        """Returns the target of a tool frame that is scaled already, for an arm at rest or one that `follows`."""
         constrained = self._workspace.constrain(T_base_scaled[:3, 3])
         if isinstance(constrained, Infeasible):
             return constrained
         T_base_tool = read_only(pose(T_base_scaled[:3, :3], constrained.position))
-        result = self._kinematics.inverse(T_base_tool, q_seed=q_seed, keep_branch=True)
-        return Target(
-            result.q,
-            T_base_tool,
-            tuple(bound.value for bound in constrained.bounds),
-            None if result.failure is None else str(result.failure),
+        bounds = tuple(bound.value for bound in constrained.bounds)
+        result = self._kinematics.inverse(T_base_tool, q_seed=q_seed, keep_branch=follows)
+        q, T_reached = result.q, T_base_tool
+        if q is None:
+            T_tilted = tilted(self._kinematics, T_base_tool, MAX_DEVIATION_RAD)
+            if T_tilted is not None:
+                T_reached = read_only(T_tilted)
+                q = self._kinematics.inverse(T_tilted, q_seed=q_seed, keep_branch=follows).q
+        if q is None:
+            return Target(None, T_base_tool, bounds, str(result.failure))
+        if not follows and np.max(np.abs(q - q_seed)) > ABSURD_RAD:
+            return Target(None, T_base_tool, bounds, _refused_turn(np.abs(q - q_seed)))
+        if T_reached is T_base_tool:
+            return Target(q, T_base_tool, bounds)
+        return Target(q, T_reached, bounds, None, _angle(T_base_tool, T_reached))
+
+    def _steady(
+        self, target: Target, T_base_scaled: np.ndarray, q_seed: np.ndarray, before: Target, dt: float
+    ) -> Target:
+        """Returns a target on the way to `target`, with the tool in its position, if the joints hurry but the tool does
+        not; arguments as in `resolve`.
+        """
+        assert target.q is not None, "only a target with joints can be reached steadily"
+        steps, within = (
+            np.abs(target.q - q_seed),
+            self._kinematics.model.max_speed * min(max(dt, SHORTEST_S), LONGEST_S),
         )
+        if np.all(steps <= STEADY_RAD + within) or (not before.deviation and np.max(steps) > FAR_RAD):
+            return target
+        position = target.T_base_tool[:3, 3]
+        jumped = np.linalg.norm(position - before.T_base_tool[:3, 3]) > STEADY_M
+        if jumped or _angle(before.T_base_tool, T_base_scaled) > before.deviation + STEADY_TURN_RAD:
+            return target
+        q = approached(self._kinematics, position, q_seed, target.q, STEADY_PACE * within)
+        if q is None:
+            return target
+        T_base_tool = self._kinematics.forward(q)
+        deviation = _angle(T_base_scaled, T_base_tool)
+        if deviation > MAX_DEVIATION_RAD:
+            return target
+        return Target(read_only(q), read_only(T_base_tool), target.bounds, None, deviation)
+
+
+def _angle(T: np.ndarray, T_other: np.ndarray) -> float:
+    """Returns the angle [rad] between the orientations of two poses."""
+    return rotation_angle(T[:3, :3].T @ T_other[:3, :3])
+
+
+def _refused_turn(turns: np.ndarray) -> str:
+    """Returns why joint turns, shape (7,) [rad], are refused, a sentence."""
+    joint = int(np.argmax(turns))
+    return (
+        f"The motion there would turn joint {joint + 1} by {np.degrees(turns[joint]):.0f} deg, more than "
+        f"{np.degrees(ABSURD_RAD):.0f} deg; move the hand to where the arm comes in a shorter way."
+    )
 
 
 @dataclass(frozen=True)
@@ -89,17 +185,19 @@ def seed(mode: Mode, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarra
     return joints if mode in FOLLOWING and joints is not None else q_home
 
 
-def check_tool_pose(chain: TargetChain, T_base_tool: np.ndarray, scale: float, q_seed: np.ndarray) -> ToolCheck:
+def check_tool_pose(
+    chain: TargetChain, T_base_tool: np.ndarray, scale: float, q_seed: np.ndarray, follows: bool = False
+) -> ToolCheck:
     """Returns whether the tool can be brought to a pose, shape (4, 4) [m], by the steps of a desired tool frame.
 
     The answer holds for the joints `q_seed`, shape (7,) [rad], from which the arm would go there: those that it has
     while it follows the desired tool frame, else those of the home position, since it always goes there first. It does
-    not check the path.
+    not check the path. In servo mode the arm `follows`: it does not fold differently.
     """
     reason = rejection_reason(T_base_tool)
     if reason is not None:
         return ToolCheck(f"The tool pose is refused: {reason}")
-    target = chain.reach(T_base_tool, q_seed)
+    target = chain.reach(T_base_tool, q_seed, follows)
     if isinstance(target, Infeasible):
         return ToolCheck(f"The tool pose is outside the workspace: {target}.")
     if target.bounds:
@@ -110,4 +208,9 @@ def check_tool_pose(chain: TargetChain, T_base_tool: np.ndarray, scale: float, q
         )
     if target.failure is not None:
         return ToolCheck(target.failure)
+    if target.deviation:
+        return ToolCheck(
+            f"The tool pose is out of reach: in this position the tool would deviate from it by "
+            f"{np.degrees(target.deviation):.1f} deg."
+        )
     return ToolCheck("The arm can bring the tool there.", chain.desired(T_base_tool, scale))

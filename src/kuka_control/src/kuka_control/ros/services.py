@@ -71,9 +71,10 @@ def offer_tool_check(rig: Rig, read: Callable[[], tuple[Mode, np.ndarray | None,
             return CheckToolPoseResponse(success=False, message=f"The tool pose is refused: {error}.")
         mode, joints, scale = read()
         q_seed = seed(mode, joints, rig.home.q)
-        check = check_tool_pose(rig.chain, T_base_tool, scale, q_seed)
+        follows = mode is Mode.SERVO
+        check = check_tool_pose(rig.chain, T_base_tool, scale, q_seed, follows)
         response = CheckToolPoseResponse(success=check.T_base_desired is not None, message=check.sentence)
-        target = rig.chain.reach(T_base_tool, q_seed)
+        target = rig.chain.reach(T_base_tool, q_seed, follows)
         response.obstacle = str(target) if isinstance(target, Infeasible) else target.failure or ""
         if check.T_base_desired is not None:
             response.desired = message_from_pose(check.T_base_desired)

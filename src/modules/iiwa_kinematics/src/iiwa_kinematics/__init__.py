@@ -8,10 +8,11 @@ from iiwa_kinematics.chain import arm_points, forward, jacobian
 from iiwa_kinematics.elbow_circle import Branch
 from iiwa_kinematics.inverse import IkFailure, IkResult, Kinematics
 from iiwa_kinematics.ptp_speed import PTP_M_PER_S, full_speed_time, path_speed, ptp_velocity
+from iiwa_kinematics.reach import approached, tilted
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 
 __all__ = [
     "FLANGE_HEIGHTS", "PTP_M_PER_S", "ROBOTS", "Branch", "CalibratedKinematics", "DhParameters", "IkFailure",
-    "IkResult", "Kinematics", "RobotModel", "arm_points", "forward", "full_speed_time", "jacobian", "kinematics_of",
-    "nominal_parameters", "path_speed", "ptp_velocity", "robot_model",
+    "IkResult", "Kinematics", "RobotModel", "approached", "arm_points", "forward", "full_speed_time", "jacobian",
+    "kinematics_of", "nominal_parameters", "path_speed", "ptp_velocity", "robot_model", "tilted",
 ]  # fmt: skip

@@ -104,6 +104,11 @@ class CalibratedKinematics(Kinematics):
     ) -> None:
         super().__init__(model, T_flange_tool, elbow_preference)
         self._parameters = parameters
+        nominal, norm = nominal_parameters(model), np.linalg.norm
+        self.slack = (
+            float(norm(np.concatenate((parameters.a - nominal.a, parameters.d - nominal.d)))),
+            float(norm(np.concatenate((parameters.alpha - nominal.alpha, parameters.theta - nominal.theta)))),
+        )
 
     def forward(self, q: np.ndarray) -> np.ndarray:
         return self._parameters.frames(q)[-1] @ self.T_flange_tool
@@ -143,7 +148,7 @@ class CalibratedKinematics(Kinematics):
             error = _pose_error(T, T_base_tool)
             if np.abs(error).max() <= REACHED:
                 return read_only(q)
-            q = _stepped(q, J, error, lower, upper)
+            q = newton_step(q, J, error, lower, upper)
         return None
 
     def _pose_and_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,10 +169,13 @@ def _pose_error(T: np.ndarray, T_target: np.ndarray) -> np.ndarray:
     return np.concatenate((T_target[:3, 3] - T[:3, 3], rotation))
 
 
-def _stepped(q: np.ndarray, J: np.ndarray, error: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Returns the joints after a damped Newton step; a joint that would leave its range stays at its end."""
+def newton_step(q: np.ndarray, J: np.ndarray, error: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Returns the joints after a damped Newton step; a joint that would leave its range stays at its end.
+
+    `error`, shape (n,), is what the step removes, and J, shape (n, 7), its derivative.
+    """
     free = np.ones(7, dtype=bool)
-    damping = (DAMPING * np.linalg.norm(error)) ** 2 * np.eye(6)
+    damping = (DAMPING * np.linalg.norm(error)) ** 2 * np.eye(len(error))
     while True:
         F = J[:, free]
         step = np.zeros(7)
