@@ -203,9 +203,12 @@ class KstArm(Arm):
     def start_servo(self) -> None:
         self._client.start_joint_servo()
         self._at_rest = False
-        self._take("joints", _second_try(self._client.joints))
-        if not self._probed:
-            self._probe(self.measured_joints)
+        try:
+            self._take("joints", _second_try(self._client.joints))
+            if not self._probed:
+                self._probe(self.measured_joints)
+        except NO_READING as error:
+            raise ReplyTimeout(f"{error}; servo mode has started", pending=True) from error
         if Feedback.POSE in self._lacking:
             self.state = replace(self.state, T_base_tool=None)
 

@@ -15,7 +15,7 @@ from common.errors import DeviceError, RigError
 from common.ros import node
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.params import wait_for_config
-from kst import ConnectionLost, KstClient, KstError, NoServer
+from kst import KstClient, KstError, NoServer, ReplyTimeout
 from kuka_control.loop import algorithms
 from kuka_control.loop.arm import KstArm
 from kuka_control.loop.commands import End, Event, Inputs, Servo, Step
@@ -189,7 +189,7 @@ class _Node:
         self._services.hold("the robot does not answer")
         supervisor = self._loop = ReconnectSupervisor(error, self._loop.counts, self._make_loop)
         self._controller.restart(self._link.arm, supervisor)
-        if not isinstance(error, ConnectionLost):
+        if isinstance(error, ReplyTimeout):
             rospy.logerr(supervisor.reason)
             self._show(supervisor.waiting())
             try:
