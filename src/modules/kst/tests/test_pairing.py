@@ -157,6 +157,19 @@ def test_a_reader_that_falls_silent_is_a_lost_connection(server, connect):
         client.joints()
 
 
+def test_a_probe_whose_answer_is_missing_is_searched_for_like_any_other_answer(server, connect, wait_until):
+    client = connect(**BRIEF, probe=0.1)
+    client.start_joint_servo()
+    server.once("jp", b"")
+    with pytest.raises(ReplyTimeout):
+        client.servo(HOME)
+    server.once("getJointsPositions", b"", joints(1.0))
+    server.once("getPin3", joints(0.5) + b"1\n\n")
+    wait_until(lambda: client.silence(0.02) == 0.0, 10.0, "the pairing")
+    np.testing.assert_array_equal(client.joints(), HOME)
+    assert "getPin3" in server.words()
+
+
 def test_a_flood_of_lines_does_not_hold_a_call_for_ever(server, connect):
     client = connect(**BRIEF)
     server.once("getJointsPositions", b"")
