@@ -198,6 +198,17 @@ def test_joints_keep_to_their_ranges_where_the_closed_form_is_at_an_end(model):
 
 
 @models
+def test_a_pose_of_joints_at_their_limits_is_reached_from_these_joints(model):
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        arm, q = random_arm(model, rng, most=0.1), inner_joints(model, rng)
+        joints = rng.choice([0, 1, 2, 4, 5, 6], rng.integers(2, 6), replace=False)
+        q[joints] = rng.choice([-1.0, 1.0], len(joints)) * model.upper[joints]
+        T = arm.forward(q)
+        check(arm, arm.inverse(T, q), T)
+
+
+@models
 def test_what_only_the_arm_of_the_data_sheet_reaches_is_refused_by_name(model):
     """Both arms 5 mm shorter: the outstretched one does not come to the end of the reach in the data sheet."""
     shares = np.zeros(28)

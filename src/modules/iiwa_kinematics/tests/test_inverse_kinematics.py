@@ -12,6 +12,7 @@ from common.poses import pose, translation
 from common.rotations import rotation_about
 from iiwa_kinematics import Branch, IkFailure, Kinematics
 from iiwa_kinematics.elbow_choice import RETURN_FRACTION
+from iiwa_kinematics.elbow_circle import BRANCHES, ElbowCircle, Limits
 from iiwa_kinematics.robot_model import robot_model
 
 TOOL = translation(0.0, 0.0, 0.106)
@@ -41,6 +42,51 @@ def test_every_pose_within_the_ranges_is_reached_from_a_cold_start(arm, seed):
     for q in random_joints(arm, 400, seed=1):
         T = arm.forward(q)
         check(arm, arm.inverse(T, seed), T)
+
+
+@arms
+def test_poses_with_several_joints_exactly_at_their_limits_or_at_zero_are_reached(arm):
+    rng = np.random.default_rng(6)
+    for q in random_joints(arm, 1750, seed=7):
+        joints = rng.choice(7, rng.integers(2, 8), replace=False)
+        q[joints] = np.where(rng.random(len(joints)) < 0.5, arm.model.lower[joints], arm.model.upper[joints])
+        if rng.random() < 0.2:
+            q[rng.choice([1, 5])] = 0.0
+        T = arm.forward(q)
+        check(arm, arm.inverse(T, HOME), T)
+        check(arm, arm.inverse(T, q, keep_branch=True), T)
+
+
+@arms
+def test_a_motion_from_rest_takes_not_much_longer_than_the_quickest_of_all_branches_and_elbows(arm):
+    """Between random joints; the quickest is sought among 120 elbow positions of each branch."""
+    limits = Limits(arm.model.lower, arm.model.upper)
+    for q, q_rest in zip(random_joints(arm, 40, seed=8), random_joints(arm, 40, seed=9)):
+        T = arm.forward(q)
+        circle, quickest = circle_of(arm, T), np.inf
+        for branch in BRANCHES:
+            for turn in np.linspace(-np.pi, np.pi, 120):
+                there = np.array(circle.joints(turn, branch, q_rest, limits))
+                if np.all((arm.model.lower <= there) & (there <= arm.model.upper)):
+                    quickest = min(quickest, duration(arm, q_rest, there))
+        found = arm.inverse(T, q_rest)
+        check(arm, found, T)
+        assert duration(arm, q_rest, found.q) < 1.5 * quickest + 0.6
+
+
+def duration(arm, q_rest, q):
+    """How long a motion between joints takes at full joint speed [s]."""
+    return np.max(np.abs(q - q_rest) / arm.model.max_speed)
+
+
+def circle_of(arm, T):
+    T_flange = T @ np.linalg.inv(arm.T_flange_tool)
+    w = T_flange[:3, 3] - arm.model.wrist_flange * T_flange[:3, 2] - [0.0, 0.0, arm.model.base_shoulder]
+    a, b, reach = arm.model.shoulder_elbow, arm.model.elbow_wrist, np.linalg.norm(w)
+    u, bend = w / reach, np.arccos((reach**2 - a**2 - b**2) / (2.0 * a * b))
+    across = np.cross(u, [0.6, 0.8, 0.0])
+    axes = tuple(map(tuple, T_flange[:3, :3].T))
+    return ElbowCircle(bend, (a, b), tuple(u), tuple(across / np.linalg.norm(across)), axes)
 
 
 @arms

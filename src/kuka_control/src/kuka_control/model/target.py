@@ -22,9 +22,9 @@ from kuka_control.model.switches import Mode
 from kuka_control.model.workspace import Infeasible, Workspace
 
 MAX_DEVIATION_RAD = float(np.radians(45.0))  # an orientation further from the desired one than this is not followed
-ABSURD_RAD = float(np.radians(150.0))
-"""A motion from rest that turns a joint by more than this is refused: of the motions between poses within the shipped
-workspaces, the operator's tolerances included, none needs it, unless the arm has to be folded differently."""
+HALF_TURN_RAD = float(np.pi)
+"""A motion from rest that turns a joint by more than this is refused: the arm would unwind. Between poses within the
+shipped workspaces, at the tilts that the operator is permitted, no joint turns by more than 165 deg."""
 STEADY_RAD = float(np.radians(1.0))  # the joints hurry if their step is larger than this and what full speed allows
 STEADY_TURN_RAD = float(np.radians(4.0))  # a tool frame with a step beyond these has jumped: the joints may, too
 STEADY_M = 0.02
@@ -125,7 +125,7 @@ class TargetChain:
                 q = self._kinematics.inverse(T_tilted, q_seed=q_seed, keep_branch=follows).q
         if q is None:
             return Target(None, T_base_tool, bounds, str(result.failure))
-        if not follows and np.max(np.abs(q - q_seed)) > ABSURD_RAD:
+        if not follows and np.max(np.abs(q - q_seed)) > HALF_TURN_RAD:
             return Target(None, T_base_tool, bounds, _refused_turn(np.abs(q - q_seed)))
         if T_reached is T_base_tool:
             return Target(q, T_base_tool, bounds)
@@ -138,10 +138,10 @@ class TargetChain:
         not; arguments as in `resolve`.
         """
         assert target.q is not None, "only a target with joints can be reached steadily"
-        steps, within = (
-            np.abs(target.q - q_seed),
-            self._kinematics.model.max_speed * min(max(dt, SHORTEST_S), LONGEST_S),
-        )
+        steps = np.abs(target.q - q_seed)
+        if max(steps.tolist()) <= STEADY_RAD:
+            return target
+        within = self._kinematics.model.max_speed * min(max(dt, SHORTEST_S), LONGEST_S)
         if np.all(steps <= STEADY_RAD + within) or (not before.deviation and np.max(steps) > FAR_RAD):
             return target
         position = target.T_base_tool[:3, 3]
@@ -167,8 +167,8 @@ def _refused_turn(turns: np.ndarray) -> str:
     """Returns why joint turns, shape (7,) [rad], are refused, a sentence."""
     joint = int(np.argmax(turns))
     return (
-        f"The motion there would turn joint {joint + 1} by {np.degrees(turns[joint]):.0f} deg, more than "
-        f"{np.degrees(ABSURD_RAD):.0f} deg; move the hand to where the arm comes in a shorter way."
+        f"The motion there would turn joint {joint + 1} by {np.degrees(turns[joint]):.0f} deg, more than half a turn; "
+        f"move the hand to where the arm comes in a shorter way."
     )
 
 

@@ -84,7 +84,7 @@ def approached(
     """
     lower, upper = kinematics.model.lower + MARGIN_RAD, kinematics.model.upper - MARGIN_RAD
     step = q_goal - q_seed
-    q = q_seed + min(1.0, 1.0 / float(np.max(np.abs(step) / most))) * step
+    q = q_seed + step / max(1.0, float(np.max(np.abs(step) / most)))
     for _ in range(NEWTON_STEPS):
         error = position - kinematics.forward(q)[:3, 3]
         if np.abs(error).max() <= POSITION_M:
