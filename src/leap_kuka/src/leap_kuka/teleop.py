@@ -98,6 +98,7 @@ class ArmTeleop:
         self._gate = StartGate(leap, self.box)
         self._control_known = False
         self._attitude = SteadyAttitude(np.eye(3), 0.0, self._limits)
+        self._mean: MeanHand | None = None  # in the newest frame
         self._name = ""  # of the hand that was followed last
         self._slow = False
         self._newest: np.ndarray | None = None  # T_virtual_tool of the newest frame of the stream
@@ -151,7 +152,7 @@ class ArmTeleop:
         self.counts.frames += 1
         rate = self._watch.rate
         self._slow = rate is not None and rate < (ENOUGH_RATE_HZ if self._slow else MIN_RATE_HZ)
-        self._obstacle = None
+        self._obstacle = self._mean = None
         owner = self._lock.owner
         hand = self._lock.update(frame.hands, arrival.stamp)
         if self._gate.running and self._lock.owner is None:
@@ -188,7 +189,7 @@ class ArmTeleop:
         """Adds a sample of the followed hand to the mean, and updates the gate."""
         self._name = hand.name
         left_out = self._average.add(hand, stamp)
-        mean = self._average.mean()
+        self._mean = mean = self._average.mean()
         if left_out:
             self.counts.samples_left_out += 1
             self._reason = f"{hand.name}: {left_out}"
@@ -270,7 +271,7 @@ class ArmTeleop:
             self._lock.end()
         self._average.reset()
         self._gate.running = False
-        self._reason = reason
+        self._mean, self._reason = None, reason
 
     def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
         """Returns T_virtual_tool as the hand of the stream asks for it."""
@@ -282,7 +283,7 @@ class ArmTeleop:
         return T_virtual_tool
 
     def _result(self, usable: bool, now: float) -> TeleopResult:
-        mean = None if self._lock.hand is None else self._average.mean()
+        mean = self._mean
         T_virtual_hand = None if mean is None else mean.T_leap_hand
         hold_end = self._hold.end_reason()
         if not self._gate.running:
