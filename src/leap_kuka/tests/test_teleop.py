@@ -200,6 +200,17 @@ def test_a_hand_that_rests_in_the_box_beside_the_owner_does_not_take_over(play, 
     assert play.come_in(rests)[-1].owner == (13, rests.is_left)
 
 
+@pytest.mark.parametrize(("gap", "restarts", "starts"), [(0.5, False, True), (2.5, False, False), (0.05, True, False)])
+def test_a_hand_that_came_in_has_come_in_though_no_frame_shows_it_for_a_moment(play, sample, gap, restarts, starts):
+    play.steps(10, sample())
+    play.steps(30)
+    play.steps(5, sample(id=13, position=(0.0, 0.35, 0.2)))
+    play.steps(10, sample(id=13, pitch=40.0))
+    play.number *= not restarts
+    play.step(sample(id=13), dt=gap)
+    assert (play.steps(20, sample(id=13))[-1].state == StreamState.RUNNING) == starts
+
+
 @pytest.mark.parametrize("glitch", [{"position": (0.2, 0.35, 0.0)}, {"position": (0.11, 0.35, 0.0)}])
 def test_noise_and_outliers_do_not_bring_a_hand_out_of_the_box(play, sample, glitch):
     play.steps(10, sample())

@@ -30,6 +30,7 @@ class FrameArrival:
 
     usable: bool  # whether it is new and of the present; otherwise it must be ignored
     broken: str | None = None  # why it must not continue the stream before it
+    restarted: bool = False  # whether the tracker has begun to count anew
     stamp: float = 0.0  # time of its stamp, never before that of the frame before [s]; of a usable frame only
 
 
@@ -56,8 +57,8 @@ class FrameWatch:
         if frame_id == self._last_id:
             self._refusal = (f"the tracker repeats frame {frame_id}", now)
             return FrameArrival(False)
-        broken = None
-        if self._last_id is not None and frame_id < self._last_id:
+        broken, restarted = None, self._last_id is not None and frame_id < self._last_id
+        if restarted:
             broken = f"the tracker's frame number went back from {self._last_id} to {frame_id}"
         elif self._last_time is not None and now - self._last_time > self._max_silence:
             broken = f"no tracking frame came for {now - self._last_time:.1f} s"
@@ -69,7 +70,7 @@ class FrameWatch:
         self._stamps.append(stamp)
         while stamp - self._stamps[0] > RATE_WINDOW_S:
             self._stamps.popleft()
-        return FrameArrival(True, broken, stamp)
+        return FrameArrival(True, broken, restarted, stamp)
 
     @property
     def rate(self) -> float | None:
@@ -113,6 +114,7 @@ def plausible_step(elapsed: float) -> float:
 MAX_SUCCESSOR_STEP_M = 0.07  # less than the width of a palm: two hands side by side are never taken for one
 MAX_SUCCESSOR_TURN = math.radians(20.0)  # a hand that is found anew differs by some 10 deg, and turns meanwhile
 LEFT_BOX_M = 0.02  # a palm is out of the box when it is so far from it,
+REMEMBERED_S = 2.0  # a hand that came into the box has done so, though no frame shows it for this long [s]
 LEFT_BOX_FRAMES = 3  # in so many frames in a row: neither noise at the edge nor an outlier leaves the box
 
 
@@ -187,11 +189,16 @@ class HandLock(Generic[Hand]):
         for track in self._tracks:
             track.came_in, track.frames_outside = False, 0
 
+    def forget(self) -> None:
+        """Forgets all hands: the tracker has restarted, and its numbers mean others."""
+        self._tracks.clear()
+
     def update(self, hands: Iterable[Hand], now: float) -> Hand | None:
         """Updates the choice from the hands of a frame whose stamp is at `now` [s]; returns `hand`."""
         before = self._followed
-        self._tracks = [track for track in self._tracks if now - track.seen <= self._max_gap]
-        if self.engaged and before not in self._tracks:
+        keep = self._max_gap if self._outside is None else REMEMBERED_S
+        self._tracks = [track for track in self._tracks if now - track.seen <= keep]
+        if self.engaged and (before is None or now - before.seen > self._max_gap):
             self.end()
         self._match(hands, now)
         if not self.engaged:
@@ -210,8 +217,8 @@ class HandLock(Generic[Hand]):
         for key in sorted(visible, key=lambda key: (key not in known, key)):
             hand, track = visible[key], known.get(key)
             if track is None:
-                gone = (t for t in self._tracks if t.key not in visible and succeeds(hand, t.hand, now - t.seen))
-                track = next(gone, None)
+                gone = [t for t in self._tracks if t.key not in visible and now - t.seen <= self._max_gap]
+                track = next((t for t in gone if succeeds(hand, t.hand, now - t.seen)), None)
             if track is None:
                 track = _Track(hand, now, self._any_hand or self._outside is None)
                 self._tracks.append(track)

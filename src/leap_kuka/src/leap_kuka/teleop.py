@@ -145,6 +145,8 @@ class ArmTeleop:
         end = arrival.broken
         if end:
             self._break(end)
+        if arrival.restarted:
+            self._lock.forget()
         self._hold.expire(now)
         if not arrival.usable:
             self.counts.frames_refused += 1
