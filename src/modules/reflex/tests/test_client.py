@@ -3,6 +3,7 @@
 import math
 import socket
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -53,7 +54,9 @@ def test_calibrates_closes_feels_and_lets_go(simulated_hand, hand_of, wait_until
     wait_until(lambda: control.ask("state")["torque"] == [False] * 4, 10.0, "torque off")
     with hand_of(port, hold_at_exit=True) as again:
         assert again.calibrated
+        wait_until(lambda: control.ask("state")["torque"] == [True] * 4, 10.0, "torque on")
     again.disconnect()
+    time.sleep(0.2)  # in which the hand would have read the last packet
     assert control.ask("state")["torque"] == [True] * 4
     for use in (lambda: again.command((0.0,) * 4), again.connect, lambda: again.wait_for_packet(0.1)):
         with pytest.raises(CommandRefused):
