@@ -21,6 +21,7 @@ CLOCK_S = 1.7e9
 GOAL_S = 1.0 / 250.0
 GOALS_PER_FRAME = 2
 FRAME_S = GOALS_PER_FRAME * GOAL_S
+AT_HOME_S = 0.5
 RADIUS_M = 0.06
 SPEED_M_S = 0.15
 
@@ -61,7 +62,7 @@ class IdealArm(Arm):
 
 def rows(quick: bool) -> list[Row]:
     """Returns the time of the steps and of the whole cycle for a tool that runs in circles about the centre."""
-    count = 100 if quick else 10_000
+    count = 200 if quick else 10_000
     config = parse(
         RealTimeConfig, yaml.safe_load((SRC / "kuka_control/config/kuka_params_rt.yaml").read_text()), "kuka/"
     )
@@ -93,7 +94,8 @@ def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings
     for i in range(GOALS_PER_FRAME * len(circle)):
         now = 100.0 + i * GOAL_S
         frame = i // GOALS_PER_FRAME
-        desired = DesiredFrame(circle[frame], CLOCK_S + 100.0 + frame * FRAME_S)
+        # The hand comes in when the arm is at home and control is on.
+        desired = DesiredFrame(circle[frame], CLOCK_S + 100.0 + frame * FRAME_S) if i * GOAL_S > AT_HOME_S else None
         inputs.append((Inputs(desired, CLOCK_S + now, SwitchState(control_on=True, enable_count=1)), now))
     times, steps = timed(controller.cycle, inputs)
     servo = np.array([isinstance(step.command, Servo) for step in steps])

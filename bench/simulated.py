@@ -124,8 +124,9 @@ class SimulatedRig:
 
         `jitter` returns how late each frame comes [s]; no frames come after `frames_for` [s].
         """
+        if self.newest is None:
+            self._cycle(control_on=True)  # a stream counts only if it begins while control is on
         self._clear()
-        self.start = self.now
         frames = []
         for i in range(int(min(seconds, frames_for) * rate) + 1):
             frames.append((i / rate + (jitter() if jitter else 0.0), i / rate))

@@ -13,6 +13,7 @@ from common.rotations import rotation_angle, rotation_from_zyx
 from kst import ConnectionLost, ReplyTimeout
 from kuka_control.loop.commands import End
 from kuka_control.loop.controller import MAX_MISSED
+from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 
@@ -153,7 +154,9 @@ def test_control_off_and_on_again_still_goes_home_first(cycles):
         world.run(cycles * DT, shifted(0.05, 0.0, 0.0))
     world.control_on = True
     world.run(3.0, shifted(0.05, 0.0, 0.0))
-    assert world.arm.told[:2] == [("stop_servo",), ptp(HOME.q, SLOW)]
+    assert world.arm.told == [("stop_servo",), ptp(HOME.q, SLOW)] and world.mode == "home"
+    assert "take the hand out of the box" in world.steps[-1].reason
+    world.run(0.3).run(3.0, shifted(0.05, 0.0, 0.0))
     assert world.mode == "servo"
 
 
@@ -386,7 +389,7 @@ def test_an_unreachable_frame_at_home_is_in_the_status_while_it_comes_and_contro
     world.run(0.5, tipped(1.4))
     assert world.steps[-1].reason == "The arm is at home."
     world.control_on = True
-    world.run(0.5, tipped(1.4))
+    world.run(0.3).run(0.5, tipped(1.4))
     assert world.mode == "home" and world.arm.told == []
     assert world.steps[-1].reason.startswith("The arm is at home. The arm keeps its joints: The tool pose is out of")
     world.run(1.0)
@@ -449,7 +452,7 @@ def test_a_safety_stop_is_found_held_and_latched(off_s):
     np.testing.assert_allclose(world.arm.q, held_at)
     world.arm.told.clear()
     world.control_on = True
-    world.run(5.0, shifted(0.05, 0.0, 0.0))
+    world.run(0.3).run(5.0, shifted(0.05, 0.0, 0.0))
     assert [t[0] for t in world.arm.told] == ["ptp", "ptp", "start_servo"]
     assert world.arm.told[0] == ptp(HOME.q, SLOW)
     assert world.loop.stopped_because is None
@@ -515,7 +518,7 @@ def test_after_a_motion_to_a_hand_that_a_safety_stop_held_nothing_is_followed(sc
     world.run(2.0, shifted(0.0, 0.1, 0.0))
     assert [t[0] for t in world.arm.told] == ["ptp"]
     world.control_on = False
-    world.run(0.1)
+    world.run(0.3)
     world.control_on = True
     world.run(4.0, tool)
     assert world.loop.stopped_because is None and reached(world, tool)
@@ -537,7 +540,7 @@ def test_after_a_way_home_that_a_safety_stop_held_the_arm_stays_there(schema, se
     assert world.mode == "stopped" and world.arm.told == []
     np.testing.assert_allclose(world.arm.q, HOME.q)
     world.control_on = False
-    world.run(0.1)
+    world.run(0.3)
     world.control_on = True
     world.run(4.0, tool)
     assert world.arm.told[0] == ptp(HOME.q, SLOW) and reached(world, tool)
@@ -620,3 +623,152 @@ def test_ptp_goes_home_after_the_time_out():
     world.run(2.0, shifted(0.05, 0.0, 0.0))
     world.run(2.0)
     assert world.arm.told[-1] == ptp(HOME.q, 0.15) and world.mode == "home"
+
+
+@both
+def test_a_stream_that_ran_when_control_went_on_does_not_count(schema):
+    world = World(schema).at_home().run(0.5, shifted(0.05, 0.0, 0.05))
+    world.control_on = True
+    world.run(3.0, shifted(0.05, 0.0, 0.05))
+    assert world.arm.told == [] and "take the hand out of the box" in world.steps[-1].reason
+    world.run(0.3)
+    assert world.steps[-1].reason == "The arm is at home."
+    world.run(3.0, shifted(0.05, 0.0, 0.05))
+    assert reached(world, shifted(0.05, 0.0, 0.05))
+
+
+@settings(max_examples=15)
+@given(
+    st.lists(st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.05, 0.15, 0.3])), min_size=1, max_size=6),
+    st.sampled_from([RealTimeConfig, PtpConfig]),
+)
+def test_whatever_comes_first_the_arm_leaves_home_only_for_a_stream_that_began_after_control_went_on(moments, schema):
+    """`moments`: whether control is on, whether the hand is shown, and for how long."""
+    world = World(schema).at_home()
+    began_on = False
+    pause = 1.0
+    for on, shown, seconds in moments:
+        switched_on = on and not world.control_on
+        world.control_on = on
+        if switched_on and pause <= 0.2:
+            began_on = False
+        elif shown and pause > 0.2:
+            began_on = on
+        pause = 0.0 if shown else pause + seconds
+        world.run(seconds, shifted(0.05, 0.0, 0.0) if shown else None)
+        assert began_on or not any(told[0] == "ptp" and told[2] == FAST for told in world.arm.told)
+        if world.arm.told:
+            return
+
+
+def test_a_stall_of_the_loop_costs_no_pick_up_and_no_return_home():
+    """One lost packet stops TCP for 200 ms; the hand moves on meanwhile at 0.3 m/s, and its frames were there."""
+    world = World().following()
+    start = world.now
+
+    def tool(_):
+        return shifted(0.0, 0.3 * (world.now - start) if world.now - start < 0.5 else 0.15, 0.0)
+
+    world.run(0.2, tool)
+    for stall in (0.05, 0.08, 0.25):
+        before = world.arm.goals[-1]
+        world.now += stall
+        world.run(DT, tool)
+        np.testing.assert_array_equal(world.arm.goals[-1], before, "from rest")
+        first = len(world.arm.goals) - 1
+        world.run(0.1, tool)
+        speeds = np.diff(world.arm.goals[first:], axis=0) / DT
+        assert np.max(np.abs(np.diff(speeds, axis=0) / DT)) <= 1.01 * 12.0 * 1.84
+    world.run(1.0, tool)
+    assert world.arm.told == [] and world.loop.counts["jumps"] == 0 and reached(world, tool(0.0))
+
+
+def test_after_a_stall_a_hand_that_is_elsewhere_still_counts_as_one_that_jumped():
+    world = World().following()
+    world.now += 0.25
+    world.run(0.5, shifted(0.25, 0.0, 0.0))
+    assert world.arm.told[0] == ("stop_servo",) and world.loop.counts["jumps"] == 1
+    world = World().following()
+    world.now += 3.0
+    world.run(0.5, shifted(0.1, 0.0, 0.0))
+    assert world.loop.counts["jumps"] == 1, "nobody knows what the hand did for so long"
+
+
+def at_rate(world, rate, tool, seconds):
+    """Frames at a rate [Hz]."""
+    start, frame = world.now, -1
+    while world.now - start < seconds:
+        number = int((world.now - start) * rate)
+        fresh, frame = number > frame, number
+        world.run(DT, tool(number / rate) if fresh else None)
+    return world
+
+
+def away(t):
+    """A hand that goes aside by 0.2 m at up to 0.94 m/s."""
+    s = np.clip((t - 1.0) / 0.4, 0.0, 1.0)
+    left = 0.2 * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+    return shifted(0.5**0.5 * left, 0.5**0.5 * left, 0.0)
+
+
+@pytest.mark.parametrize(("rate", "fraction"), [(115.0, 1.0), (50.0, 5.0 / 6.0), (30.0, 0.5), (24.0, 0.4)])
+def test_the_speed_limit_falls_with_the_rate_of_the_frames(rate, fraction):
+    world = at_rate(World().following(), rate, away, 1.0)
+    first = len(world.arm.goals)
+    at_rate(world, rate, lambda t: away(1.0 + t), 3.0)
+    fastest = np.max(tool_speeds(world, first))
+    assert 0.9 * fraction * 0.65 < fastest < 1.06 * fraction * 0.65
+    assert reached(world, away(9.0)) and world.mode == "servo"
+
+
+def test_frames_below_20_a_second_are_not_followed_until_they_come_faster():
+    world = at_rate(World().following(), 15.0, lambda t: shifted(0.0, 0.0, 0.0), 0.5)
+    first = len(world.arm.goals)
+    at_rate(world, 15.0, lambda t: shifted(0.0, min(0.1 * t, 0.1), 0.0), 2.0)
+    assert np.max(np.abs(np.diff(world.arm.goals[first:], axis=0))) < 1e-6 and world.mode == "servo"
+    assert world.steps[-1].limited_by == ("frame rate",)
+    at_rate(world, 60.0, lambda t: shifted(0.0, 0.1, 0.0), 2.0)
+    assert reached(world, shifted(0.0, 0.1, 0.0)) and world.arm.told == []
+
+
+ENDS = {
+    "control off": lambda world: setattr(world, "control_on", False),
+    "exit": lambda world: setattr(world, "exit_requested", True),
+    "silence": None,
+    "jump": (0.0, 0.0, -0.15),
+    "infeasible": (-0.9, 0.9, 0.0),
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("speed", [0.15, 0.5])
+def test_every_end_of_the_stream_brakes_within_the_limits(end, speed):
+    world = World().following()
+    start = world.now
+
+    def tool(_):
+        t = world.now - start
+        return shifted(*(0.5**0.5 * speed * min(t, 0.5 * t * t) * np.array([1.0, 1.0, 0.0])))
+
+    world.run(1.2 if speed < 0.3 else 0.9, tool)
+    happens = ENDS[end]
+    if callable(happens):
+        happens(world)
+    there = tool(0.0)
+    if isinstance(happens, tuple):
+        there = there.copy()
+        there[:3, 3] += happens
+    last = len(world.arm.goals)
+    moving = np.max(np.abs(np.diff(world.arm.goals[-2:], axis=0))) / DT
+    assert moving > 0.3 * speed
+    world.until_state(State.ZERO if end in ("exit", "infeasible") else State.SERVO_LEFT if end == "jump" else
+                      State.RETURN_PENDING, None if end == "silence" else lambda _: there)  # fmt: skip
+    braked = np.array(world.arm.goals[last - 4 :])
+    assert len(braked) > 10, "it did not end at once"
+    speeds = np.diff(braked, axis=0) / DT
+    accelerations = np.diff(speeds, axis=0) / DT
+    pace = world.rig.model.max_speed / np.min(world.rig.model.max_speed)
+    assert np.all(np.abs(accelerations) <= 12.0 * pace * 1.001)
+    assert np.all(np.abs(np.diff(accelerations, axis=0) / DT) <= 1000.0 * pace * 1.01)
+    np.testing.assert_allclose(speeds[-1], 0.0, atol=0.06)
+    assert ("stop_servo",) in world.arm.told

@@ -11,15 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.config import parse
-from kuka_control.limits.motion_limits import (
-    ARM_S,
-    LEAD_RAD,
-    MAX_CYCLE_S,
-    MotionLimits,
-    ShapeLimits,
-    SpeedLimits,
-    Unlimited,
-)
+from kuka_control.limits.motion_limits import ARM_S, GAP_S, LEAD_RAD, MotionLimits, Unlimited
+from kuka_control.limits.speed_change import GuardedRoom, ShapeLimits
 from kuka_control.loop.algorithms import motion_limits
 from kuka_control.loop.goal_stream import LOST_S, TOLERANCE_RAD, is_jump
 from kuka_control.model.config import RealTimeConfig
@@ -45,7 +38,8 @@ def tool_position(q):
 
 
 def limits(start=REST):
-    result = MotionLimits(SpeedLimits(SPEEDS, TCP_SPEED), ShapeLimits(ACCELERATION, JERK), -RANGE, RANGE, tool_position)
+    room = GuardedRoom(-RANGE, RANGE, TCP_SPEED, tool_position)
+    result = MotionLimits(SPEEDS, ShapeLimits(ACCELERATION, JERK), room)
     result.reset(start)
     return result
 
@@ -113,13 +107,18 @@ def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):
 
 
 @given(cycles)
-def test_uneven_cycles_do_not_count_for_longer_than_they_may(dts):
+def test_uneven_cycles_move_the_goal_by_their_time_and_a_gap_puts_it_at_rest(dts):
     follower = limits()
-    before = REST
+    before, v = REST, REST
     for dt in dts:
-        q = follower.step(2.0 * WRIST, before, dt).q
-        assert np.all(np.abs(q - before) <= SPEEDS * min(dt, MAX_CYCLE_S) + 1e-9)
-        before = q
+        step = follower.step(2.0 * WRIST, before, dt)
+        if dt > GAP_S:
+            np.testing.assert_array_equal(step.q, before)
+            np.testing.assert_array_equal(step.v, REST)
+        else:
+            assert np.all(np.abs(step.q - before) <= SPEEDS * dt + 1e-9)
+            assert np.all(np.abs(step.v - v) <= ACCELERATION * dt + 1e-9)
+        before, v = step.q, step.v
 
 
 @settings(max_examples=20)
@@ -155,12 +154,20 @@ def test_the_result_names_the_limit():
     assert "joint acceleration" in named(0.05 * WRIST)
 
 
-def test_a_stall_of_the_loop_is_not_made_up_for():
+@pytest.mark.parametrize(("dt", "rests"), [(0.012, False), (GAP_S, False), (0.031, True), (0.05, True), (1.0, True)])
+def test_after_a_gap_the_goal_starts_from_rest(dt, rests):
+    """The arm has come to rest at the last goal meanwhile, so a goal that went on at full speed would tear at it."""
     follower = limits()
     run(follower, 2.0 * WRIST, 0.4)
     before = follower.goal
-    after = follower.step(2.0 * WRIST, before, 1.0).q
-    assert after[6] - before[6] <= SPEEDS[6] * MAX_CYCLE_S + 1e-9
+    after = follower.step(2.0 * WRIST, before, dt)
+    if not rests:
+        assert after.q[6] - before[6] == pytest.approx(SPEEDS[6] * dt, rel=0.02)
+        return
+    np.testing.assert_array_equal(after.q, before)
+    goals = np.concatenate([[before, after.q], run(follower, 2.0 * WRIST, 0.2)[1:]])
+    assert np.max(np.abs(np.diff(goals, n=2, axis=0))) / DT**2 <= 1.01 * ACCELERATION[6]
+    assert np.max(speeds(goals)) == pytest.approx(SPEEDS[6], rel=0.01)
 
 
 @settings(max_examples=25)

@@ -108,7 +108,23 @@ def nothing(world):
 
 
 def wait(world):
-    world.now += 1.0
+    world.run(0.21)
+
+
+def move(world):
+    """The hand moves, so that the goals have a speed at what comes next."""
+    start = world.now
+    world.run(0.15, lambda _: shifted(0.1, 0.3 * (world.now - start), 0.0))
+
+
+def stop_while_moving(world):
+    move(world)
+    disable(world)
+
+
+def leave_while_moving(world):
+    move(world)
+    leave(world)
 
 
 # How a state is reached: the state before, what happens there, and the desired tool frame from then on.
@@ -121,6 +137,7 @@ PATHS = {
     State.AT_POSE: (State.PICK_UP, nothing, FAR),
     State.SERVO: (State.PICK_UP, nothing, FAR),
     State.RELEASING: (State.SERVO, hold, lambda t: shifted(0.1, 0.05 * t, 0.0)),
+    State.BRAKING: (State.SERVO, stop_while_moving, None),
     State.SERVO_LEFT: (State.SERVO, lambda world: world.run(0.1, FAR), FARTHER),
     State.RETURN_PENDING: (State.SERVO, disable, None),
     State.RETURNING: (State.PICK_UP, disable, None),
@@ -151,9 +168,11 @@ EVENTS_IN = {
     **{(state, Trigger.REFUSED): (refuse("end"), None) for state in (State.HOMING, State.PICK_UP, State.RETURNING)},
     (State.ZERO, Trigger.REFUSED): (refuse("end"), None),
     **{(state, Trigger.REFUSED): (refuse("read"), None) for state in (State.HOME, State.AT_POSE)},
-    **{(state, Trigger.REFUSED): (refuse("servo"), FAR) for state in (State.IDENTIFYING, State.SERVO)},
+    **{(state, Trigger.REFUSED): (refuse("servo"), FAR) for state in (State.IDENTIFYING, State.SERVO, State.BRAKING)},
     (State.SERVO, Trigger.MOVED_ON): (nothing, shifted(0.0, 0.0, 0.15)),
 }
+PATH_FOR = {(State.BRAKING, Trigger.AT_REST): (State.SERVO, leave_while_moving, None)}
+"""How a state is reached for one trigger."""
 BEFORE = {
     **{(s, Trigger.REFUSED): "stop_servo" for s in (State.IDENTIFIED, State.SERVO_LEFT, State.RETURN_PENDING)},
     (State.RELEASING, Trigger.REFUSED): "hold",
@@ -163,9 +182,9 @@ CHANGES = {Trigger.WRONG_LAW: {"servo_law": "lts"}, Trigger.MOVED_ON: {"shaping"
 """Parameters that a trigger needs."""
 
 
-def reach(world, state, refused=None):
+def reach(world, state, refused=None, path=None):
     if state is not State.STARTING:
-        before, event, tool = PATHS[state]
+        before, event, tool = path or PATHS[state]
         reach(world, before)
         event(world)
         world.arm.refuse = refused or world.arm.refuse
@@ -187,7 +206,7 @@ def test_every_transition_is_taken(schema, source, trigger):
         enable(world)
         world.until_state(State.ZERO, INFEASIBLE)
     else:
-        reach(world, source, BEFORE.get((source, trigger)))
+        reach(world, source, BEFORE.get((source, trigger)), PATH_FOR.get((source, trigger)))
     assert world.state is source
     event, tool = EVENTS_IN.get((source, trigger)) or EVENTS.get(trigger, (nothing, None))
     event(world)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.poses import pose
-from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
+from kuka_control.model.desired_frame import LOOK_S, PAUSE_S, DesiredFrame, DesiredStream
 
 CLOCK = 1.7e9
 
@@ -25,10 +25,47 @@ def test_only_another_stamp_is_new():
 
 def test_silence_counts_from_the_last_new_stamp():
     stream = DesiredStream()
-    assert stream.silent_for(5.0) == float("inf")
+    assert stream.silence == float("inf")
     stream.take(desired(CLOCK), CLOCK, 1.0)
     stream.take(desired(CLOCK), CLOCK, 1.3)
-    assert stream.silent_for(1.5) == pytest.approx(0.5)
+    assert stream.silence == pytest.approx(0.3)
+
+
+def test_in_servo_mode_a_stall_of_the_loop_is_no_silence():
+    stream = DesiredStream()
+    stream.take(desired(CLOCK), CLOCK, 1.0)
+    stream.take(desired(CLOCK), CLOCK, 1.3, in_servo=True)
+    assert stream.silence == pytest.approx(LOOK_S)
+
+
+def looked_at(stream, start, seconds, frames, skew=0.0):
+    """Looks every 10 ms; returns the time of the end."""
+    for i in range(round(seconds / 0.01)):
+        now = start + 0.01 * i
+        stream.take(desired(CLOCK + now + skew) if frames else None, CLOCK + now, now)
+    return start + seconds
+
+
+def test_a_pause_separates_streams():
+    stream = DesiredStream()
+    now = looked_at(stream, 0.0, 0.5, frames=True)
+    assert stream.number == 0, "it may have begun before"
+    now = looked_at(stream, now, PAUSE_S - 0.03, frames=False)
+    now = looked_at(stream, now, 0.1, frames=True)
+    assert stream.number == 0 and stream.runs
+    now = looked_at(stream, now, PAUSE_S + 0.03, frames=False)
+    assert not stream.runs
+    looked_at(stream, now, 0.1, frames=True)
+    assert stream.number == 1
+
+
+@pytest.mark.parametrize("unseen", ["refused frames", "stall of the loop"])
+def test_neither_refused_frames_nor_a_stall_begin_a_new_stream(unseen):
+    stream = DesiredStream()
+    now = looked_at(stream, 0.0, 0.5, frames=True)
+    now = looked_at(stream, now, 0.5, frames=True, skew=-9.0) if unseen == "refused frames" else now + 2.0
+    looked_at(stream, now, 0.1, frames=True)
+    assert stream.number == 0
 
 
 @pytest.mark.parametrize("skew, side", [(-0.6, "behind"), (0.6, "ahead of"), (-1.7e9, "behind")])
@@ -37,7 +74,7 @@ def test_old_and_future_stamps_are_refused_with_the_measured_skew_once(skew, sid
     taken = stream.take(desired(CLOCK + skew), CLOCK, 0.0)
     assert taken.fresh is None and side in taken.refused and f"{abs(skew):.3f} s" in taken.refused
     assert stream.take(desired(CLOCK + skew + 0.01), CLOCK + 0.01, 0.01).refused is None
-    assert stream.silent_for(0.01) == float("inf")
+    assert stream.silence == float("inf")
     assert stream.take(desired(CLOCK + 0.02), CLOCK + 0.02, 0.02).fresh is not None
     assert stream.take(desired(CLOCK + skew), CLOCK, 0.03).refused is not None
 

@@ -12,8 +12,15 @@ pytest.importorskip("rig_simulation")
 from bench.simulated import SimulatedRig
 from iiwa_kinematics import Kinematics
 from iiwa_kinematics.robot_model import robot_model
-from kuka_control.limits.motion_limits import MotionLimits, SpeedLimits
-from kuka_control.limits.speed_change import SLACK_M, JointState, ShapeLimits, SpeedChange, WorkspaceBrake
+from kuka_control.limits.motion_limits import MotionLimits
+from kuka_control.limits.speed_change import (
+    SLACK_M,
+    GuardedRoom,
+    JointState,
+    ShapeLimits,
+    SpeedChange,
+    StoppingGuard,
+)
 from kuka_control.model.workspace import Workspace
 
 DT = 0.004
@@ -49,12 +56,18 @@ def outside(q):
     return max(0.0, -min(WORKSPACE.rooms(tool_position(q))))
 
 
-def limits(brake=True):
-    brakes = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION) if brake else None
-    shape = ShapeLimits(ACCELERATION, JERK)
-    result = MotionLimits(
-        SpeedLimits(0.9 * MODEL.max_speed, 0.7), shape, MODEL.lower, MODEL.upper, tool_position, brakes
-    )
+def room(workspace=WORKSPACE, tool_speed=0.7):
+    return GuardedRoom(MODEL.lower, MODEL.upper, tool_speed, tool_position, ARM.jacobian, workspace)
+
+
+def guard(**changes):
+    """Returns the change of the velocities and its guard; a tool that is very fast is the wish of some tests."""
+    change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
+    return change, StoppingGuard(change, room(tool_speed=9.0, **changes), ACCELERATION)
+
+
+def limits(workspace=WORKSPACE):
+    result = MotionLimits(0.9 * MODEL.max_speed, ShapeLimits(ACCELERATION, JERK), room(workspace))
     result.reset(HOME)
     return result
 
@@ -65,27 +78,28 @@ def run(follower, targets):
 
 @settings(max_examples=30)
 @given(st.lists(st.tuples(speeds, st.integers(5, 60)), min_size=1, max_size=6))
-def test_no_wish_of_joint_speeds_carries_the_tool_out(wishes):
-    brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
-    change = SpeedChange(ShapeLimits(ACCELERATION, JERK), MODEL.lower, MODEL.upper)
+def test_no_desired_velocity_carries_the_tool_out(wishes):
+    change, brake = guard()
     now = JointState(HOME, REST, REST)
     for desired, steps in wishes:
         for _ in range(steps):
-            now, _ = brake.step(change, now, desired, DT)
+            now, _ = brake.step(now, desired, DT)
             assert outside(now.q) < ALLOWED_M
 
 
 @settings(max_examples=30)
 @given(speeds, st.integers(5, 60))
 def test_what_stays_inside_is_untouched_bit_by_bit(desired, steps):
-    brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
-    change = SpeedChange(ShapeLimits(ACCELERATION, JERK), MODEL.lower, MODEL.upper)
+    change, brake = guard()
     now = JointState(HOME, REST, REST)
     for _ in range(steps):
         free = change.step(now, desired, DT)
-        now, held = brake.step(change, now, desired, DT)
+        now, held = brake.step(now, desired, DT)
         if held:
-            assert max(outside(q) for q in change.stopping(free)) > SLACK_M
+            path = change.stopping(free)
+            stop = [np.array(path.at_time(s * path.duration)[0]) for s in np.linspace(0.0, 1.0, 50)]
+            beyond = np.any((stop[-1] > MODEL.upper) | (stop[-1] < MODEL.lower))
+            assert beyond or max(outside(q) for q in stop) > SLACK_M
             return
         for taken, expected in ((now.q, free.q), (now.v, free.v), (now.a, free.a)):
             np.testing.assert_array_equal(taken, expected)
@@ -95,7 +109,7 @@ def test_what_stays_inside_is_untouched_bit_by_bit(desired, steps):
 @given(st.lists(st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06)), min_size=2, max_size=4))
 def test_far_from_all_bounds_the_stream_is_the_same_as_without_a_brake(turns):
     targets = [HOME + np.array([a, b, 0, a, 0, b, a]) for a, b in turns for _ in range(40)]
-    np.testing.assert_array_equal(run(limits(), targets), run(limits(brake=False), targets))
+    np.testing.assert_array_equal(run(limits(), targets), run(limits(workspace=None), targets))
 
 
 @given(places, speeds)
@@ -109,7 +123,7 @@ def test_along_takes_away_the_way_out_and_nothing_else(place, desired):
     q = ARM.inverse(T, q_seed=HOME).q
     if q is None or abs(q[3]) < 0.3:
         return
-    brake = WorkspaceBrake(WORKSPACE, tool_position, ARM.jacobian, ACCELERATION)
+    _, brake = guard()
     left = brake.along(q, desired)
     rooms, normals = np.array(WORKSPACE.rooms(T[:3, 3])), WORKSPACE.outward(T[:3, 3])
     J = ARM.jacobian(q)

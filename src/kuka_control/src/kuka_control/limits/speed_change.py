@@ -1,22 +1,29 @@
-"""Changes of the joint velocities within limits of acceleration and jerk, all joints in step, by Ruckig.
+"""Changes of the joint velocities within limits of acceleration and jerk, by Ruckig; and the guard of what comes after.
 
-The brake keeps the tool point of the stream of servo goals inside the workspace: it brakes before a bound, not behind.
+The guard takes a step only if all joints could then still stop: inside their ranges, with the tool inside the workspace
+and below its speed limit on the way. That stop is always the next step that is left, so the limits hold by induction.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
+from numpy.typing import ArrayLike
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, Synchronization, Trajectory
 
-from common.poses import read_only
 from kuka_control.model.workspace import Workspace
 
 EVEN_S = 0.012  # least duration of a velocity change [s]
-STOPPING = (0.25, 0.5, 0.75, 1.0)  # fractions of the braking time at which the path to the stop is checked
+STOPPING = (0.0, 0.1, 0.3, 0.6, 1.0)  # fractions of the stopping time at which the position of the tool is checked
+FASTEST = 3  # at so many of them, the first ones, its speed is checked too: later it mostly falls
+NEAR_LIMIT = 0.85  # a speed above this fraction of the limit is checked at more of them:
+MORE = (0.02, 0.05, 0.15, 0.2, 0.4, 0.5)
+DIFFERENCE_S = 1e-4  # time over which that speed is calculated [s]
 SLACK_M = 1e-3  # the path to a stop may lead out of the workspace by this much: at curved bounds it is straight [m]
+SLACK_RAD = 1e-9  # rounding error of a stop that ends at a joint limit [rad]
 INWARD_PER_S = 40.0  # gain on the distance between a bound and a tool that slides along it [1/s]
 HALVINGS = 5  # bisections of the fraction of the desired velocity that can be kept
 SWEEPS = 3  # passes over the bounds: a correction at one may add speed across another (they meet at 68 deg or more)
@@ -41,104 +48,136 @@ class JointState:
     a: np.ndarray
     duration: float = 0.0  # of the whole velocity change [s]
 
+    @classmethod
+    def rest(cls, q: np.ndarray) -> JointState:
+        """Returns the state at rest at joints q."""
+        return cls(q, np.zeros(7), np.zeros(7))
+
 
 class SpeedChange:
-    """Changes the joint velocities; no joint leaves its range `lower` to `upper`, shape (7,) [rad]."""
+    """Changes the joint velocities within the limits `shape`."""
 
-    def __init__(self, shape: ShapeLimits, lower: np.ndarray, upper: np.ndarray) -> None:
-        self._lower = lower
-        self._upper = upper
+    def __init__(self, shape: ShapeLimits) -> None:
         self._ruckig = Ruckig(7)
         self._trajectory = Trajectory(7)
-        self._input = InputParameter(7)
-        self._input.control_interface = ControlInterface.Velocity
-        self._input.max_acceleration = shape.acceleration.tolist()
-        self._input.max_jerk = shape.jerk.tolist()
-        self._input.target_acceleration = [0.0] * 7
-        self._input.minimum_duration = EVEN_S
+        self._change, self._stop = InputParameter(7), InputParameter(7)
+        for plan in (self._change, self._stop):
+            plan.control_interface = ControlInterface.Velocity
+            plan.max_acceleration = shape.acceleration.tolist()
+            plan.max_jerk = shape.jerk.tolist()
+        self._change.minimum_duration = EVEN_S
+        # Each joint as quickly as it can: the rest of such a stop is the stop from any state on its way.
+        self._stop.synchronization = Synchronization.No
 
     def step(self, now: JointState, desired: np.ndarray, dt: float) -> JointState:
-        """Returns the state dt [s] later, on the way to the velocities `desired`, shape (7,) [rad/s]."""
-        self._plan(now, desired)
-        q, v, a = self._trajectory.at_time(dt)
-        within = read_only(np.clip(q, self._lower, self._upper))
-        free = within == q
-        return JointState(within, np.where(free, v, 0.0), np.where(free, a, 0.0), self._trajectory.duration)
+        """Returns the state dt [s] later, on the way to the velocities `desired`, shape (7,) [rad/s], all in step."""
+        self._change.target_velocity = desired.tolist()
+        trajectory = self._plan(self._change, now)
+        q, v, a = (np.array(values) for values in trajectory.at_time(dt))
+        return JointState(q, v, a, trajectory.duration)
 
-    def stopping(self, now: JointState) -> Iterable[np.ndarray]:
-        """Yields joints, shape (7,) [rad], on the path to the earliest stop; the last are at rest."""
-        self._plan(now, np.zeros(7))
-        for fraction in STOPPING:
-            yield np.clip(self._trajectory.at_time(fraction * self._trajectory.duration)[0], self._lower, self._upper)
+    def stop(self, now: JointState, dt: float) -> JointState:
+        """Returns the state dt [s] later, on the way to the earliest stop of each joint."""
+        trajectory = self.stopping(now)
+        q, v, a = (np.array(values) for values in trajectory.at_time(dt))
+        return JointState(q, v, a, trajectory.duration)
 
-    def _plan(self, now: JointState, desired: np.ndarray) -> None:
-        state = self._input
-        state.current_position, state.current_velocity = now.q.tolist(), now.v.tolist()
-        state.current_acceleration, state.target_velocity = now.a.tolist(), desired.tolist()
-        result = self._ruckig.calculate(state, self._trajectory)
+    def stopping(self, now: JointState) -> Trajectory:
+        """Returns the path to the earliest stop of each joint; it is valid until the next call of this object."""
+        return self._plan(self._stop, now)
+
+    def _plan(self, plan: InputParameter, now: JointState) -> Trajectory:
+        plan.current_position, plan.current_velocity = now.q.tolist(), now.v.tolist()
+        plan.current_acceleration = now.a.tolist()
+        result = self._ruckig.calculate(plan, self._trajectory)
         if result not in (Result.Working, Result.Finished):
-            raise ArithmeticError(f"no motion from velocity {now.v} and acceleration {now.a} to {desired}: {result}")
+            target = plan.target_velocity
+            raise ArithmeticError(f"no motion from velocity {now.v} and acceleration {now.a} to {target}: {result}")
+        return self._trajectory
 
 
-class WorkspaceBrake:
-    """Limits each step so that the tool can still stop inside.
+@dataclass(frozen=True)
+class GuardedRoom:
+    """What the guard keeps to."""
 
-    The target stops abruptly at the end of the workspace, but the goal that follows it needs a distance to stop. So the
-    brake takes a step only if the joints could then still come to rest with the tool inside. Otherwise it reduces the
-    desired velocity as little as possible. First it removes the part that carries the tool out, by a motion that
-    changes neither the other directions nor the orientation of the tool, so that the tool slides along the bound. If
-    that is not enough, it scales the rest down too. A step that stays inside is not changed.
+    lower: np.ndarray  # joint ranges, shape (7,) [rad]
+    upper: np.ndarray
+    tool_speed: float  # of the tool point [m/s]
+    tool_position: Callable[[ArrayLike], np.ndarray]  # of the tool point, shape (3,) [m], at joints, shape (7,) [rad]
+    tool_jacobian: Callable[[np.ndarray], np.ndarray] | None = None  # of the tool point, shape (6, 7), likewise
+    workspace: Workspace | None = None  # of the tool point; with a Jacobian
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """What the stop from a state leads to: the tool's greatest speed [m/s] and distance outside the workspace [m]."""
+
+    speed: float
+    outside: float
+
+    def within(self, other: _Stop) -> bool:
+        return self.speed <= other.speed and self.outside <= other.outside
+
+
+class StoppingGuard:
+    """Limits each step so that the arm can still stop within bounds.
+
+    A step that keeps them is not changed. Otherwise the guard changes the desired velocity as little as possible. A
+    joint that could not stop within its range brakes by itself. At a bound of the workspace the guard removes the part
+    that carries the tool out, by a motion that changes neither the other directions nor the orientation of the tool, so
+    that the tool slides along the bound. If that is not enough, or the tool gets too fast, it scales the rest down.
 
     Args:
-        workspace: of the tool point.
-        tool_position: of the tool point, shape (3,) [m], at joints q, shape (7,) [rad].
-        tool_jacobian: geometric Jacobian of the tool point, shape (6, 7), at joints q.
+        change: of the velocities.
+        room: what is kept to.
         acceleration: deceleration of each joint when it brakes, shape (7,) [rad/s^2].
     """
 
-    def __init__(
-        self,
-        workspace: Workspace,
-        tool_position: Callable[[np.ndarray], np.ndarray],
-        tool_jacobian: Callable[[np.ndarray], np.ndarray],
-        acceleration: np.ndarray,
-    ) -> None:
-        self._workspace = workspace
-        self._tool_position = tool_position
-        self._tool_jacobian = tool_jacobian
+    def __init__(self, change: SpeedChange, room: GuardedRoom, acceleration: np.ndarray) -> None:
+        self._change = change
+        self._room = room
         self._acceleration = acceleration
+        self._allowed = _Stop(room.tool_speed, SLACK_M)
+        self._ranges = list(zip(room.lower.tolist(), room.upper.tolist()))
 
-    def step(self, change: SpeedChange, now: JointState, desired: np.ndarray, dt: float) -> tuple[JointState, bool]:
-        """Returns the state after dt [s], and whether the brake reduced the desired velocities, (7,) [rad/s]."""
-        free = change.step(now, desired, dt)
-        out = self._out(change, free)
-        if out <= SLACK_M:
-            return free, False
-        rest = np.zeros(7)
-        stopping = change.step(now, rest, dt)
-        # A tool that can no longer stop inside may take any step that leads it out no further than a full stop does.
-        bound = max(SLACK_M, self._out(change, stopping))
-        if out <= bound:
-            return free, False
-        along = self.along(now.q, desired)
-        best = change.step(now, along, dt)
-        if self._out(change, best) <= bound:
-            kept, given_up = along, desired
-        else:
-            kept, given_up, best = rest, along, stopping
+    def step(self, now: JointState, desired: np.ndarray, dt: float) -> tuple[JointState, str | None]:
+        """Returns the state after dt [s], and what held the desired velocities, (7,) [rad/s], back."""
+        free = self._change.step(now, desired, dt)
+        stop, beyond = self._stop(free)
+        if not beyond and stop.within(self._allowed):
+            return free, None
+        braking = self._change.stop(now, dt)
+        held = "joint limit" if beyond else None
+        best, stop = self._ranged(free, braking)
+        # An arm that can no longer stop within bounds may take any step that is no worse than a full stop.
+        least, _ = self._stop(braking)
+        bound = _Stop(max(self._allowed.speed, least.speed), max(self._allowed.outside, least.outside))
+        if stop.within(bound):
+            return best, held
+        kept, given_up, best = np.zeros(7), desired, braking
+        if stop.outside > bound.outside:
+            held = "workspace"
+            along = self.along(now.q, desired)
+            state, stop = self._ranged(self._change.step(now, along, dt), braking)
+            if stop.within(bound):
+                kept, best = along, state
+            else:
+                given_up = along
         for _ in range(HALVINGS):
             middle = 0.5 * (kept + given_up)
-            tried = change.step(now, middle, dt)
-            if self._out(change, tried) <= bound:
-                kept, best = middle, tried
+            state, stop = self._ranged(self._change.step(now, middle, dt), braking)
+            if stop.within(bound):
+                kept, best = middle, state
             else:
                 given_up = middle
-        return best, True
+        return best, held or "tool speed"
 
     def along(self, q: np.ndarray, desired: np.ndarray) -> np.ndarray:
         """Returns the joint velocities without what carries the tool beyond a bound; shape (7,) [rad/s], at q [rad]."""
-        position, J = self._tool_position(q), self._tool_jacobian(q)
-        normals = self._workspace.outward(position)
+        room = self._room
+        assert room.workspace is not None and room.tool_jacobian is not None, "only a workspace has bounds"
+        position, J = room.tool_position(q), room.tool_jacobian(q)
+        normals = room.workspace.outward(position)
         # In units of each joint's deceleration, so that the strong joints move most.
         strong = J * self._acceleration
         outward_motions = np.concatenate([normals.T, np.zeros((3, len(normals)))])
@@ -148,13 +187,48 @@ class WorkspaceBrake:
         )
         left = desired
         for _ in range(SWEEPS):
-            for normal, column, room in zip(normals, corrections.T, self._workspace.rooms(position)):
-                excess = float(normal @ J[:3] @ left) - INWARD_PER_S * room
+            for normal, column, distance in zip(normals, corrections.T, room.workspace.rooms(position)):
+                excess = float(normal @ J[:3] @ left) - INWARD_PER_S * distance
                 left = left - max(excess, 0.0) * column
         # Near a singular pose this may need fast joints; none may be faster than in the desired velocity.
         pace, allowed = (float(np.max(np.abs(v) / self._acceleration)) for v in (left, desired))
         return left if pace <= allowed else allowed / pace * left
 
-    def _out(self, change: SpeedChange, now: JointState) -> float:
-        """Returns the greatest distance of the tool outside the workspace if the joints stop from now on [m]."""
-        return -min(min(self._workspace.rooms(self._tool_position(q))) for q in change.stopping(now))
+    def _ranged(self, state: JointState, braking: JointState) -> tuple[JointState, _Stop]:
+        """Returns the state with the joints that could not stop in their ranges braking instead, and its stop."""
+        stop, beyond = self._stop(state)
+        if beyond:
+            for i in beyond:
+                state.q[i], state.v[i], state.a[i] = braking.q[i], braking.v[i], braking.a[i]
+            stop, _ = self._stop(state)
+        return state, stop
+
+    def _stop(self, state: JointState) -> tuple[_Stop, list[int]]:
+        """Returns what the stop from a state leads to, and the joints that it carries out of their ranges."""
+        room = self._room
+        path = self._change.stopping(state)
+        ends = path.at_time(path.duration)[0]
+        beyond = [
+            i
+            for i, (end, (lower, upper)) in enumerate(zip(ends, self._ranges))
+            if (end > upper + SLACK_RAD and state.v[i] > 0.0) or (end < lower - SLACK_RAD and state.v[i] < 0.0)
+        ]
+        positions = []
+        speed = 0.0
+        for i, fraction in enumerate(STOPPING):
+            q, v, _ = path.at_time(fraction * path.duration)
+            positions.append(room.tool_position(q))
+            if i < FASTEST:
+                speed = max(speed, self._speed(q, v, positions[-1]))
+        if speed > NEAR_LIMIT * room.tool_speed:
+            for fraction in MORE:
+                q, v, _ = path.at_time(fraction * path.duration)
+                speed = max(speed, self._speed(q, v, room.tool_position(q)))
+        if room.workspace is None:
+            return _Stop(speed, -math.inf), beyond
+        return _Stop(speed, -min(min(room.workspace.rooms(position)) for position in positions)), beyond
+
+    def _speed(self, q: list[float], v: list[float], position: np.ndarray) -> float:
+        """Returns the speed of the tool [m/s] at a position [m], the one at joints q [rad], for joint speeds v."""
+        ahead = self._room.tool_position([angle + DIFFERENCE_S * rate for angle, rate in zip(q, v)])
+        return math.dist(ahead, position) / DIFFERENCE_S

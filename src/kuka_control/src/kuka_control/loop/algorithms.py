@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kuka_control.limits.motion_limits import MotionLimits, SpeedLimits, Unlimited
-from kuka_control.limits.speed_change import ShapeLimits, WorkspaceBrake
+from kuka_control.limits.motion_limits import MotionLimits, Unlimited
+from kuka_control.limits.speed_change import GuardedRoom, ShapeLimits
 from kuka_control.loop.commands import Servo, Wait
 from kuka_control.loop.control_loop import ControlLoop, Cycle, Fired, LoopSettings, Outcome
 from kuka_control.loop.goal_stream import TOLERANCE_RAD, GoalStream, GoalStreamSettings
@@ -17,6 +17,11 @@ from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.rig import Rig
 from kuka_control.model.target import TargetChain
 
+RETURNS = (
+    Trigger.CONTROL_OFF,
+    Trigger.CONTROL_WAS_OFF,
+    Trigger.TIME_OUT,
+)  # ends of the stream after which the arm goes home
 COUNTED_AS = {Trigger.JUMPED: "jumps", Trigger.JOINTS_JUMPED: "flips"}
 
 
@@ -47,6 +52,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
                 State.IDENTIFYING: self._identifying,
                 State.IDENTIFIED: self._identified,
                 State.SERVO: self._servo,
+                State.BRAKING: self._braking,
                 State.SERVO_LEFT: self._at_rest,
                 State.RETURN_PENDING: self._return_pending,
                 State.RELEASING: lambda _: Fired(Trigger.SERVO_ENDED),
@@ -70,7 +76,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         identification: ServoLawIdentification = self._active.data
         goal, result = identification.step(joints, cycle.now)
         if result is None:
-            return Fired(Trigger.EXIT) if self._exits(cycle) else Servo(goal)
+            return Servo(goal)
         self._law = verdict(result, self._settings.servo_law)
         if not self._law.refused:
             self._report(self._law.level, self._law.sentence)
@@ -121,6 +127,13 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         self.counts["goals_sent"] += 1
         return Servo(goal.q, stamp)
 
+    def _braking(self, cycle: Cycle) -> Outcome:
+        goals: GoalStream | None = self._active.data
+        if goals is None or goals.at_rest:
+            return Fired(Trigger.AT_REST_TO_RETURN if self._active.trigger in RETURNS else Trigger.AT_REST)
+        self.counts["goals_sent"] += 1
+        return Servo(goals.brake(cycle.observation.joints, cycle.now).q)
+
 
 @dataclass(frozen=True)
 class PtpSettings(LoopSettings):
@@ -141,6 +154,9 @@ class PtpLoop(ControlLoop[PtpSettings]):
 
 RANGE_MARGIN_RAD = float(np.radians(0.1))
 """Servo goals keep this distance to the ends of the joint ranges, where the robot's controller would end servo mode."""
+
+
+TOOL_MARGIN = 0.99  # the guard checks the speed of the tool at some points only; between them it may be 1 % faster
 
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
@@ -165,14 +181,16 @@ def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
     def tool_position(q: np.ndarray) -> np.ndarray:
         return rig.kinematics.forward(q)[:3, 3]
 
-    brake = WorkspaceBrake(rig.workspace, tool_position, rig.kinematics.jacobian, acceleration)
+    room = GuardedRoom(
+        lower=rig.model.lower + RANGE_MARGIN_RAD,
+        upper=rig.model.upper - RANGE_MARGIN_RAD,
+        tool_speed=TOOL_MARGIN * config.tcp_speed,
+        tool_position=tool_position,
+        tool_jacobian=rig.kinematics.jacobian,
+        workspace=rig.workspace,
+    )
     return MotionLimits(
-        SpeedLimits(config.joint_speed * rig.model.max_speed, config.tcp_speed),
-        ShapeLimits(acceleration, config.joint_jerk * pace),
-        rig.model.lower + RANGE_MARGIN_RAD,
-        rig.model.upper - RANGE_MARGIN_RAD,
-        tool_position,
-        brake,
+        config.joint_speed * rig.model.max_speed, ShapeLimits(acceleration, config.joint_jerk * pace), room
     )
 
 

@@ -7,7 +7,8 @@ has a handler, which answers a command, or the trigger that ends the state. tran
 follows. While a motion runs, desired tool frames are disregarded; afterwards only new ones count.
 
 After a fault the loop is latched in STOPPED: it leaves the arm where it is, says why, and continues only after control
-was switched off and on again, with a motion home.
+was switched off and on again, with a motion home. And only a stream of desired tool frames that begins while control
+is on is followed, so that the conditions under which a stream starts hold when the arm starts.
 """
 
 from __future__ import annotations
@@ -30,6 +31,11 @@ from kuka_control.model.workspace import Infeasible
 
 Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [rad]
 EXIT_PATIENCE_S = 2.0  # on exit, wait at most this long for an arm that something holds [s]
+
+BARRED = (
+    "The desired tool frame moved before control went on and does not count: take the hand out of the box and bring it "
+    "in again."
+)
 
 COUNTED = (
     *("goals_sent", "limited_goals", "workspace_clips", "ik_failures", "refused_frames"),
@@ -65,7 +71,7 @@ class Active:
     """The present state with the data that belongs to it; a transition replaces it as a whole."""
 
     state: State = State.STARTING  # the state
-    trigger: Trigger | None = None  # what led to it
+    trigger: Trigger | None = None  # what led to it; after braking, what led to that
     because: str = ""  # why it began
     reason: str = State.STARTING.text  # the published reason
     enable_count: int = 0  # the count of enablings under which the arm left home or was stopped
@@ -124,6 +130,8 @@ class ControlLoop(ABC, Generic[Settings]):
         self._target_stamp = 0.0
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
+        self._enable_count = 0
+        self._barred: int | None = None  # the stream of desired tool frames that ran when control went on
         # What this cycle has brought so far.
         self._events: list[Event] = []
         self._limited_by: tuple[str, ...] = ()
@@ -132,7 +140,11 @@ class ControlLoop(ABC, Generic[Settings]):
     def step(self, observation: Observation, now: float) -> Step:
         """Returns the command of this cycle, with what there is to report; `now` is monotonic [s]."""
         self._events, self._limited_by, self._taken = [], (), []
-        update = self._stream.take(observation.inputs.desired, observation.inputs.clock, now)
+        inputs = observation.inputs
+        if inputs.switches.enable_count != self._enable_count:
+            self._enable_count = inputs.switches.enable_count
+            self._barred = self._stream.number if self._stream.runs else None
+        update = self._stream.take(inputs.desired, inputs.clock, now, self._active.state is State.SERVO)
         if update.refused:
             self.counts["refused_frames"] += 1
             self._report("warn", update.refused)
@@ -193,7 +205,9 @@ class ControlLoop(ABC, Generic[Settings]):
         if reason:
             self._unreachable = None
             self._report("error" if row.target is State.STOPPED else "info", reason)
-        self._active = Active(row.target, fired.trigger, because, reason or before.reason, enable_count, data)
+        cause = before.trigger if before.state is State.BRAKING else fired.trigger
+        data = before.data if row.target is State.BRAKING else data
+        self._active = Active(row.target, cause, because, reason or before.reason, enable_count, data)
         return command
 
     def _motion(self, target: State, trigger: Trigger) -> tuple[str, np.ndarray, float]:
@@ -252,7 +266,7 @@ class ControlLoop(ABC, Generic[Settings]):
         return Fired(Trigger.ENABLED_AGAIN) if again else Wait()
 
     def _new_target(self, cycle: Cycle) -> Outcome:
-        if not cycle.switches.control_on or cycle.fresh is None:
+        if not cycle.switches.control_on or cycle.fresh is None or self._stream.number == self._barred:
             return Wait()
         q = self._resolve(cycle.observation, cycle.fresh, cycle.observation.joints)
         return Wait() if q is None else self._follow(float(np.max(np.abs(q - cycle.observation.joints))))
@@ -272,7 +286,7 @@ class ControlLoop(ABC, Generic[Settings]):
             return Fired(Trigger.CONTROL_OFF)
         if cycle.switches.enable_count != self._active.enable_count:
             return Fired(Trigger.CONTROL_WAS_OFF)
-        if self._stream.silent_for(cycle.now) > self._settings.time_out:
+        if self._stream.silence > self._settings.time_out:
             return Fired(Trigger.TIME_OUT, f"{self._settings.time_out:g}")
         return None
 
@@ -304,8 +318,9 @@ class ControlLoop(ABC, Generic[Settings]):
         """Returns why incoming frames are not followed, or not exactly, although control is on; a sentence or None."""
         if not observation.inputs.switches.control_on:
             return None
-        unreachable = self._unreachable if self._stream.silent_for(now) <= self._settings.time_out else None
-        return self._stream.refusal(now) or unreachable
+        unreachable = self._unreachable if self._stream.silence <= self._settings.time_out else None
+        barred = BARRED if self._stream.number == self._barred and self._stream.runs else None
+        return self._stream.refusal(now) or barred or unreachable
 
     def _report(self, level: str, sentence: str) -> None:
         self._events.append(Event(level, sentence))

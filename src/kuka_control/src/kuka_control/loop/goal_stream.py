@@ -13,30 +13,35 @@ import numpy as np
 
 from common.poses import read_only
 from common.rotations import rotation_angle
-from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
+from kuka_control.limits.motion_limits import GAP_S, LimitedGoal, MotionLimits, Unlimited
 from kuka_control.loop.servo_law import LtsGoals
 from kuka_control.loop.tracking import TrackingMonitor
 from kuka_control.loop.transitions import Trigger
-from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.desired_frame import PAUSE_S, DesiredFrame
 
 TOLERANCE_RAD = float(np.radians(2.0))  # largest joint step servoed to from rest, and tolerance on the speed limits
 TOLERANCE_M = 0.017  # tolerance of the frame's step on top of the speed limits: 2 deg of a joint, half a metre away [m]
 LOST_S = 0.1  # after a longer gap than this the signal counts as lost and found again [s]
+LONGEST_STALL_S = 0.5  # frames that came in a longer stall of the control loop than this do not count [s]
 CYCLE_S = 0.01  # time in which the arm has to cross such a gap: one cycle of the stream [s]
 SHORT_S = 0.006  # frames nearer in time than this give no speed [s]
 LONG_S = 0.024  # time of the second, longer average of the speed [s]
 CONTINUED_S = 0.03  # a frame is continued for 1.5 times the time between frames, but at most for this long [s]
 FADE_S = 0.02  # then the target slows down to rest in this time [s]
 COMPARED = 64  # number of recent frames among which the least delayed one is sought
+FULL_SPEED_HZ = 60.0  # the tool moves at most 11 mm from one frame to the next at 0.65 m/s; at lower rates no further
+HOLD_HZ = 20.0  # frames that come less often than this are not followed
+RESUME_HZ = 22.0  # until they come this often
 CATCH_UP_RAD = float(np.radians(60.0))  # joints that differ by more are caught up with by a pick-up motion
 
 
-def is_jump(q_before: np.ndarray, q_now: np.ndarray, dt: float, joint_speeds: np.ndarray) -> bool:
+def is_jump(q_before: np.ndarray, q_now: np.ndarray, dt: float, joint_speeds: np.ndarray, stall: float = 0.0) -> bool:
     """Returns whether some joint moves more than 2 deg beyond what its speed limit allows in the time `dt` [s].
 
-    Joints before and now: shape (7,) [rad]; limits `joint_speeds`: shape (7,) [rad/s].
+    Joints before and now: shape (7,) [rad]; limits `joint_speeds`: shape (7,) [rad/s]; for `stall` [s] of that time
+    the control loop did not look.
     """
-    return bool(np.any(np.abs(q_now - q_before) > TOLERANCE_RAD + joint_speeds * _cycle(dt)))
+    return bool(np.any(np.abs(q_now - q_before) > TOLERANCE_RAD + joint_speeds * _cycle(dt, stall)))
 
 
 class FrameSteps:
@@ -55,12 +60,12 @@ class FrameSteps:
         self._last: DesiredFrame | None = None
         self.jumped = False
 
-    def take(self, frame: DesiredFrame) -> None:
-        """Takes a new frame in."""
+    def take(self, frame: DesiredFrame, stall: float) -> None:
+        """Takes a new frame in; for `stall` [s] since the frame before the control loop did not look."""
         last, self._last = self._last, frame
         if last is None:
             return
-        cycle = _cycle(frame.stamp - last.stamp)
+        cycle = _cycle(frame.stamp - last.stamp, stall)
         distance = float(np.linalg.norm(frame.T_base_tool[:3, 3] - last.T_base_tool[:3, 3]))
         turn = rotation_angle(last.T_base_tool[:3, :3].T @ frame.T_base_tool[:3, :3])
         jump = distance > TOLERANCE_M + self._tool_speed * cycle or turn > TOLERANCE_RAD + self._turn_speed * cycle
@@ -71,9 +76,12 @@ class FrameSteps:
         self.jumped = False
 
 
-def _cycle(dt: float) -> float:
-    """Returns the time in which the arm has to make a step that took the stream `dt` [s]."""
-    return max(dt, 0.0) if dt <= LOST_S else CYCLE_S
+def _cycle(dt: float, stall: float) -> float:
+    """Returns the time in which the arm has to make a step that took the stream `dt` [s].
+
+    Frames that came while the control loop did not look, for `stall` [s], were not lost.
+    """
+    return max(dt, 0.0) if dt <= LOST_S + min(stall, LONGEST_STALL_S) else CYCLE_S
 
 
 @dataclass(frozen=True)
@@ -155,9 +163,34 @@ class TargetMotion:
         return (self.q - q) / (stamp - time)
 
 
+class FrameRate:
+    """How fast the arm may follow frames that come at a rate: less often seen, a hand is followed more slowly."""
+
+    def __init__(self) -> None:
+        self._last: float | None = None
+        self._periods: deque[float] = deque(maxlen=5)
+        self._holds = False
+
+    def take(self, stamp: float, stall: float) -> None:
+        """Takes the stamp of a new frame [s]; one after a stall of the control loop, or a pause, shows no rate."""
+        period = None if self._last is None else stamp - self._last
+        self._last = stamp
+        if period is not None and stall == 0.0 and 0.0 < period <= PAUSE_S:
+            self._periods.append(period)
+
+    @property
+    def cap(self) -> float:
+        """Scaling factor of the speed limits: 1 down to FULL_SPEED_HZ, falling with the rate, 0 below HOLD_HZ."""
+        if len(self._periods) < 3:
+            return 1.0
+        rate = 1.0 / float(np.median(self._periods))
+        self._holds = rate < (RESUME_HZ if self._holds else HOLD_HZ)
+        return 0.0 if self._holds else min(rate / FULL_SPEED_HZ, 1.0)
+
+
 CATCH_UP_SCALE = 1.0 / 3.0
 """Fraction of the speed limits until the arm has caught up with a hand that moved on while the arm could not follow:
-while the pick-up motion ran, or out of reach."""
+while the pick-up motion ran, out of reach, or after a gap between two goals."""
 
 
 @dataclass(frozen=True)
@@ -187,9 +220,11 @@ class GoalStream:
         self._motion = TargetMotion(settings.lower, settings.upper, q)
         self._frames = FrameSteps(settings.tool_speed, float(np.max(settings.joint_speeds)))
         self._lts = LtsGoals(settings.lower, settings.upper) if lts else None
+        self._rate = FrameRate()
         self._stamp: float | None = None
         self._catching_up = True
-        self._time = now
+        self._time = self._looked = now
+        self._stall = 0.0  # since the last frame [s]
 
     @property
     def q_target(self) -> np.ndarray:
@@ -206,11 +241,14 @@ class GoalStream:
         Its joints q and the `measured` ones have shape (7,) [rad]; without q the arm keeps its joints. `now` is
         monotonic [s].
         """
-        self._frames.take(frame)
+        self._look(now)
+        stall, self._stall = self._stall, 0.0
+        self._frames.take(frame, stall)
+        self._rate.take(frame.stamp, stall)
         if q is None:
             self._motion.hold()
             return None
-        trigger = self._too_far(q, frame.stamp, measured)
+        trigger = self._too_far(q, frame.stamp, measured, stall)
         if trigger is None:
             self._motion.take(q, frame.stamp, now)
             self._frames.followed()
@@ -219,22 +257,46 @@ class GoalStream:
 
     def goal(self, measured: np.ndarray, now: float) -> LimitedGoal:
         """Returns the goal of this cycle for the robot; `measured` are the joints of the arm, shape (7,) [rad]."""
+        self._look(now)
         dt, self._time = now - self._time, now
         target = self._motion.at(now) if self._settings.shaped else MovingTarget(self._motion.q, np.zeros(7))
-        scale = CATCH_UP_SCALE if self._catching_up else 1.0
-        limited = self._limits.step(target.q, measured, dt, scale, target.v)
+        scale, cap = CATCH_UP_SCALE if self._catching_up else 1.0, self._rate.cap
+        limited = self._limits.step(target.q, measured, dt, scale, target.v, cap)
         if limited.limited_by is None and self._stamp is not None:
             self._catching_up = False
+        elif cap == 0.0:
+            self._catching_up = True
+        return self._for_robot(limited, measured, dt)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the goals stand still."""
+        return self._limits.at_rest
+
+    def brake(self, measured: np.ndarray, now: float) -> LimitedGoal:
+        """Returns the goal of this cycle on the way to the earliest stop within the limits; arguments as in `goal`."""
+        self._look(now)
+        dt, self._time = now - self._time, now
+        return self._for_robot(self._limits.brake(dt), measured, dt)
+
+    def _look(self, now: float) -> None:
+        """Notes a stall of the control loop: a gap since it looked last."""
+        gap, self._looked = now - self._looked, now
+        if gap > GAP_S:
+            self._stall = max(self._stall, gap)
+            self._catching_up = True
+
+    def _for_robot(self, limited: LimitedGoal, measured: np.ndarray, dt: float) -> LimitedGoal:
         if self._lts is None:
             return limited
         return LimitedGoal(self._lts.step(limited.q, limited.v, measured, dt), limited.v, limited.limited_by)
 
-    def _too_far(self, q: np.ndarray, stamp: float, measured: np.ndarray) -> Trigger | None:
+    def _too_far(self, q: np.ndarray, stamp: float, measured: np.ndarray, stall: float) -> Trigger | None:
         speeds, shaped = self._settings.joint_speeds, self._settings.shaped
         if self._stamp is None:
             return None if shaped or not is_jump(measured, q, 0.0, speeds) else Trigger.MOVED_ON
         before = self._motion.q
-        if not is_jump(before, q, stamp - self._stamp, speeds):
+        if not is_jump(before, q, stamp - self._stamp, speeds, stall):
             return None
         if self._frames.jumped:
             return Trigger.JUMPED

@@ -27,6 +27,7 @@ class State(Enum):
     PICK_UP = Mode.PICK_UP, _MOVES
     AT_POSE = Mode.PICK_UP, ""
     SERVO = Mode.SERVO, "The arm follows the desired tool frame in servo mode."
+    BRAKING = Mode.SERVO, "{because} The arm brakes."
     RELEASING = Mode.SERVO, ""
     SERVO_LEFT = Mode.PICK_UP, _LEAVES
     RETURN_PENDING = Mode.RETURNING, _LEAVES
@@ -59,6 +60,8 @@ class Trigger(Enum):
     JUMPED = "the frame jumped"
     JOINTS_JUMPED = "its joints are too far off to catch up"
     MOVED_ON = "the frame moved on meanwhile (stream not shaped)"
+    AT_REST = "the goals are at rest"
+    AT_REST_TO_RETURN = "the goals are at rest, and the arm is to go home"
     SERVO_ENDED = "servo mode has ended"
     LAW_IDENTIFIED = "test motion done"
     WRONG_LAW = "servo_law is lts but the robot has another law"
@@ -94,7 +97,7 @@ _TO_HOME = (_S.HOMING, _S.RETURNING)
 _TO_REST = (*_TO_HOME, _S.PICK_UP)
 _AWAY = (_S.PICK_UP, _S.AT_POSE, _S.SERVO_LEFT)
 _LEFT = (_S.AT_POSE, _S.SERVO_LEFT, _S.RETURN_PENDING)
-_OTHERS = (_S.HOME, *_LEFT, _S.IDENTIFYING, _S.IDENTIFIED, _S.SERVO, _S.RELEASING)
+_OTHERS = (_S.HOME, *_LEFT, _S.IDENTIFYING, _S.IDENTIFIED, _S.SERVO, _S.BRAKING, _S.RELEASING)
 _JOINTS_FAR = "The desired tool frame did not jump, but asks for joints far from those before."
 _MOVED_ON = "The desired tool frame moved on while the arm was on its way."
 _LAG = "The arm does not follow, perhaps because of a safety stop: {detail}."
@@ -108,7 +111,6 @@ TRANSITIONS = (
     # The servo law is identified once, at the first home position.
     Transition((_S.HOMING,), _T.ARRIVED_UNIDENTIFIED, _S.IDENTIFYING, _A.START_SERVO),
     Transition((_S.IDENTIFYING,), _T.LAW_IDENTIFIED, _S.IDENTIFIED, _A.STOP_SERVO),
-    Transition((_S.IDENTIFYING,), _T.EXIT, _S.IDENTIFIED, _A.STOP_SERVO),
     Transition((_S.IDENTIFIED,), _T.WRONG_LAW, _S.ENDED, _A.END, "{detail}"),
     Transition((_S.IDENTIFIED,), _T.SERVO_ENDED, _S.HOME, _A.DECIDE),
     Transition(_TO_HOME, _T.ARRIVED, _S.HOME, _A.DECIDE),
@@ -117,18 +119,21 @@ TRANSITIONS = (
     Transition((_S.HOME, _S.SERVO_LEFT), _T.NEAR_TARGET, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.AT_POSE, _A.NONE),
-    Transition((_S.SERVO,), _T.JUMPED, _S.SERVO_LEFT, _A.STOP_SERVO, "The desired tool frame jumped."),
-    Transition((_S.SERVO,), _T.JOINTS_JUMPED, _S.SERVO_LEFT, _A.STOP_SERVO, _JOINTS_FAR),
-    Transition((_S.SERVO,), _T.MOVED_ON, _S.SERVO_LEFT, _A.STOP_SERVO, _MOVED_ON),
+    # Every end of the stream of goals, but for faults, is a stop within their limits.
+    Transition((_S.SERVO,), _T.JUMPED, _S.BRAKING, _A.DECIDE, "The desired tool frame jumped."),
+    Transition((_S.SERVO,), _T.JOINTS_JUMPED, _S.BRAKING, _A.DECIDE, _JOINTS_FAR),
+    Transition((_S.SERVO,), _T.MOVED_ON, _S.BRAKING, _A.DECIDE, _MOVED_ON),
+    Transition((_S.SERVO,), _T.CONTROL_OFF, _S.BRAKING, _A.DECIDE, "Control is off."),
+    Transition((_S.SERVO,), _T.CONTROL_WAS_OFF, _S.BRAKING, _A.DECIDE, "Control was off."),
+    Transition((_S.SERVO,), _T.TIME_OUT, _S.BRAKING, _A.DECIDE, _SILENCE),
+    Transition((_S.SERVO,), _T.EXIT, _S.BRAKING, _A.DECIDE),
+    Transition((_S.BRAKING,), _T.AT_REST, _S.SERVO_LEFT, _A.STOP_SERVO, "{because}"),
+    Transition((_S.BRAKING,), _T.AT_REST_TO_RETURN, _S.RETURN_PENDING, _A.STOP_SERVO, "{because}"),
     # Back home, or to the zero position and the end.
-    Transition((_S.SERVO,), _T.CONTROL_OFF, _S.RETURN_PENDING, _A.STOP_SERVO, "Control is off."),
-    Transition((_S.SERVO,), _T.CONTROL_WAS_OFF, _S.RETURN_PENDING, _A.STOP_SERVO, "Control was off."),
-    Transition((_S.SERVO,), _T.TIME_OUT, _S.RETURN_PENDING, _A.STOP_SERVO, _SILENCE),
     Transition((_S.RETURN_PENDING,), _T.SERVO_ENDED, _S.RETURNING, _A.PTP, "{because}"),
     Transition(_AWAY, _T.CONTROL_OFF, _S.RETURNING, _A.PTP, "Control is off."),
     Transition(_AWAY, _T.CONTROL_WAS_OFF, _S.RETURNING, _A.PTP, "Control was off."),
     Transition(_AWAY, _T.TIME_OUT, _S.RETURNING, _A.PTP, _SILENCE),
-    Transition((_S.SERVO,), _T.EXIT, _S.SERVO_LEFT, _A.STOP_SERVO),
     Transition(_LEFT, _T.EXIT, _S.ZERO, _A.PTP, "{because}"),
     Transition((_S.ZERO,), _T.ARRIVED, _S.ENDED, _A.END, "The controller has ended as it was asked to."),
     Transition((_S.ZERO,), _T.ARRIVED_AFTER_FAULT, _S.ENDED, _A.END, "{detail}"),

@@ -15,6 +15,8 @@ from common.poses import check_pose
 MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
 HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
 MAX_SKEW_S = 0.5  # how far a stamp may be from the clock [s]
+PAUSE_S = 0.2  # after a longer pause than this a new stream of frames begins [s]
+LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]
 REFUSING_S = 0.5  # frames count as refused until this long after the last refused one [s]
 
 
@@ -88,36 +90,55 @@ class StreamUpdate:
 
 
 class DesiredStream:
-    """Watches the newest desired tool frame."""
+    """Watches the newest desired tool frame.
+
+    `number` counts the streams: runs of frames without a pause, refused ones included. Number 0 may have begun before
+    this object.
+    """
 
     def __init__(self) -> None:
+        self.number = 0
         self._last_stamp: float | None = None
-        self._last_good: float | None = None
+        self._looked: float | None = None
+        self._pause = 0.0  # since the last frame of either kind [s]
+        self._silence = float("inf")  # since the last accepted frame [s]
         self._refusing = False
         self._refusal: tuple[str, float] | None = None
 
-    def take(self, newest: DesiredFrame | None, clock: float, now: float) -> StreamUpdate:
+    def take(self, newest: DesiredFrame | None, clock: float, now: float, in_servo: bool = False) -> StreamUpdate:
         """Checks the newest frame; `clock` is ROS time, `now` monotonic [s]. New is one with another stamp."""
+        elapsed = 0.0 if self._looked is None else max(now - self._looked, 0.0)
+        self._looked = now
+        self._pause += min(elapsed, LOOK_S)
+        self._silence += min(elapsed, LOOK_S) if in_servo else elapsed
         if newest is None or newest.stamp == self._last_stamp:
             return StreamUpdate()
         self._last_stamp = newest.stamp
+        self.number += not self.runs
+        self._pause = 0.0
         fault = _fault(newest, clock)
         if fault is None:
             self._refusing = False
             self._refusal = None
-            self._last_good = now
+            self._silence = 0.0
             return StreamUpdate(newest)
         reported, self._refusing = self._refusing, True
         self._refusal = (fault, now)
         return StreamUpdate(refused=None if reported else fault)
 
+    @property
+    def runs(self) -> bool:
+        """Whether frames come, accepted or refused."""
+        return self._pause <= PAUSE_S
+
+    @property
+    def silence(self) -> float:
+        """Time since the last accepted frame, in servo mode without stalls of the loop [s]; infinite before it."""
+        return self._silence
+
     def refusal(self, now: float) -> str | None:
         """Returns why incoming frames are refused, a sentence; None if they are accepted, or none come."""
         return self._refusal[0] if self._refusal and now - self._refusal[1] <= REFUSING_S else None
-
-    def silent_for(self, now: float) -> float:
-        """Returns the time since the last accepted frame [s]; infinite before the first."""
-        return float("inf") if self._last_good is None else now - self._last_good
 
 
 def _fault(desired: DesiredFrame, clock: float) -> str | None:
