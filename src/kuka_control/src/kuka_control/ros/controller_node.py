@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -37,6 +39,7 @@ RETRY_S = 0.5
 PROBE_S = 12.0  # the client gives a silent server up before; this bounds the wait for one that answers nonsense [s]
 TIMEOUT_S = 5.0
 AGAIN_TIMEOUT_S = 2.0  # how long a try to connect again waits for the connection, and again for the first answer [s]
+BRAKING_S = 1.0  # an arm that follows a hand when ROS shuts down has this long to brake [s]
 SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within this time [s]
 
 
@@ -161,7 +164,17 @@ class _Node:
             if not rospy.core.is_shutdown_requested():  # then the topics close during a cycle
                 raise
         finally:
+            with contextlib.suppress(KstError):
+                self._brake()
             self._state.stop()
+
+    def _brake(self) -> None:
+        """Brings the stream of goals to rest if ROS shuts down meanwhile: without goals the arm would stop abruptly."""
+        off = replace(self._switches.now, control_on=False)
+        deadline = time.monotonic() + BRAKING_S
+        while self._controller.in_servo and time.monotonic() < deadline:
+            self._controller.cycle(Inputs(switches=off), time.monotonic())
+            time.sleep(self._servo_period)
 
     def _run_loop(self) -> None:
         deadline = 0.0
