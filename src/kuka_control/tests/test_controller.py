@@ -10,7 +10,7 @@ import pytest
 
 from kst import ConnectionLost, MotionRefused, ReplyTimeout, UnexpectedReply
 from kuka_control.loop.commands import Inputs, Servo, StartPtp, StartServo, Step, StopServo, Wait
-from kuka_control.loop.controller import MAX_MISSED, OFF_S, WARN_EVERY_S, Controller
+from kuka_control.loop.controller import MAX_MISSED, MISSING_S, OFF_S, WARN_EVERY_S, Controller
 
 Q = np.zeros(7)
 GOAL, PTP = Servo(Q), StartPtp(Q, 0.1)
@@ -67,11 +67,12 @@ class Cycles:
 def test_single_bad_answers_are_counted_and_said_but_not_many_in_a_row(command, error):
     cycles = Cycles(command)
     for _ in range(3):
-        cycles.run(*[error] * (MAX_MISSED - 1), None)
-    assert cycles.controller.missed == 3 * (MAX_MISSED - 1)
+        cycles.run(*[error] * (3 * MAX_MISSED), None)
+    assert cycles.controller.missed == 9 * MAX_MISSED
     assert [event.level for event in cycles.said] == ["warn"] and str(error) in cycles.said[0].sentence
+    cycles.run(*[error] * (MAX_MISSED - 1), dt=MISSING_S)
     with pytest.raises(type(error)):
-        cycles.run(*[error] * MAX_MISSED)
+        cycles.run(error)
 
 
 def test_what_is_missed_again_and_again_is_said_once_in_a_while():

@@ -50,15 +50,15 @@ def streams(rng, in_workspace):
         target, cycle = random_target(rng, in_workspace), rng.choice([0.004, 0.004, 0.008, 0.02])
         speed = rng.uniform(-2.0, 2.0, 7) * (rng.random(7) < rng.choice([0.0, 0.3]))
         scale, cap, brakes = rng.choice([1.0, 1.0, 1.0 / 3.0]), rng.choice([1.0, 1.0, 0.5, 0.0]), rng.random() < 0.2
-        for i in range(rng.integers(3, 120)):
+        for k in range(rng.integers(3, 120)):
             dt = cycle * rng.uniform(0.5, 1.4) if rng.random() < 0.5 else cycle
             dt = rng.uniform(GAP_S * 1.01, 0.3) if rng.random() < 0.005 else dt
             t += dt
-            moving = np.clip(target + i * dt * speed, LOWER, UPPER)
+            moving = np.clip(target + k * dt * speed, LOWER, UPPER)
             goal = limits.brake(dt) if brakes else limits.step(moving, limits.goal, dt, scale, speed, cap)
             if dt > GAP_S:
-                assert not np.any(goal.v) and np.array_equal(goal.q, parts[-1][1][-1]), "at rest where it was"
-                parts.append(([t], [goal.q]))
+                rest = parts[-1][1][-1]
+                parts.append(([t - (4 - i) * GAP_S for i in (0, 1, 2, 3)] + [t], [rest] * 4 + [goal.q]))
             else:
                 parts[-1][0].append(t)
                 parts[-1][1].append(goal.q)

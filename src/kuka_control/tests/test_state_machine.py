@@ -295,7 +295,8 @@ class AnyOrder(RuleBasedStateMachine):
             away = min(float(np.max(np.abs(command.q - q))) for q in (HOME.q, np.zeros(7)))
             assert world.control_on or away == 0.0, "with control off the arm moves to home or zero only"
         elif moves:
-            assert world.control_on or step.mode == Mode.HOMING, "with control off only the servo law is identified"
+            why = "with control off the arm only brakes, and its servo law is identified"
+            assert world.control_on or step.mode == Mode.HOMING or world.state is State.BRAKING, why
         leaving = world.exit_requested or (step.mode in (Mode.ZERO, Mode.STOPPED) and isinstance(command, StartPtp))
         if world.state is State.STOPPED:
             if self.stopped_under is None:

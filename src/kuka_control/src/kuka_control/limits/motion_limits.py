@@ -133,11 +133,11 @@ class MotionLimits:
         return LimitedGoal(read_only(self._now.q), read_only(self._now.v), held or limited_by or held_by or late)
 
     def _after(self, dt: float) -> float:
-        """Returns the time that the goal moves on [s]; after a gap it rests first where it is."""
+        """Returns the time that the goal moves on [s]; after a gap from rest, where it was."""
         if dt <= GAP_S:
             return max(dt, 0.0)
         self.reset(self._now.q)
-        return 0.0
+        return GAP_S
 
     def _speed_within(self, room: np.ndarray) -> np.ndarray:
         """Returns the speeds from which the joints can brake within distances, shape (n, 7) [rad]."""

@@ -43,7 +43,8 @@ NAMED_S = 0.12  # a robot that has not answered for this long is reported, with 
 OFF_S = 1.0
 """A longer silence in servo mode switches control off [s]: TCP repeats a lost packet after 0.2 s, and after 0.4 s more.
 Outside of servo mode it is twice as long: one answer is waited for that long, and no goals depend on it."""
-MAX_MISSED = 5  # this many missing or unusable answers in a row end the link
+MAX_MISSED = 5  # this many missing or unusable answers in a row,
+MISSING_S = 3.0  # over this time at least, end the link: a busy machine is late several times in a row [s]
 WARN_EVERY_S = 1.0  # shortest time between two warnings about missed answers [s]
 
 
@@ -147,6 +148,7 @@ class Controller:
         self._loop = loop
         self._refused: str | None = None
         self._missed_in_a_row = 0
+        self._missing_since = 0.0  # when the first of them was missed [s]
         self._silent = 0.0  # how long the present hold has lasted [s]
         self._step: Step | None = None
 
@@ -175,7 +177,7 @@ class Controller:
             self.moving = self.in_servo = False
             self._refused = str(error)
         except NO_READING as error:
-            self._miss(step, error)
+            self._miss(step, error, now)
             events += self._warning(error, now)
         events += tuple(Event("warn", remark) for remark in self._arm.take_remarks())
         self._step = step = replace(step, events=step.events + events) if events else step
@@ -209,7 +211,7 @@ class Controller:
         events = (Event("warn", f"The link to the robot is lost for the moment. {reason}"),) if named else ()
         return replace(self._step, command=Wait(), reason=reason, events=events, transitions=())
 
-    def _miss(self, step: Step, error: KstError) -> None:
+    def _miss(self, step: Step, error: KstError, now: float) -> None:
         """Counts a missing or unusable answer; raises its error again if the link is given up."""
         self.missed += 1
         if isinstance(step.command, (StartPtp, StartServo)):
@@ -218,8 +220,11 @@ class Controller:
                 raise error
             self._refused = str(error)
             return
+        if self._missed_in_a_row == 0:
+            self._missing_since = now
         self._missed_in_a_row += 1
-        if isinstance(step.command, StopServo) or self._missed_in_a_row >= MAX_MISSED:
+        many = self._missed_in_a_row >= MAX_MISSED and now - self._missing_since >= MISSING_S
+        if isinstance(step.command, StopServo) or many:
             raise error
 
     def _warning(self, error: KstError, now: float) -> tuple[Event, ...]:
