@@ -157,6 +157,13 @@ def hand():
         shown.append(Hand(T, **kwargs))
         return shown[-1]
 
+    def show_again(one):
+        """The hand leaves the box and comes back: a stream counts only if it begins after control went on."""
+        one.hide()
+        time.sleep(0.5)
+        return show(one.T)
+
+    show.again = show_again
     yield show
     for one in shown:
         one.hide()
@@ -324,6 +331,7 @@ def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released(robot,
     assert not answer.success and "off and on again" in answer.message
     assert node.control(False).success
     assert node.control(True).success
+    shown = hand.again(shown)
     node.wait_for_mode("servo")
     wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
     assert robot.ask()["stops"] == 1
@@ -527,7 +535,9 @@ def lost_in_servo(ros, robot, start, hand, wait_until):
     return node
 
 
-def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on(ros, robot, lost_in_servo, wait_until):
+def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on(
+    ros, robot, lost_in_servo, hand, wait_until
+):
     node = lost_in_servo
     assert not node.states[-1].control_on and "smartPad" in node.states[-1].reason
     refused = node.control(True)
@@ -547,6 +557,7 @@ def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on
 
     answer = node.control(True)
     assert answer.success and "goes home first" in answer.message
+    hand.again(node.hand)
     node.wait_for_mode("servo")
     wait_until(lambda: at(back, home_tool()), MOVE_S, "the tool where the hand is")
     assert node.modes[0].data == "homing"
@@ -563,7 +574,7 @@ def test_a_frozen_robot_is_waited_for_on_the_same_connection(ros, robot, start, 
     node = start(time_out=5.0)
     node.wait_for_mode("home")
     node.control(True)
-    hand(home_tool())
+    shown = hand(home_tool())
     node.wait_for_mode("servo")
     states, diagnostics = ros.record("kuka/status", KukaStatus), ros.record("/diagnostics", DiagnosticArray)
     node.modes.clear()
@@ -590,6 +601,7 @@ def test_a_frozen_robot_is_waited_for_on_the_same_connection(ros, robot, start, 
     truth = robot.ask()
     assert truth["mode"] == "idle" and truth["connected"] and "deaf" not in node.log
     assert node.control(True).success
+    hand.again(shown)
     node.wait_for_mode("servo")
     assert [m.data for m in node.modes][:2] == ["stopped", "homing"]
 
