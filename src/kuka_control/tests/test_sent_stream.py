@@ -57,8 +57,8 @@ def streams(rng, in_workspace):
             moving = np.clip(target + k * dt * speed, LOWER, UPPER)
             goal = limits.brake(dt) if brakes else limits.step(moving, limits.goal, dt, scale, speed, cap)
             if dt > GAP_S:
-                rest = parts[-1][1][-1]
-                parts.append(([t - (4 - i) * GAP_S for i in (0, 1, 2, 3)] + [t], [rest] * 4 + [goal.q]))
+                assert np.array_equal(goal.q, parts[-1][1][-1]) and not np.any(goal.v), "at rest where it was"
+                parts.append(([t - 0.008, t - 0.004, t], [goal.q] * 3))
             else:
                 parts[-1][0].append(t)
                 parts[-1][1].append(goal.q)

@@ -47,7 +47,7 @@ class LimitedGoal:
     v: np.ndarray
     limited_by: str | None
     """What holds the goal back: "joint speed", "tool speed", "frame rate", "joint acceleration", "joint limit", "lag of
-    the arm" or "workspace"; None if it moves with the desired velocity."""
+    the arm", "workspace" or "gap between goals"; None if it moves with the desired velocity."""
 
 
 class MotionLimits:
@@ -110,6 +110,7 @@ class MotionLimits:
             speed: velocity of the target, shape (7,) [rad/s]; None: at rest.
             cap: upper bound of the scaling factor, [0, 1], also for what the target needs by itself.
         """
+        gap = "gap between goals" if dt > GAP_S else None
         dt = self._after(dt)
         speed = np.zeros(7) if speed is None else speed
         q, v = self._now.q, self._now.v
@@ -130,14 +131,14 @@ class MotionLimits:
             limited_by = limited_by or "joint limit"
         self._now, held = self._guard.step(self._now, within, dt)
         late = "joint acceleration" if self._now.duration > LATE_S else None
-        return LimitedGoal(read_only(self._now.q), read_only(self._now.v), held or limited_by or held_by or late)
+        return LimitedGoal(read_only(self._now.q), read_only(self._now.v), gap or held or limited_by or held_by or late)
 
     def _after(self, dt: float) -> float:
-        """Returns the time that the goal moves on [s]; after a gap from rest, where it was."""
+        """Returns the time that the goal moves on [s]; after a gap it rests first where it is."""
         if dt <= GAP_S:
             return max(dt, 0.0)
         self.reset(self._now.q)
-        return GAP_S
+        return 0.0
 
     def _speed_within(self, room: np.ndarray) -> np.ndarray:
         """Returns the speeds from which the joints can brake within distances, shape (n, 7) [rad]."""
