@@ -11,6 +11,7 @@ from loop_world import DT, FAST, HOME, SLOW, World, out_of_reach_and_back, ptp, 
 from common.poses import pose
 from common.rotations import rotation_angle, rotation_from_zyx
 from kst import ConnectionLost, ReplyTimeout
+from kuka_control.loop.algorithms import TOOL_MARGIN
 from kuka_control.loop.commands import End
 from kuka_control.loop.controller import MAX_MISSED, MISSING_S
 from kuka_control.loop.transitions import State
@@ -694,6 +695,9 @@ def test_after_a_stall_a_hand_that_is_elsewhere_still_counts_as_one_that_jumped(
     assert world.loop.counts["jumps"] == 1, "nobody knows what the hand did for so long"
 
 
+TOP_M_S = TOOL_MARGIN * 0.65
+
+
 def at_rate(world, rate, tool, seconds):
     """Frames at a rate [Hz]."""
     start, frame = world.now, -1
@@ -717,7 +721,7 @@ def test_the_speed_limit_falls_with_the_rate_of_the_frames(rate, fraction):
     first = len(world.arm.goals)
     at_rate(world, rate, lambda t: away(1.0 + t), 3.0)
     fastest = np.max(tool_speeds(world, first))
-    assert 0.9 * fraction * 0.65 < fastest < 1.06 * fraction * 0.65
+    assert 0.9 * fraction * TOP_M_S < fastest < 1.06 * fraction * TOP_M_S
     assert reached(world, away(9.0)) and world.mode == "servo"
 
 

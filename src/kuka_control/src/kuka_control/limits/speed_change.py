@@ -26,7 +26,7 @@ SLACK_M = 1e-3  # the path to a stop may lead out of the workspace by this much:
 SLACK_RAD = 1e-9  # rounding error of a stop that ends at a joint limit [rad]
 INWARD_PER_S = 40.0  # gain on the distance between a bound and a tool that slides along it [1/s]
 HALVINGS = 5  # bisections of the fraction of the desired velocity that can be kept
-SWEEPS = 3  # passes over the bounds: a correction at one may add speed across another (they meet at 68 deg or more)
+SWEEPS = 5  # passes over the bounds: a correction at one may add speed across another (they meet at 68 deg or more)
 DAMPING = 0.05  # of the pseudoinverse, in the tool's deceleration [m/s^2], [rad/s^2]; it matters near singular poses
 LEAST = 1e-6  # least fraction of the desired velocity after damping: a stretched arm cannot move outward at all
 
