@@ -668,10 +668,10 @@ def test_a_stall_of_the_loop_costs_no_pick_up_and_no_return_home():
     start = world.now
 
     def tool(_):
-        return shifted(0.0, 0.3 * (world.now - start) if world.now - start < 0.5 else 0.15, 0.0)
+        return shifted(0.0, 0.3 * (world.now - start) if world.now - start < 0.8 else 0.24, 0.0)
 
     world.run(0.2, tool)
-    for stall in (0.05, 0.08, 0.25):
+    for stall in (0.25, 0.05, 0.08):
         before = world.arm.goals[-1]
         world.now += stall
         world.run(DT, tool)

@@ -14,8 +14,10 @@ from kuka_control.loop.servo_law import (
     STEP_RAD,
     WIDTH_RAD,
     LtsGoals,
+    ServoLawResult,
     lts,
     lts_inverse,
+    verdict,
 )
 
 RANGE = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
@@ -92,3 +94,12 @@ def test_goals_are_never_far_from_the_arm_and_within_the_joint_ranges(wanted, sp
         sent = goals.step(wanted, np.full(7, speed), measured, DT)
         assert np.all(np.abs(sent) <= RANGE)
         assert np.all(np.abs(sent - measured) <= 1.52 * WIDTH_RAD + min(EXTRAPOLATED_S * abs(speed), STEP_RAD) + 1e-12)
+
+
+@pytest.mark.parametrize("servo_law", ["lts", "none"])
+@pytest.mark.parametrize("law", ["lts", "none", None])
+def test_goals_are_made_for_the_lts_law_only_where_it_was_identified_and_is_set(law, servo_law):
+    """For another law such goals are far too large, so an unclear one counts as none."""
+    result = verdict(ServoLawResult(law, "evidence"), servo_law)
+    assert result.lts == (law == servo_law == "lts")
+    assert result.refused == (law == "none" and servo_law == "lts")
