@@ -663,12 +663,12 @@ def test_whatever_comes_first_the_arm_leaves_home_only_for_a_stream_that_began_a
 
 
 def test_a_stall_of_the_loop_costs_no_pick_up_and_no_return_home():
-    """One lost packet stops TCP for 200 ms; the hand moves on meanwhile at 0.3 m/s, and its frames were there."""
+    """One lost packet stops TCP for 200 ms; the hand moves on meanwhile at 0.2 m/s, and its frames were there."""
     world = World().following()
     start = world.now
 
     def tool(_):
-        return shifted(0.0, 0.3 * (world.now - start) if world.now - start < 0.8 else 0.24, 0.0)
+        return shifted(0.0, 0.2 * (world.now - start) if world.now - start < 0.7 else 0.14, 0.0)
 
     world.run(0.2, tool)
     for stall in (0.25, 0.05, 0.08):
