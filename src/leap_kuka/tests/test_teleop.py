@@ -469,3 +469,27 @@ def test_a_hand_that_comes_level_while_it_hurries_away_starts_nothing(recording,
     reasons = [r.reason for _, r in results if r.reason.startswith("right hand 28: the hand moves too fast")]
     assert reasons, "nothing else was wrong with it"
     assert [r.owner for _, r in streams(results)] == [(31, False)], "which comes later, and rests in the box"
+
+
+@pytest.mark.parametrize("time_out", [0.05, 0.2, 1.0])
+@pytest.mark.parametrize("rate", [50.0, 110.0, 295.0])
+@pytest.mark.parametrize("wait", [0.07, 0.12, 0.3])
+def test_another_hand_never_continues_the_stream_of_desired_tools(leap, arm, player, sample, time_out, rate, wait):
+    """The engagement ends at once; a second hand comes in fast. The controller must see a pause, and be on its way home."""
+    play = player(ArmTeleop(leap(), arm(time_out=time_out)))
+
+    def other(x):
+        return sample(id=20, is_left=True, yaw=20.0, position=(x, 0.35, 0.03))
+
+    for _ in range(int(rate)):
+        play.step(sample(), other(0.125), dt=1.0 / rate)
+    for _ in range(int(rate)):
+        if play.step(sample(confidence=0.0), other(0.125), dt=1.0 / rate).T_virtual_tool is None:
+            break
+        last = play.now
+    ended, result = play.now, None
+    while play.now - ended < 3.0 and (result is None or result.owner is None):
+        x = max(0.085, 0.125 - 0.5 * max(0.0, play.now - ended - wait))
+        result = play.step(sample(confidence=0.0), other(x), dt=1.0 / rate)
+    assert result.owner == (20, True)
+    assert play.now - last > max(0.2, time_out) + 0.09

@@ -40,6 +40,7 @@ class ArmPlacement(ToolConfig):
     z_upper_limit: float | None = number("m", absent=None, doc="upper limit of the workspace")
     mounting: np.ndarray = mounting_field()
     ws_center: np.ndarray = vector(3, "m", doc="centre of the workspace, uploaded by the controller")
+    time_out: float = number("s", above=0.0, doc="how long the arm waits for a lost hand", absent=0.2)
 
     def faults(self) -> list[str]:
         """Returns what is wrong with the combination of the values."""

@@ -11,6 +11,7 @@ tracking frames come in and control of the arm is on.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -30,6 +31,9 @@ from leap_motion.frames import TrackedHand, TrackingFrame
 MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream, or two frames with its hand
 MIN_RATE_HZ, ENOUGH_RATE_HZ = 20.0, 24.0  # below the first frame rate the tool stays, until the second is reached
 REACH_PERIOD_S = 0.2  # time between two questions whether the arm reaches the desired tool
+PAUSE_S, PAUSE_MARGIN_S = 0.2, 0.1
+"""The controller sees a new stream after a pause of 0.2 s, and goes home after `time_out`. Another engagement waits for
+both, and for the delay on the way, so that it never continues the stream of the one before."""
 MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
 
 
@@ -101,6 +105,8 @@ class ArmTeleop:
         self._mean: MeanHand | None = None  # in the newest frame
         self._name = ""  # of the hand that was followed last
         self._slow = False
+        self._pause = max(PAUSE_S, arm.time_out) + PAUSE_MARGIN_S
+        self._tool_at = -math.inf  # when a desired tool was returned last [s]
         self._newest: np.ndarray | None = None  # T_virtual_tool of the newest frame of the stream
         self._stays: np.ndarray | None = None  # the same while the tool stays because the tracker is slow
         self._obstacle: str | None = None
@@ -172,7 +178,9 @@ class ArmTeleop:
             self._reason = "no hand is seen"
         if ran and end:
             self._reason = end
-        return self._result(True, now)
+        result = self._result(True, now)
+        self._tool_at = self._tool_at if result.T_virtual_tool is None else now
+        return result
 
     def silence(self, now: float) -> TeleopResult | None:
         """Ends the stream if no usable frame came for MAX_SILENCE_S; returns that result, or None while frames come."""
@@ -208,6 +216,8 @@ class ArmTeleop:
         ran, obstacle = self._gate.running, None
         if not self._lock.came_in:
             obstacle = "it was in the box already, or was found there; take it out of the box and back in"
+        elif self._hold.T_base_tool is None and now - self._tool_at <= self._pause:
+            obstacle = f"the arm still waits for the hand before, {self._pause:g} s after its last frame"
         elif self._slow:
             obstacle = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
         faults = self._gate.step(mean, obstacle, lambda: self._start_out_of_reach(mean))
