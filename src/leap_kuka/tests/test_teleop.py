@@ -236,7 +236,7 @@ def test_control_that_turns_out_to_be_on_ends_a_stream_that_began_before_that_wa
 def test_no_stream_starts_where_the_arm_cannot_come(leap, arm, player, sample):
     """It is asked where everything else is met, for the tool frame that the stream would start with."""
     asked, answer = [], ["joint 4 would pass its limit"]
-    play = player(ArmTeleop(leap(), arm(), lambda T: asked.append(T) or answer[0]))
+    play = player(ArmTeleop(leap(), arm(), lambda T, _: asked.append(T) or answer[0]))
     play.steps(20, sample(pitch=30.0))
     assert not asked
     result = play.steps(20, sample(yaw=40.0, pitch=10.0))[-1]
@@ -250,7 +250,7 @@ def test_no_stream_starts_where_the_arm_cannot_come(leap, arm, player, sample):
 
 def test_while_the_arm_cannot_come_a_stream_runs_on_and_says_so(leap, arm, player, sample):
     asked, answer = [], [None]
-    play = player(ArmTeleop(leap(), arm(), lambda T: asked.append(T) or answer[0]))
+    play = player(ArmTeleop(leap(), arm(), lambda T, _: asked.append(T) or answer[0]))
     play.steps(10, sample())
     answer[0] = "joint 4 would pass its limit"
     results = play.steps(100, sample())
@@ -475,7 +475,7 @@ def test_a_hand_that_comes_level_while_it_hurries_away_starts_nothing(recording,
 @pytest.mark.parametrize("rate", [50.0, 110.0, 295.0])
 @pytest.mark.parametrize("wait", [0.07, 0.12, 0.3])
 def test_another_hand_never_continues_the_stream_of_desired_tools(leap, arm, player, sample, time_out, rate, wait):
-    """The engagement ends at once; a second hand comes in fast. The controller must see a pause, and be on its way home."""
+    """The engagement ends at once; a second hand comes in fast. The controller must see a pause, and go home."""
     play = player(ArmTeleop(leap(), arm(time_out=time_out)))
 
     def other(x):

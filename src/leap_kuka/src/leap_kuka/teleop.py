@@ -37,6 +37,9 @@ both, and for the delay on the way, so that it never continues the stream of the
 MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
 
 
+CanReach = Callable[[np.ndarray, bool], "str | None"]
+
+
 class StreamState(Enum):
     """Whether a hand steers the arm."""
 
@@ -80,15 +83,13 @@ class ArmTeleop:
 
     `box` is the interaction box in the Leap frame, `T_tool_flange` the pose of the flange in the tool frame, shape
     (4, 4), and `counts` has the events since the start. `can_reach` returns why the arm cannot come to a desired tool
-    frame, shape (4, 4) [m], or None: it is asked last before a stream starts, and every REACH_PERIOD_S while it runs.
+    frame, shape (4, 4) [m], or None: it is asked last before a stream `starts`, and every REACH_PERIOD_S while it runs.
 
     Raises:
         ConfigError: the interaction box would reach into the Leap.
     """
 
-    def __init__(
-        self, leap: LeapConfig, arm: ArmPlacement, can_reach: Callable[[np.ndarray], str | None] = lambda _: None
-    ) -> None:
+    def __init__(self, leap: LeapConfig, arm: ArmPlacement, can_reach: CanReach = lambda T, starts: None) -> None:
         self._can_reach, self._asked, self._out_of_reach = can_reach, 0.0, ""
         self._mounting = arm.mounting_frame
         self._ws_center = arm.ws_center
@@ -246,7 +247,7 @@ class ArmTeleop:
         R_leap_hand, psi = mean.T_leap_hand[:3, :3], heading(mean.T_leap_hand[:3, 0])
         clipped = SteadyAttitude(R_leap_hand, psi, self._limits).clipped
         T_virtual_tool = pose(tool_rotation(clipped, psi, self._mounting.tool_reversed), mean.palm)
-        return self._can_reach(self._virtual_leap(psi) @ T_virtual_tool)
+        return self._can_reach(self._virtual_leap(psi) @ T_virtual_tool, True)
 
     def _virtual_leap(self, psi: float) -> np.ndarray:
         return virtual_leap_pose(self._mounting, self._ws_center, float(self.box.center[1]), psi)
@@ -307,7 +308,7 @@ class ArmTeleop:
         hold = HoldState.NONE if self._hand_over is None else HoldState.TAKEN
         if self._newest is not None and now - self._asked >= REACH_PERIOD_S:
             self._asked = now
-            self._out_of_reach = self._can_reach(self._T_base_virtual @ self._newest) or ""
+            self._out_of_reach = self._can_reach(self._T_base_virtual @ self._newest, False) or ""
         if self._out_of_reach and self._obstacle is None:
             self._reason = self._obstacle = f"{self._name} is followed, but {self._out_of_reach}"
         result = TeleopResult(StreamState.RUNNING, self._reason, usable, self._T_base_virtual, hold=hold)

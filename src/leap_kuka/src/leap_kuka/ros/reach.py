@@ -11,17 +11,20 @@ import rospy
 from common.frames import BASE
 from common.poses import pose
 from common.ros.conversions import stamped_pose
-from common.ros.service_calls import ServiceClient, ServiceFailed
+from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed
+from common.rotations import rotation_angle
 from rig_msgs.srv import CheckToolPose
 
 TIMEOUT_S = 0.5
 PERIOD_S = 0.1  # shortest time between two questions
-FRESH_S = 0.5  # an older answer is none
+FRESH_S = 1.0  # an older answer is none; longer than a question that times out, and two periods
+NEAR_M, NEAR_RAD = 0.03, float(np.radians(10.0))  # an answer for a tool farther away is none for a start
 ASKING = "the controller has not answered yet whether the arm can come"
+SILENT = "the controller does not answer whether the arm can come"
 
 
 class ReachCheck:
-    """The controller's newest answer; without a controller, every pose counts as reachable.
+    """The controller's newest answer. Only where nobody offers the service, every pose counts as reachable.
 
     `ws_center` is the point from which the scaling factor `scale` counts, shape (3,) [m].
     """
@@ -30,27 +33,40 @@ class ReachCheck:
         self._ws_center, self.scale = ws_center, 1.0
         self._client = ServiceClient("kuka/check_tool_pose", CheckToolPose)
         self._question = np.eye(4)
-        self._answer: tuple[str | None, float] = ASKING, -FRESH_S
+        self._answer: tuple[str | None, np.ndarray, float] = ASKING, self._question, -FRESH_S
         self._asked = threading.Event()
         threading.Thread(target=self._run, name="reach check", daemon=True).start()
 
-    def __call__(self, T_base_desired: np.ndarray) -> str | None:
-        """Asks about a pose, shape (4, 4) [m]; returns the newest answer: why the arm cannot come, or None."""
+    def __call__(self, T_base_desired: np.ndarray, starts: bool) -> str | None:
+        """Asks about a pose, shape (4, 4) [m]; returns the newest answer: why the arm cannot come, or None.
+
+        Where a stream `starts`, only the answer for a pose near this one counts.
+        """
         p = self._ws_center + self.scale * (T_base_desired[:3, 3] - self._ws_center)
         self._question = pose(T_base_desired[:3, :3], p)
         self._asked.set()
-        answer, at = self._answer
-        return answer if time.monotonic() - at < FRESH_S else ASKING
+        answer, T, at = self._answer
+        near = (
+            np.linalg.norm(T[:3, 3] - p) <= NEAR_M and rotation_angle(T[:3, :3].T @ T_base_desired[:3, :3]) <= NEAR_RAD
+        )
+        return answer if time.monotonic() - at < FRESH_S and (near or not starts or answer == SILENT) else ASKING
 
     def _run(self) -> None:
         while not rospy.is_shutdown():
             if not self._asked.wait(PERIOD_S):
                 continue
             self._asked.clear()
-            try:
-                tool = stamped_pose(self._question, BASE, rospy.Time.now())
-                obstacle = self._client(tool, timeout=TIMEOUT_S).obstacle or None
-            except ServiceFailed:
-                obstacle = None
-            self._answer = obstacle, time.monotonic()
+            question = self._question
+            self._answer = self._ask(question), question, time.monotonic()
             time.sleep(PERIOD_S)
+
+    def _ask(self, T_base_tool: np.ndarray) -> str | None:
+        try:
+            return self._client(stamped_pose(T_base_tool, BASE, rospy.Time.now()), timeout=TIMEOUT_S).obstacle or None
+        except ServiceAbsent:
+            return None
+        except ServiceFailed:
+            return SILENT
+        except Exception as error:  # this thread must not die: without it no stream would ever start again
+            rospy.logerr_once("The check whether the arm can come has failed: %r.", error)
+            return f"the check whether the arm can come has failed: {error!r}"
