@@ -493,3 +493,25 @@ def test_another_hand_never_continues_the_stream_of_desired_tools(leap, arm, pla
         result = play.step(sample(confidence=0.0), other(x), dt=1.0 / rate)
     assert result.owner == (20, True)
     assert play.now - last > max(0.2, time_out) + 0.09
+
+
+@pytest.mark.parametrize(
+    "blocks",
+    [
+        {"position": (-0.101, 0.35, 0.02), "roll": 60.0},
+        {"position": (-0.08, 0.35, 0.02), "roll": 60.0},
+        {"position": (-0.08, 0.35, 0.02), "confidence": 0.0},
+    ],
+)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hand_that_cannot_start_blocks_no_other(play, sample, blocks, seed):
+    """At the edge of the box, where noise brings it in and out, or in the box, tilted or hardly seen."""
+    rng = np.random.default_rng(seed)
+
+    def beside():
+        hand = sample(id=3, is_left=True, **blocks)
+        return dataclasses.replace(hand, palm=hand.palm + rng.normal(0.0, 0.002, 3))
+
+    for _ in range(50):
+        play.step(beside())
+    assert any(play.step(beside(), sample()).owner == (12, False) for _ in range(90))

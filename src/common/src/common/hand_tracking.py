@@ -137,6 +137,7 @@ class _Track(Generic[Hand]):
     seen: float  # time of that frame's stamp [s]
     came_in: bool  # whether it may start an engagement
     visible: bool = True  # in the newest frame
+    candidate_at: float = -math.inf  # when it was last the hand that would be next [s]
     frames_outside: int = 0  # newest frames in a row in which it was out of the box
 
     @property
@@ -155,14 +156,19 @@ class HandLock(Generic[Hand]):
     into the box from outside of it, or, without a box, into view. `outside` returns how far a palm, shape (3,) [m], is
     outside of the box [m].
 
-    `hand` is the owner, or without one the hand that would be next: one that may start, in the box, seen longest. It is
-    None where that hand is not in the newest frame. `changed` tells that it is another one than in the frame before.
+    `hand` is the owner, or without one the hand that would be next: one that may start, in the box, seen longest. That
+    one keeps its turn while it is in view and at most LEFT_BOX_M outside; after `turn` [s] without an engagement it
+    yields to another one that may start in the box, so that a hand that cannot start blocks nobody. `hand` is None
+    where that hand is not in the newest frame. `changed` tells that it is another one than in the frame before.
     The visible time that the tracker reports is unreliable (early Leap services put the service's uptime there), so the
     order of appearance is kept here.
     """
 
-    def __init__(self, max_gap: float, outside: Callable[[np.ndarray], float] | None = None) -> None:
-        self._max_gap, self._outside = max_gap, outside
+    def __init__(
+        self, max_gap: float, outside: Callable[[np.ndarray], float] | None = None, turn: float = math.inf
+    ) -> None:
+        self._max_gap, self._outside, self._turn = max_gap, outside, turn
+        self._turn_began = 0.0
         self._tracks: list[_Track[Hand]] = []  # in the order of appearance
         self._followed: _Track[Hand] | None = None
         self._any_hand = True  # before the first end
@@ -202,11 +208,23 @@ class HandLock(Generic[Hand]):
             self.end()
         self._match(hands, now)
         if not self.engaged:
-            visible = [track for track in self._tracks if track.visible]
-            self._followed = min(visible, key=self._rank) if visible else None
+            self._followed = self._next([track for track in self._tracks if track.visible], now)
         self.changed = self._followed is not before
+        if self.changed:
+            self._turn_began = now
         self.hand = self._followed.hand if self._followed is not None and self._followed.visible else None
         return self.hand
+
+    def _next(self, visible: list[_Track[Hand]], now: float) -> _Track[Hand] | None:
+        """Returns the hand that would be next, of those in view, in the order of appearance."""
+        kept = self._followed
+        if kept not in visible or not kept.came_in or self._outside_m(kept) > LEFT_BOX_M:
+            return min(visible, key=self._rank, default=None)
+        kept.candidate_at = now
+        others = [t for t in visible if t is not kept and t.came_in and self._outside_m(t) <= 0.0]
+        if not others or now - self._turn_began < self._turn:
+            return kept
+        return min(others, key=lambda track: track.candidate_at)
 
     def _match(self, hands: Iterable[Hand], now: float) -> None:
         """Assigns the hands of a frame to the tracks by id and side, the rest by what they may be successors of."""
@@ -227,6 +245,10 @@ class HandLock(Generic[Hand]):
             track.frames_outside = track.frames_outside + 1 if out else 0
             track.came_in |= track.frames_outside >= LEFT_BOX_FRAMES
 
+    def _outside_m(self, track: _Track[Hand]) -> float:
+        """Returns how far the hand is outside of the box [m]."""
+        return -math.inf if self._outside is None else self._outside(track.hand.palm)
+
     def _rank(self, track: _Track[Hand]) -> tuple[bool, bool]:
-        inside = self._outside is None or self._outside(track.hand.palm) <= 0.0
+        inside = self._outside_m(track) <= 0.0
         return not (inside and track.came_in), not inside

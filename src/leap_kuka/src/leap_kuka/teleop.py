@@ -22,13 +22,14 @@ from common.hand_tracking import MAX_STEP_M, FrameWatch, HandLock
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_angle
 from leap_kuka.config import ArmPlacement, LeapConfig
-from leap_kuka.hand_average import HandAverage, MeanHand
+from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand
 from leap_kuka.start_gate import StartGate, interaction_box
 from leap_kuka.tool_hold import HandOver, HoldAnswer, HoldState, ToolHold, hand_over
 from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, tool_rotation, virtual_leap_pose
 from leap_motion.frames import TrackedHand, TrackingFrame
 
 MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream, or two frames with its hand
+TURN_S = 0.5  # how long a hand whose mean is full may start, before another hand in the box has its turn
 MIN_RATE_HZ, ENOUGH_RATE_HZ = 20.0, 24.0  # below the first frame rate the tool stays, until the second is reached
 REACH_PERIOD_S = 0.2  # time between two questions whether the arm reaches the desired tool
 PAUSE_S, PAUSE_MARGIN_S = 0.2, 0.1
@@ -98,7 +99,9 @@ class ArmTeleop:
         self.T_tool_flange = read_only(inverse(arm.T_flange_tool))
         self.counts = TeleopCounts()
         self._watch = FrameWatch(MAX_SILENCE_S)
-        self._lock: HandLock[TrackedHand] = HandLock(MAX_SILENCE_S, self.box.outside)
+        self._lock: HandLock[TrackedHand] = HandLock(
+            MAX_SILENCE_S, self.box.outside, TURN_S + leap.buffer_size / NOMINAL_RATE_HZ
+        )
         self._average = HandAverage(leap.buffer_size)
         self._gate = StartGate(leap, self.box)
         self._control_known = False

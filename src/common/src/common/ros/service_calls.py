@@ -3,13 +3,17 @@
 `rospy.ServiceProxy` waits for ever for a node that hangs, and asks the master before every call. Here each call runs in
 a thread of its own, and a `ServiceClient` keeps the service's address. The request is sent after the node has answered
 the handshake, and only if the caller still waits: a node that hangs never executes a call that was given up before.
+A call that was given up ends too, so a node that hangs costs one thread and one socket at most per client.
 """
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import socket
+import struct
 import threading
+import time
 import xmlrpc.client
 from urllib.parse import urlparse
 
@@ -22,6 +26,7 @@ from common.errors import DeviceError, RigError
 
 MASTER_TIMEOUT_S = 2.0
 LISTENS_TIMEOUT_S = 3.0
+HANDSHAKE_TIMEOUT_S = 5.0
 
 
 class MasterLost(RigError):
@@ -49,6 +54,7 @@ class ServiceClient:
     def __init__(self, name: str, kind: type) -> None:
         self.name, self._kind = name, kind
         self._address: tuple[str, int] | None = None
+        self._unfinished: _Attempt | None = None  # given up, but not ended
 
     def look_up(self) -> None:
         """Asks the master for the address; a service that it does not know keeps its last one.
@@ -68,8 +74,15 @@ class ServiceClient:
         """Returns the response to a request with these fields, within `timeout` [s] after up to `wait` [s] for a node
         that offers the service; raises ServiceFailed if no node offers it, it failed, or it did not answer in time.
         """
+        start, before = time.monotonic(), self._unfinished
+        if before is not None and not before.done.wait(wait + timeout):
+            raise ServiceFailed(self.name, "still does not answer: nothing was requested", False)
+        wait = max(0.0, wait - (time.monotonic() - start)) if before is not None else wait
         attempt = _Attempt(self, rospy.ServiceProxy(self.name, self._kind), self._kind._request_class(*values), wait)
-        return attempt.response(wait + timeout)
+        try:
+            return attempt.response(wait + timeout)
+        finally:
+            self._unfinished = None if attempt.done.is_set() else attempt
 
     def connected(self, proxy: rospy.ServiceProxy) -> TCPROSTransport:
         """Returns a connection to the node, after the handshake; raises ServiceAbsent if none offers the service."""
@@ -77,12 +90,16 @@ class ServiceClient:
         if known is not None:
             try:
                 return _connection(proxy, known)
+            except socket.timeout as error:
+                raise ServiceFailed(self.name, str(error), sent=False) from error
             except rospy.exceptions.TransportInitError as error:  # perhaps the node was started again elsewhere
                 reason = str(error)
         try:
             self.look_up()
             if self._address not in (None, known):
                 return _connection(proxy, self._address)
+        except socket.timeout as error:
+            raise ServiceFailed(self.name, str(error), sent=False) from error
         except (MasterLost, rospy.exceptions.TransportInitError) as error:
             reason = str(error).rstrip(".")
         raise ServiceAbsent(self.name, reason)
@@ -98,16 +115,18 @@ class _Attempt:
 
     def __init__(self, client: ServiceClient, proxy: rospy.ServiceProxy, request, wait: float) -> None:
         self._client, self._proxy, self._request, self._wait = client, proxy, request, wait
-        self._lock, self._done = threading.Lock(), threading.Event()
+        self._lock, self.done = threading.Lock(), threading.Event()
         self._given_up = self._sent = False
         self._response, self._failure = None, None
         threading.Thread(target=self._run, name=client.name, daemon=True).start()
 
     def response(self, timeout: float):
         """Returns the response, or gives the call up after `timeout` [s]."""
-        if not self._done.wait(timeout):
+        if not self.done.wait(timeout):
             with self._lock:
                 self._given_up = True
+            if self._sent:
+                self._hang_up()
             outcome = "it may still execute the request" if self._sent else "nothing was requested"
             raise ServiceFailed(self._client.name, f"did not answer within {timeout:g} s: {outcome}", self._sent)
         if self._failure is not None:
@@ -132,14 +151,40 @@ class _Attempt:
             text = str(error)
             self._failure = ServiceFailed(name, f"failed: {text}", True) if self._sent else ServiceAbsent(name, text)
         finally:
-            self._done.set()
+            self.done.set()
+
+    def _hang_up(self) -> None:
+        """Wakes the thread that waits for the response."""
+        with contextlib.suppress(AttributeError, OSError):  # it ended meanwhile
+            self._proxy.transport.socket.shutdown(socket.SHUT_RDWR)
 
 
 def _connection(proxy: rospy.ServiceProxy, address: tuple[str, int]) -> TCPROSTransport:
-    transport = TCPROSTransport(proxy.protocol, proxy.resolved_name)
+    transport = _Transport(proxy.protocol, proxy.resolved_name)
     transport.buff_size = proxy.buff_size
-    transport.connect(*address, proxy.resolved_name)
+    try:
+        transport.connect(*address, proxy.resolved_name, timeout=HANDSHAKE_TIMEOUT_S)
+    except rospy.exceptions.TransportInitError as error:
+        transport.close()
+        if isinstance(error.__context__, (BlockingIOError, socket.timeout)):
+            raise socket.timeout(f"did not answer the handshake within {HANDSHAKE_TIMEOUT_S:g} s") from error
+        raise
+    transport.limit_reception(0.0)
     return transport
+
+
+class _Transport(TCPROSTransport):
+    """A connection that waits for the handshake for HANDSHAKE_TIMEOUT_S at most."""
+
+    def write_header(self):
+        self.limit_reception(HANDSHAKE_TIMEOUT_S)  # read_header undoes a time-out of Python's
+        super().write_header()
+
+    def limit_reception(self, seconds: float) -> None:
+        """Limits how long the system waits for data; 0 is without a limit."""
+        whole = int(seconds)
+        limit = struct.pack("@ll", whole, int(1e6 * (seconds - whole)))
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
 
 
 def ask_master(method: str, *arguments):
