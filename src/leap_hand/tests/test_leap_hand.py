@@ -205,23 +205,23 @@ def test_in_the_rig_the_robot_hand_follows_the_hand_that_steers_the_arm_alone():
         hand_with(20.0, 20.0, 20.0),
         dataclasses.replace(hand_with(), id=9, is_left=True, palm=[-0.3, 0.0, 0.0]),
     )
-    play.teleop.steered_by(None)
+    play.teleop.steered_by(None, play.now)
     waits = play.steps(30, fist, lies)[-1]
     assert waits.state == GripperState.OPEN and "interaction box" in waits.reason
-    play.teleop.steered_by((7, False))
+    play.teleop.steered_by((7, False), play.now)
     assert play.step(lies, fist).reason == "right hand 7 is followed"
     renamed = dataclasses.replace(fist, id=8)
     assert play.step(lies, renamed).state == GripperState.KEEPING, "until leap_kuka reports the new id"
-    play.teleop.steered_by((8, False))
+    play.teleop.steered_by((8, False), play.now)
     assert play.step(lies, renamed).reason == "right hand 8 is followed"
-    play.teleop.steered_by(None)
+    play.teleop.steered_by(None, play.now)
     states = [r.state for r in play.steps(30, renamed, lies)]
     assert states[18] == GripperState.KEEPING and states[21:] == [GripperState.OPEN] * 9
 
 
 def test_the_hand_alone_ignores_what_the_arm_does():
     play = Player(hand_only=True)
-    play.teleop.steered_by(None)
+    play.teleop.steered_by(None, play.now)
     assert play.step(hand_with(20.0)).state == GripperState.FOLLOWING
 
 
@@ -326,3 +326,19 @@ def recorded_hands(path):
                 is_left, vectors = hand["type"] == "left", (palm, hand["direction"], hand["palmNormal"])
                 hands.append(TrackedHand(hand["id"], is_left, *vectors, hand["confidence"], points))
             yield hands
+
+
+def test_when_leap_kuka_falls_silent_the_grip_is_kept_for_a_while_then_nobody_is_followed():
+    play = Player(hand_only=False)
+    play.teleop.switch(True)
+    for _ in range(300):
+        if play.number % 50 == 0:
+            play.teleop.steered_by((7, False), play.now)
+        assert play.step(hand_with(20.0, 20.0, 20.0)).state is GripperState.FOLLOWING
+    results = play.steps(200, hand_with(20.0, 20.0, 20.0))
+    states = [result.state for result in results]
+    assert 90 <= states.index(GripperState.KEEPING) <= 155 and states[-1] is GripperState.OPEN
+    assert states.count(GripperState.KEEPING) == pytest.approx(100.0 * CONFIG.grip_hold, abs=2)
+    assert results[-1].reason == "leap_kuka does not report which hand steers the arm"
+    play.teleop.steered_by((7, False), play.now)
+    assert play.step(hand_with()).state is GripperState.FOLLOWING

@@ -1,11 +1,12 @@
 """From tracking frames to commands of the robot hand: whom it follows, flexion, mapping, and when to open.
 
-Arm and robot hand have one owner: the hand that leap_kuka has locked, by id and side (`steered_by`). Where no leap_kuka
-reports, the lock is made here, by the same rules without a box (common.hand_tracking.HandLock).
+Arm and robot hand have one owner: the hand that leap_kuka has locked, by id and side (`steered_by`), as long as it goes
+on reporting that. Where no leap_kuka ever reported, the lock is made here, by the same rules without a box
+(common.hand_tracking.HandLock).
 
 The hand opens when gripper control is off. It opens when its owner is missing, lacks a finger or has invalid numbers,
-or nobody is the owner: but only `grip_hold` after the last good frame, so that the object is held as long as the arm
-waits for its hand. Another hand in view changes nothing. Without a usable frame it opens once, after MAX_SILENCE_S.
+or nobody is the owner: but only `grip_hold` after the last good frame, by default as long as the arm waits
+for its hand. Another hand in view changes nothing. Without a usable frame it opens once, after MAX_SILENCE_S.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from leap_motion.frames import TrackedHand, TrackingFrame
 GRIPPER_OFF = "the control of the gripper is off"
 
 MAX_SILENCE_S = 0.5
+MAX_UNREPORTED_S = 1.5  # leap_kuka reports twice a second; after so long without it nobody is the owner
 MAX_MISSING_S = 0.2  # longest time without the owner of a lock that is made here
 
 
@@ -67,16 +69,16 @@ class HandTeleop:
         self._watch = FrameWatch(MAX_SILENCE_S)
         self._lock: HandLock[TrackedHand] = HandLock(max(MAX_MISSING_S, config.grip_hold))
         self._hand_only = hand_only
-        self._arm_reports = False
+        self._arm_reports, self._reported_at = False, -math.inf
         self._owner: tuple[int, bool] | None = None
         self._gripper_on: bool | None = True if hand_only else None
         self._opened_in_silence = False
         self._state = GripperState.WAITING
         self._followed_at = -math.inf
 
-    def steered_by(self, owner: tuple[int, bool] | None) -> None:
-        """Sets id and side (whether left) of the hand that steers the arm, None while no hand does."""
-        self._arm_reports, self._owner = not self._hand_only, owner
+    def steered_by(self, owner: tuple[int, bool] | None, now: float) -> None:
+        """Sets id and side (whether left) of the hand that steers the arm `now` [s], None while no hand does."""
+        self._arm_reports, self._owner, self._reported_at = not self._hand_only, owner, now
 
     def switch(self, gripper_on: bool) -> GripperResult | None:
         """Sets control of the gripper; returns the open pose if this switches it off, else None."""
@@ -93,7 +95,7 @@ class HandTeleop:
         if not arrival.usable:
             return None
         self._opened_in_silence = False
-        hand, absence = self._choose(frame, arrival.stamp)
+        hand, absence = self._choose(frame, arrival.stamp, now)
         if self._gripper_on is None:
             return GripperResult(GripperState.WAITING, "waiting for kuka/gripper_control", None)
         if not self._gripper_on:
@@ -119,9 +121,11 @@ class HandTeleop:
         self._opened_in_silence = result.state is GripperState.OPEN
         return result
 
-    def _choose(self, frame: TrackingFrame, stamp: float) -> tuple[TrackedHand | None, str]:
+    def _choose(self, frame: TrackingFrame, stamp: float, now: float) -> tuple[TrackedHand | None, str]:
         """Returns the owner as this frame shows it, or None and why."""
         if self._arm_reports:
+            if now - self._reported_at > MAX_UNREPORTED_S:
+                return None, "leap_kuka does not report which hand steers the arm"
             if self._owner is None:
                 return None, "no hand steers the arm; bring one into the interaction box"
             owner = next((hand for hand in frame.hands if (hand.id, hand.is_left) == self._owner), None)

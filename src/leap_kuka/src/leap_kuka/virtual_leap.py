@@ -15,7 +15,8 @@ comes in at a large yaw does not start clipped. Pitch and roll do not depend on 
 
 During a stream the angles are continuous: those of each frame are the ones nearest to the frame before, so a palm that
 turns up past 180 deg stays at the limit that it reached. An angle is never clipped for ever: as soon as the hand is
-within UPRIGHT, where each orientation has one triple of angles, that triple counts, however the hand got there. And the
+within UPRIGHT, where each orientation has one triple of angles, that triple counts, however the hand got there. Near a
+pitch of 90 deg, where yaw and roll are noise, they stay (STANDS, SURE). And the
 tool never turns by more than MAX_GAIN times the turn of the hand, also where the angles themselves jump: near a pitch
 of 90 deg, and when a triple is replaced.
 """
@@ -33,6 +34,9 @@ from common.rotations import rotation_about, rotation_angle, rotation_from_zyx, 
 
 UPRIGHT = np.radians([90.0, 60.0, 90.0])  # largest yaw, pitch and roll of a hand whose angles are beyond doubt [rad]
 MAX_GAIN = 3.0  # turn of the tool per turn of the hand; up to 45 deg of pitch the angles alone need less than that
+STANDS, SURE = 0.2, 0.5
+"""Below the one cosine of the pitch the clipped yaw and roll stay; from the other one on they follow fully. In between
+they follow by a share, so that they are continuous."""
 
 R_LEAP_REFERENCE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
@@ -83,6 +87,8 @@ class SteadyAttitude:
         self._R_leap_hand = R_leap_hand
         self.measured = attitude(R_leap_hand, self._heading, self.measured)
         now, goal = self.clipped.array, self.measured.clipped(self._limits).array
+        sure = (abs(math.cos(self.measured.pitch)) - STANDS) / (SURE - STANDS)
+        goal[[0, 2]] = (now + min(max(sure, 0.0), 1.0) ** 2 * (goal - now))[[0, 2]]
         way = float(np.sum(np.abs(goal - now)))  # no less than the turn of the tool
         if way > MAX_GAIN * turn:
             goal = now + MAX_GAIN * turn / way * (goal - now)

@@ -67,7 +67,7 @@ class HandTeleopNode:
 
     def _on_stream(self, stream: DiagnosticStatus) -> None:
         with self._lock:
-            self._teleop.steered_by(owner(stream))
+            self._teleop.steered_by(owner(stream), time.monotonic())
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import time
 
 import numpy as np
 import rospy
@@ -21,10 +22,13 @@ GREEN = (0.2, 0.8, 0.3)
 AMBER = (1.0, 0.7, 0.1)
 EDGE_WIDTH_M = 0.004
 TEXT_HEIGHT_M = 0.025
+HEARTBEAT_S = 0.5  # longest time without a message: leap_hand follows nobody when leap_kuka falls silent
 
 
 class StreamStatus:
     """Publishes a change of the state or of the hold at once, and a new reason at the next `flush`.
+
+    Without either it publishes every HEARTBEAT_S.
 
     The reason may change with every frame (the distance to the box), faster than anybody can read.
     """
@@ -36,6 +40,7 @@ class StreamStatus:
         self._lock = threading.Lock()
         self._newest: TeleopResult | None = None
         self._published: TeleopResult | None = None
+        self._published_at = 0.0
 
     def update(self, result: TeleopResult) -> None:
         """Sets the newest result; publishes it if the state or the hand that steers changed."""
@@ -49,10 +54,12 @@ class StreamStatus:
                 self._publish(result)
 
     def flush(self) -> None:
-        """Publishes the newest result if its reason differs from the published one; `update` published its state."""
+        """Publishes the newest result if its reason differs from the published one, or that one is HEARTBEAT_S old."""
         with self._lock:
             result, published = self._newest, self._published
-            if result is not None and published is not None and result.reason != published.reason:
+            if result is None or published is None:
+                return
+            if result.reason != published.reason or time.monotonic() - self._published_at >= HEARTBEAT_S:
                 self._publish(result)
 
     @property
@@ -64,7 +71,7 @@ class StreamStatus:
         return _level(result), result.reason, result.state.value
 
     def _publish(self, result: TeleopResult) -> None:
-        self._published = result
+        self._published, self._published_at = result, time.monotonic()
         number, side = ("", "") if result.owner is None else (str(result.owner[0]), LEFT if result.owner[1] else RIGHT)
         values = [
             KeyValue("state", result.state.value),
