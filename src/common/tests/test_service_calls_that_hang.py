@@ -13,6 +13,8 @@ from std_srvs.srv import SetBool
 from common.ros import service_calls
 from common.ros.service_calls import ServiceClient, ServiceFailed
 
+pytestmark = pytest.mark.ros
+
 
 @pytest.fixture
 def client(monkeypatch):

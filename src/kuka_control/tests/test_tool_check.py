@@ -106,3 +106,24 @@ def test_every_other_one_goes_home_first(mode):
 
 def test_before_the_first_reading_it_is_the_home_position():
     assert seed("servo", None, HOME.q) is HOME.q
+
+
+@settings(max_examples=50)
+@given(coordinates, coordinates, st.floats(-0.3, 0.3), st.floats(-3.0, 3.0))
+def test_the_obstacle_is_what_keeps_an_arm_that_yields_from_coming(x, y, z, turn):
+    T = tool(x, y, z) @ pose(rotation_about(1, turn))
+    target = RIG.chain.reach(T, HOME.q)
+    expected = str(target) if isinstance(target, Infeasible) else target.failure
+    assert check(T).obstacle == expected
+
+
+@pytest.mark.parametrize("T", [tool(x=1e3), tool(x=np.nan)])
+def test_a_refused_tool_pose_is_an_obstacle_too(T):
+    assert "the tool pose is refused" in check(T).obstacle
+
+
+def test_one_check_is_one_inverse_kinematics(monkeypatch):
+    asked, reach = [], type(RIG.chain).reach
+    monkeypatch.setattr(type(RIG.chain), "reach", lambda *args: asked.append(args) or reach(*args))
+    check(tool())
+    assert len(asked) == 1

@@ -14,6 +14,8 @@ from common.ros.service_calls import ServiceAbsent, ServiceFailed
 from common.rotations import rotation_about
 from leap_kuka.ros import reach
 
+pytestmark = pytest.mark.ros
+
 HERE = np.eye(4)
 
 

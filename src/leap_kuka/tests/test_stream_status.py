@@ -1,10 +1,13 @@
 """The published state of the stream is also a heartbeat."""
 
 import numpy as np
+import pytest
 
 from leap_kuka.ros import stream_status
 from leap_kuka.start_gate import InteractionBox
 from leap_kuka.teleop import StreamState, TeleopResult
+
+pytestmark = pytest.mark.ros
 
 
 def test_the_state_is_published_again_although_nothing_changes(monkeypatch):

@@ -178,6 +178,12 @@ class ToolCheck:
 
     sentence: str  # why the tool cannot be brought there, or that it can
     T_base_desired: np.ndarray | None = None  # the desired tool frame for that, shape (4, 4) [m]; None if it cannot
+    obstacle: str | None = None  # why an arm that yields in orientation and at bounds cannot come there either
+
+
+def refused(reason: str) -> ToolCheck:
+    """Returns the answer for a tool pose that is none, the end of a sentence."""
+    return ToolCheck(f"The tool pose is refused: {reason}", obstacle=f"the tool pose is refused: {reason}")
 
 
 def seed(mode: Mode, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarray:
@@ -196,18 +202,19 @@ def check_tool_pose(
     """
     reason = rejection_reason(T_base_tool)
     if reason is not None:
-        return ToolCheck(f"The tool pose is refused: {reason}")
+        return refused(reason)
     target = chain.reach(T_base_tool, q_seed, follows)
     if isinstance(target, Infeasible):
-        return ToolCheck(f"The tool pose is outside the workspace: {target}.")
+        return ToolCheck(f"The tool pose is outside the workspace: {target}.", obstacle=str(target))
     if target.bounds:
         moved = 1e3 * np.linalg.norm(target.T_base_tool[:3, 3] - T_base_tool[:3, 3])
         return ToolCheck(
             f"The tool pose is outside the workspace: the {' and the '.join(target.bounds)} would move it by "
-            f"{moved:.0f} mm."
+            f"{moved:.0f} mm.",
+            obstacle=target.failure,
         )
     if target.failure is not None:
-        return ToolCheck(target.failure)
+        return ToolCheck(target.failure, obstacle=target.failure)
     if target.deviation:
         return ToolCheck(
             f"The tool pose is out of reach: in this position the tool would deviate from it by "

@@ -13,8 +13,7 @@ from common.frames import BASE
 from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches, SwitchReply
-from kuka_control.model.target import check_tool_pose, seed
-from kuka_control.model.workspace import Infeasible
+from kuka_control.model.target import check_tool_pose, refused, seed
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
 from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
 
@@ -68,14 +67,13 @@ def offer_tool_check(rig: Rig, read: Callable[[], tuple[Mode, np.ndarray | None,
         try:
             T_base_tool = pose_in(BASE, request.tool)
         except ValueError as error:
-            return CheckToolPoseResponse(success=False, message=f"The tool pose is refused: {error}.")
+            check = refused(f"{error}.")
+            return CheckToolPoseResponse(success=False, message=check.sentence, obstacle=check.obstacle)
         mode, joints, scale = read()
         q_seed = seed(mode, joints, rig.home.q)
-        follows = mode is Mode.SERVO
-        check = check_tool_pose(rig.chain, T_base_tool, scale, q_seed, follows)
+        check = check_tool_pose(rig.chain, T_base_tool, scale, q_seed, mode is Mode.SERVO)
         response = CheckToolPoseResponse(success=check.T_base_desired is not None, message=check.sentence)
-        target = rig.chain.reach(T_base_tool, q_seed, follows)
-        response.obstacle = str(target) if isinstance(target, Infeasible) else target.failure or ""
+        response.obstacle = check.obstacle or ""
         if check.T_base_desired is not None:
             response.desired = message_from_pose(check.T_base_desired)
         return response
