@@ -216,9 +216,9 @@ class RigUnderTest:
         self.wait(went_through, f"the modes {sequence} in {self.modes}", MOVE_S)
 
     def follow(self, **at: float) -> None:
-        """Shows a hand, switches control on and waits until the arm stands where the hand has sent it."""
-        self.hand.show(**at)
+        """Switches control on, brings a hand in and waits until the arm stands where the hand has sent it."""
         assert self.control(True).success
+        self.hand.show(**at)
         self.wait_for_mode("servo")
         self.settle()
 

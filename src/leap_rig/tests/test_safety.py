@@ -63,6 +63,9 @@ def test_control_is_off_until_it_is_switched_on(rig):
     rig.wait(lambda: max(rig.robot_hand.ask("state")["angles"]) > 0.5, "the robot hand to close")
     assert rig.arm.way() < STILL, "the arm stands while only the gripper is on"
     assert rig.control(True).success
+    rig.wait(lambda: "take the hand out of the box" in rig.status.reason, "the reason")
+    assert rig.arm.way() < STILL, "a hand that was there before does not count"
+    rig.hand.show(right=0.06, curl=0.9)
     rig.wait_for_mode("servo")
     rig.wait(lambda: rig.arm.way() > 0.05, "the arm to move")
 
@@ -243,7 +246,9 @@ def stop_and_recover(rig, provoke, cause, fraction):
     released = rig.arm.now.time
     rig.modes.clear()
     assert rig.control(True).success
-    rig.wait_for_modes("homing", "home", "servo")
+    rig.wait_for_modes("homing", "home")
+    rig.hand.show(right=0.08)
+    rig.wait_for_mode("servo")
     rig.hand.glide(1.0, right=0.0)
     rig.settle()
     np.testing.assert_allclose(rig.arm.now.T_base_tool[:3, 3], rig.commanded[-1][:3, 3], atol=2e-3)

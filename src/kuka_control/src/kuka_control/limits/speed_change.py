@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from ruckig import ControlInterface, InputParameter, Result, Ruckig, Synchronization, Trajectory
+from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
 from kuka_control.model.workspace import Workspace
 
@@ -58,6 +58,7 @@ class SpeedChange:
     """Changes the joint velocities within the limits `shape`."""
 
     def __init__(self, shape: ShapeLimits) -> None:
+        self._acceleration = shape.acceleration
         self._ruckig = Ruckig(7)
         self._trajectory = Trajectory(7)
         self._change, self._stop = InputParameter(7), InputParameter(7)
@@ -72,7 +73,10 @@ class SpeedChange:
     def step(self, now: JointState, desired: np.ndarray, dt: float) -> JointState:
         """Returns the state dt [s] later, on the way to the velocities `desired`, shape (7,) [rad/s], all in step."""
         self._change.target_velocity = desired.tolist()
-        trajectory = self._plan(self._change, now)
+        try:
+            trajectory = self._plan(self._change, now)
+        except RuckigError:  # rounding may close every way of a least duration: a stop is always there
+            return self.stop(now, dt)
         q, v, a = (np.array(values) for values in trajectory.at_time(dt))
         return JointState(q, v, a, trajectory.duration)
 
@@ -88,11 +92,8 @@ class SpeedChange:
 
     def _plan(self, plan: InputParameter, now: JointState) -> Trajectory:
         plan.current_position, plan.current_velocity = now.q.tolist(), now.v.tolist()
-        plan.current_acceleration = now.a.tolist()
-        result = self._ruckig.calculate(plan, self._trajectory)
-        if result not in (Result.Working, Result.Finished):
-            target = plan.target_velocity
-            raise ArithmeticError(f"no motion from velocity {now.v} and acceleration {now.a} to {target}: {result}")
+        plan.current_acceleration = np.clip(now.a, -self._acceleration, self._acceleration).tolist()
+        self._ruckig.calculate(plan, self._trajectory)
         return self._trajectory
 
 

@@ -129,10 +129,11 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
 
     def _braking(self, cycle: Cycle) -> Outcome:
         goals: GoalStream | None = self._active.data
-        if goals is None or goals.at_rest:
+        goal = None if goals is None else goals.brake(cycle.observation.joints, cycle.now)
+        if goal is None:
             return Fired(Trigger.AT_REST_TO_RETURN if self._active.trigger in RETURNS else Trigger.AT_REST)
         self.counts["goals_sent"] += 1
-        return Servo(goals.brake(cycle.observation.joints, cycle.now).q)
+        return Servo(goal.q)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
-from kst import ConnectionLost, KstError, MotionRefused, ReplyTimeout
+from kst import ConnectionLost, KstError, MotionRefused, ReplyTimeout, WrongMode
 from kuka_control.loop.arm import NO_READING, Arm
 from kuka_control.loop.commands import (
     End,
@@ -163,9 +163,12 @@ class Controller:
         silent = self._arm.silence()
         if silent > 0.0:
             return self._hold(silent)
-        if self._silent > NAMED_S:
-            events = (Event("info", f"The robot answers again after {self._silent:.2f} s."),)
-        self._silent = 0.0
+        if self._silent > 0.0 and self._step is not None:
+            # The wait for the answer took time that `now` does not know: the goals continue in the next cycle.
+            if self._silent > NAMED_S:
+                events = (Event("info", f"The robot answers again after {self._silent:.2f} s."),)
+            self._silent = 0.0
+            return replace(self._step, command=Wait(), events=events, transitions=())
         events += self._watch_motion(now)
         refused, self._refused = self._refused, None
         observation = Observation(self._arm.measured_joints, inputs, not self.moving, refused)
@@ -190,7 +193,7 @@ class Controller:
                 return False
             if self.in_servo:
                 self._arm.stop_servo()
-        except MotionRefused:
+        except (MotionRefused, WrongMode):
             self.moving = False
         except NO_READING:
             return False
@@ -216,7 +219,7 @@ class Controller:
         self.missed += 1
         if isinstance(step.command, (StartPtp, StartServo)):
             if error.pending:
-                self.in_servo = True
+                self.in_servo = isinstance(step.command, StartServo)
                 raise error
             self._refused = str(error)
             return

@@ -17,7 +17,7 @@ from kuka_control.limits.motion_limits import GAP_S, LimitedGoal, MotionLimits, 
 from kuka_control.loop.servo_law import LtsGoals
 from kuka_control.loop.tracking import TrackingMonitor
 from kuka_control.loop.transitions import Trigger
-from kuka_control.model.desired_frame import PAUSE_S, DesiredFrame
+from kuka_control.model.desired_frame import DesiredFrame
 
 TOLERANCE_RAD = float(np.radians(2.0))  # largest joint step servoed to from rest, and tolerance on the speed limits
 TOLERANCE_M = 0.017  # tolerance of the frame's step on top of the speed limits: 2 deg of a joint, half a metre away [m]
@@ -31,7 +31,10 @@ FADE_S = 0.02  # then the target slows down to rest in this time [s]
 COMPARED = 64  # number of recent frames among which the least delayed one is sought
 FULL_SPEED_HZ = 60.0  # the tool moves at most 11 mm from one frame to the next at 0.65 m/s; at lower rates no further
 HOLD_HZ = 20.0  # frames that come less often than this are not followed
+RATE_WINDOW_S = 0.3  # time over which frames are counted [s]
 RESUME_HZ = 22.0  # until they come this often
+SETTLED_RAD = 1e-3  # an arm this close to its goal has come to rest with it [rad]
+SETTLING_S = 0.3  # it is waited for this long [s]
 CATCH_UP_RAD = float(np.radians(60.0))  # joints that differ by more are caught up with by a pick-up motion
 
 
@@ -167,25 +170,35 @@ class FrameRate:
     """How fast the arm may follow frames that come at a rate: less often seen, a hand is followed more slowly."""
 
     def __init__(self) -> None:
-        self._last: float | None = None
-        self._periods: deque[float] = deque(maxlen=5)
-        self._holds = False
+        self._since: float | None = None
+        self._stamps: deque[float] = deque()
+        self.holds = False
 
     def take(self, stamp: float, stall: float) -> None:
-        """Takes the stamp of a new frame [s]; one after a stall of the control loop, or a pause, shows no rate."""
-        period = None if self._last is None else stamp - self._last
-        self._last = stamp
-        if period is not None and stall == 0.0 and 0.0 < period <= PAUSE_S:
-            self._periods.append(period)
+        """Takes the stamp of a new frame [s]; a stall of the control loop says nothing about the rate."""
+        if self._since is None or stall > 0.0 or stamp <= self._stamps[-1]:
+            self._since = stamp
+            self._stamps.clear()
+        self._stamps.append(stamp)
+        while stamp - self._stamps[0] > RATE_WINDOW_S:
+            self._stamps.popleft()
+        if stamp - self._since >= RATE_WINDOW_S:
+            self.holds = self._rate() < (RESUME_HZ if self.holds else HOLD_HZ)
 
     @property
     def cap(self) -> float:
-        """Scaling factor of the speed limits: 1 down to FULL_SPEED_HZ, falling with the rate, 0 below HOLD_HZ."""
-        if len(self._periods) < 3:
-            return 1.0
-        rate = 1.0 / float(np.median(self._periods))
-        self._holds = rate < (RESUME_HZ if self._holds else HOLD_HZ)
-        return 0.0 if self._holds else min(rate / FULL_SPEED_HZ, 1.0)
+        """Scaling factor of the speed limits: 1 down to FULL_SPEED_HZ, falling with the rate, 0 below HOLD_HZ.
+
+        Until the rate is known it is CATCH_UP_SCALE, with which the arm starts anyway.
+        """
+        if self.holds:
+            return 0.0
+        if self._since is None or self._stamps[-1] - self._since < RATE_WINDOW_S:
+            return CATCH_UP_SCALE
+        return min(self._rate() / FULL_SPEED_HZ, 1.0)
+
+    def _rate(self) -> float:
+        return (len(self._stamps) - 1) / RATE_WINDOW_S
 
 
 CATCH_UP_SCALE = 1.0 / 3.0
@@ -225,6 +238,8 @@ class GoalStream:
         self._catching_up = True
         self._time = self._looked = now
         self._stall = 0.0  # since the last frame [s]
+        self._stands_at: float | None = None  # when braking goals came to rest
+        self._settled = False  # whether the arm has come there
 
     @property
     def q_target(self) -> np.ndarray:
@@ -244,7 +259,13 @@ class GoalStream:
         self._look(now)
         stall, self._stall = self._stall, 0.0
         self._frames.take(frame, stall)
+        held = self._rate.holds
         self._rate.take(frame.stamp, stall)
+        if self._rate.holds:
+            self._motion.hold()
+            return None
+        if held and q is not None and is_jump(self._motion.q, q, 0.0, self._settings.joint_speeds):
+            return Trigger.JUMPED
         if q is None:
             self._motion.hold()
             return None
@@ -268,16 +289,24 @@ class GoalStream:
             self._catching_up = True
         return self._for_robot(limited, measured, dt)
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether the goals stand still."""
-        return self._limits.at_rest
+    def brake(self, measured: np.ndarray, now: float) -> LimitedGoal | None:
+        """Returns the goal of this cycle on the way to the earliest stop within the limits; arguments as in `goal`.
 
-    def brake(self, measured: np.ndarray, now: float) -> LimitedGoal:
-        """Returns the goal of this cycle on the way to the earliest stop within the limits; arguments as in `goal`."""
-        self._look(now)
+        None: the arm may be left as it is. Goals for the LTS law lie beyond the arm: they are sent until it has come.
+        """
         dt, self._time = now - self._time, now
-        return self._for_robot(self._limits.brake(dt), measured, dt)
+        if self._limits.at_rest and self._stands_at is None:
+            self._stands_at = now
+            if self._lts is None:
+                return None
+        stopped = self._limits.brake(dt)
+        if self._stands_at is None:
+            return self._for_robot(stopped, measured, dt)
+        if self._settled:
+            return None
+        near = float(np.max(np.abs(stopped.q - measured))) < SETTLED_RAD
+        self._settled = near or now - self._stands_at > SETTLING_S
+        return stopped if self._settled else self._for_robot(stopped, measured, dt)
 
     def _look(self, now: float) -> None:
         """Notes a stall of the control loop: a gap since it looked last."""

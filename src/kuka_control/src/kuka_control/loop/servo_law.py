@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
+from kuka_control.limits.motion_limits import GAP_S
 
 REACH_RAD = 0.07  # a: the greatest step of the loop in one cycle [rad]
 WIDTH_RAD = 0.0525  # b: a distance of this size gives a step of 63 % of the reach [rad]
@@ -130,12 +131,16 @@ class ServoLawIdentification:
         self._back_at: float | None = None
         self._half_at: float | None = None
         self._eighth_at: float | None = None
-        self._disturbed = False
+        self._disturbed = self._stalled = False
+        self._looked = 0.0
 
     def step(self, measured: np.ndarray, now: float) -> tuple[np.ndarray, ServoLawResult | None]:
         """Returns the goal, shape (7,) [rad], and at the end the result; `now` is monotonic [s]."""
         if self._began is None:
             self._began = now
+        elif now - self._looked > GAP_S:
+            self._stalled = True
+        self._looked = now
         left = 1.0 - (measured[6] - self._rest[6]) / self._turn
         self._disturbed |= bool(np.max(np.abs(measured - self._rest)[:6]) > ELSEWHERE_RAD)
         if self._back_at is None:
@@ -163,6 +168,8 @@ class ServoLawIdentification:
     def _result(self) -> ServoLawResult:
         if self._disturbed:
             return ServoLawResult(None, "joints moved that were not to move")
+        if self._stalled:
+            return ServoLawResult(None, f"for more than {GAP_S:g} s of it nobody looked at the arm")
         if self._half_at is None or self._eighth_at is None:
             slow = f"joint 7 did not get through its test motion of 0.5 deg within {PATIENCE_S:g} s"
             return ServoLawResult(None, slow)

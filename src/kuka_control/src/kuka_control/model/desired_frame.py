@@ -15,8 +15,11 @@ from common.poses import check_pose
 MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
 HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
 MAX_SKEW_S = 0.5  # how far a stamp may be from the clock [s]
-PAUSE_S = 0.2  # after a longer pause than this a new stream of frames begins [s]
+PAUSE_S = 0.28  # after a longer pause than this a new stream of frames begins [s],
+PAUSE_PERIODS = 2.5  # which also is longer than so many times the time between its last frames
+LONGEST_PERIOD_S = 2.0  # of them that counts [s]
 LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]
+STALLED_S = 0.5  # stalls since the last frame count as silence where they are longer than this together [s]
 REFUSING_S = 0.5  # frames count as refused until this long after the last refused one [s]
 
 
@@ -101,7 +104,9 @@ class DesiredStream:
         self._last_stamp: float | None = None
         self._looked: float | None = None
         self._pause = 0.0  # since the last frame of either kind [s]
+        self._period = 0.0  # between the last two frames [s]
         self._silence = float("inf")  # since the last accepted frame [s]
+        self._stalled = 0.0  # since then, in stalls of the control loop [s]
         self._refusing = False
         self._refusal: tuple[str, float] | None = None
 
@@ -110,17 +115,23 @@ class DesiredStream:
         elapsed = 0.0 if self._looked is None else max(now - self._looked, 0.0)
         self._looked = now
         self._pause += min(elapsed, LOOK_S)
-        self._silence += min(elapsed, LOOK_S) if in_servo else elapsed
+        stalled = max(elapsed - LOOK_S, 0.0)
+        if in_servo and self._stalled + stalled <= STALLED_S:
+            self._stalled += stalled
+            self._silence += elapsed - stalled
+        else:
+            self._silence += elapsed
         if newest is None or newest.stamp == self._last_stamp:
             return StreamUpdate()
         self._last_stamp = newest.stamp
         self.number += not self.runs
+        self._period = min(self._pause, LONGEST_PERIOD_S)
         self._pause = 0.0
         fault = _fault(newest, clock)
         if fault is None:
             self._refusing = False
             self._refusal = None
-            self._silence = 0.0
+            self._silence = self._stalled = 0.0
             return StreamUpdate(newest)
         reported, self._refusing = self._refusing, True
         self._refusal = (fault, now)
@@ -129,7 +140,7 @@ class DesiredStream:
     @property
     def runs(self) -> bool:
         """Whether frames come, accepted or refused."""
-        return self._pause <= PAUSE_S
+        return self._pause <= max(PAUSE_S, PAUSE_PERIODS * self._period)
 
     @property
     def silence(self) -> float:

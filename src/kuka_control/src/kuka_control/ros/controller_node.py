@@ -39,6 +39,7 @@ RETRY_S = 0.5
 PROBE_S = 12.0  # the client gives a silent server up before; this bounds the wait for one that answers nonsense [s]
 TIMEOUT_S = 5.0
 AGAIN_TIMEOUT_S = 2.0  # how long a try to connect again waits for the connection, and again for the first answer [s]
+LONGEST_PERIOD_S = 0.025  # of the control loop, so that pauses of the desired tool frame are seen [s]
 BRAKING_S = 1.0  # an arm that follows a hand when ROS shuts down has this long to brake [s]
 SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within this time [s]
 
@@ -139,7 +140,7 @@ class _Node:
         self._loop: ControlLoop | ReconnectSupervisor = make_loop()
         self._controller = Controller(link.arm, self._loop)
         self._switches = Switches()
-        self._rest_period = 1.0 / config.rate_joints
+        self._rest_period = min(1.0 / config.rate_joints, LONGEST_PERIOD_S)
         self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
         self._state = StatePublisher(rig, config.rate_joints, config.rate_state)
         self._markers = publish_workspace(rig.workspace, rig.home.centre)
