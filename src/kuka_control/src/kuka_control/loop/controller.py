@@ -167,7 +167,7 @@ class Controller:
             # The wait for the answer took time that `now` does not know: the goals continue in the next cycle.
             if self._silent > NAMED_S:
                 events = (Event("info", f"The robot answers again after {self._silent:.2f} s."),)
-            self._silent = 0.0
+            self._silent, self._missed_in_a_row = 0.0, 0
             return replace(self._step, command=Wait(), events=events, transitions=())
         events += self._watch_motion(now)
         refused, self._refused = self._refused, None

@@ -7,7 +7,7 @@ does not servo there; else it catches up slowly.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -285,8 +285,8 @@ class GoalStream:
         limited = self._limits.step(target.q, measured, dt, scale, target.v, cap)
         if limited.limited_by is None and self._stamp is not None:
             self._catching_up = False
-        elif cap == 0.0:
-            self._catching_up = True
+        if self._rate.holds:
+            limited, self._catching_up = replace(limited, limited_by="frame rate"), True
         return self._for_robot(limited, measured, dt)
 
     def brake(self, measured: np.ndarray, now: float) -> LimitedGoal | None:
