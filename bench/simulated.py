@@ -125,7 +125,8 @@ class SimulatedRig:
         `jitter` returns how late each frame comes [s]; no frames come after `frames_for` [s].
         """
         if self.newest is None:
-            self._cycle(control_on=True)  # a stream counts only if it begins while control is on
+            for control_on in [False] * 100 + [True]:  # a stream counts only if it begins while control is on
+                self._cycle(control_on)
         self._clear()
         frames = []
         for i in range(int(min(seconds, frames_for) * rate) + 1):

@@ -100,17 +100,21 @@ class Bench:
         self.make = partial(algorithms.real_time_loop, settings, self.rig)
         self.loop = self.make()
         self.controller = Controller(arm, self.loop)
+        self.mode = "starting"
         self.arm, self.control_on, self.enable_count, self.lost = arm, True, 1, 0
 
     def run(self, until, mode=None):
         while self.wire.now < until:
             wire = self.wire
             T = shifted(0.0, 0.03 * np.sin(0.8 * wire.now), 0.0)
-            desired = DesiredFrame(T, CLOCK + round(wire.now, 2))
+            # The operator brings the hand in when the arm is at home, as the status asks for.
+            shown = self.mode in ("home", "pick_up", "servo")
+            desired = DesiredFrame(T, CLOCK + round(wire.now, 2)) if shown else None
             inputs = Inputs(desired, CLOCK + wire.now, SwitchState(self.control_on, self.enable_count))
             before, silent = len(wire.sent), not self.client._session.in_step
             try:
                 step = self.controller.cycle(inputs, wire.now)
+                self.mode = step.mode
                 if silent and not self.client._session.in_step:
                     assert set(wire.sent[before:]) <= PROBES
                 if mode is not None and step.mode == mode:
@@ -122,7 +126,7 @@ class Bench:
 
     def _stand_by(self, error):
         self.lost += 1
-        self.control_on = False
+        self.control_on, self.mode = False, "stopped"
         self.loop = ReconnectSupervisor(error, self.loop.counts, self.make)
         self.controller.restart(self.arm, self.loop)
         while not self.controller.regained():
