@@ -218,8 +218,8 @@ class HandLock(Generic[Hand]):
     def _next(self, visible: list[_Track[Hand]], now: float) -> _Track[Hand] | None:
         """Returns the hand that would be next, of those in view, in the order of appearance."""
         kept = self._followed
-        if kept not in visible or not kept.came_in or self._outside_m(kept) > LEFT_BOX_M:
-            return min(visible, key=self._rank, default=None)
+        if kept is None or kept not in visible or not kept.came_in or self._outside_m(kept) > LEFT_BOX_M:
+            return min(visible, key=self._rank) if visible else None
         kept.candidate_at = now
         others = [t for t in visible if t is not kept and t.came_in and self._outside_m(t) <= 0.0]
         if not others or now - self._turn_began < self._turn:
