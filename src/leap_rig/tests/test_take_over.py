@@ -119,6 +119,7 @@ class Rig:
         while "home" not in self.modes:
             assert self.now < 103.0, self.modes
             self.run(0.1)
+        self.run(0.5)  # without a desired tool: a stream counts only if it begins while control is on
         self.control_on = True
         self.teleop.control(True)
         self.modes.clear()

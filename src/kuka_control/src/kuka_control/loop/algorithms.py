@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kuka_control.limits.motion_limits import MotionLimits, Unlimited
 from kuka_control.limits.speed_change import GuardedRoom, ShapeLimits
@@ -179,8 +180,8 @@ def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
     pace = rig.model.max_speed / np.min(rig.model.max_speed)
     acceleration = config.joint_acceleration * pace
 
-    def tool_position(q: np.ndarray) -> np.ndarray:
-        return rig.kinematics.forward(q)[:3, 3]
+    def tool_position(q: ArrayLike) -> np.ndarray:
+        return rig.kinematics.forward(np.asarray(q))[:3, 3]
 
     room = GuardedRoom(
         lower=rig.model.lower + RANGE_MARGIN_RAD,
