@@ -66,6 +66,7 @@ class MotionLimits:
         self._linear = self._braking / GAIN_PER_S**2
         self._change = SpeedChange(shape)
         self._guard = StoppingGuard(self._change, room, shape.acceleration)
+        self._slow = False  # whether the last goal came after a gap
         self.reset(np.zeros(7))
 
     def reset(self, q: np.ndarray) -> None:
@@ -134,11 +135,15 @@ class MotionLimits:
         return LimitedGoal(read_only(self._now.q), read_only(self._now.v), gap or held or limited_by or held_by or late)
 
     def _after(self, dt: float) -> float:
-        """Returns the time that the goal moves on [s]; after a gap it rests first where it is."""
-        if dt <= GAP_S:
+        """Returns the time that the goal moves on [s]; after a gap it rests first where it is.
+
+        Where one gap follows the other it moves on from rest, so that a slow link or machine does not stop the arm.
+        """
+        slow, self._slow = self._slow, dt > GAP_S
+        if not self._slow:
             return max(dt, 0.0)
         self.reset(self._now.q)
-        return 0.0
+        return GAP_S if slow else 0.0
 
     def _speed_within(self, room: np.ndarray) -> np.ndarray:
         """Returns the speeds from which the joints can brake within distances, shape (n, 7) [rad]."""

@@ -16,8 +16,9 @@ from common.rotations import rotation_angle
 from rig_msgs.srv import CheckToolPose
 
 TIMEOUT_S = 0.5
-PERIOD_S = 0.1  # shortest time between two questions
-FRESH_S = 1.0  # an older answer is none; longer than a question that times out, and two periods
+PERIOD_S = 0.1  # shortest time between two questions before a stream starts
+RUNNING_PERIOD_S = 0.6  # the same while one runs
+FRESH_S = 2.0  # an older answer is none; longer than a question that times out, and two periods
 NEAR_M, NEAR_RAD = 0.03, float(np.radians(10.0))  # an answer for a tool farther away is none for a start
 ASKING = "the controller has not answered yet whether the arm can come"
 SILENT = "the controller does not answer whether the arm can come"
@@ -34,7 +35,7 @@ class ReachCheck:
         self._client = ServiceClient("kuka/check_tool_pose", CheckToolPose)
         self._question = np.eye(4)
         self._answer: tuple[str | None, np.ndarray, float] = ASKING, self._question, -FRESH_S
-        self._asked = threading.Event()
+        self._asked, self._period = threading.Event(), PERIOD_S
         threading.Thread(target=self._run, name="reach check", daemon=True).start()
 
     def __call__(self, T_base_desired: np.ndarray, starts: bool) -> str | None:
@@ -44,6 +45,7 @@ class ReachCheck:
         """
         p = self._ws_center + self.scale * (T_base_desired[:3, 3] - self._ws_center)
         self._question = pose(T_base_desired[:3, :3], p)
+        self._period = PERIOD_S if starts else RUNNING_PERIOD_S
         self._asked.set()
         answer, T, at = self._answer
         near = (
@@ -58,7 +60,7 @@ class ReachCheck:
             self._asked.clear()
             question = self._question
             self._answer = self._ask(question), question, time.monotonic()
-            time.sleep(PERIOD_S)
+            time.sleep(self._period)
 
     def _ask(self, T_base_tool: np.ndarray) -> str | None:
         try:

@@ -35,7 +35,7 @@ class KstTiming:
     connect_settle: float = 1.0  # after connecting, until the server's main thread has attached its own tool
     tool_settle: float = 0.4  # after the tool is attached
     reply: float = 1.0  # longest wait for an answer outside servo mode
-    servo_reply: float = 0.1  # longest wait for the answer to a servo goal, which takes a few milliseconds
+    servo_reply: float = 0.16  # longest wait for the answer to a servo goal, which takes a few milliseconds
     main_pause: float = 0.005  # after an answer of the main thread, which could wipe a further command
     servo_start: float = 0.3  # after its start, while the server overwrites the goal with the present joints
     servo_stop: float = 0.1  # after the stop of servo mode, until the main thread reads again
