@@ -45,7 +45,7 @@ def streams(rng, in_workspace):
     """Runs random targets, cycles, gaps, caps and stops; returns (times, goals) of each run without a gap."""
     limits = stream_limits(in_workspace)
     limits.reset(RIG.home.q if in_workspace else rng.uniform(LOWER, UPPER))
-    t, parts = 0.0, [([0.0], [limits.goal])]
+    t, parts, gap = 0.0, [([0.0], [limits.goal])], False
     for _ in range(rng.integers(1, 6)):
         target, cycle = random_target(rng, in_workspace), rng.choice([0.004, 0.004, 0.008, 0.02])
         speed = rng.uniform(-2.0, 2.0, 7) * (rng.random(7) < rng.choice([0.0, 0.3]))
@@ -56,9 +56,14 @@ def streams(rng, in_workspace):
             t += dt
             moving = np.clip(target + k * dt * speed, LOWER, UPPER)
             goal = limits.brake(dt) if brakes else limits.step(moving, limits.goal, dt, scale, speed, cap)
-            if dt > GAP_S:
-                assert np.array_equal(goal.q, parts[-1][1][-1]) and not np.any(goal.v), "at rest where it was"
-                parts.append(([t - 0.008, t - 0.004, t], [goal.q] * 3))
+            gap, before_gap = dt > GAP_S, gap
+            if gap:
+                rest = parts[-1][1][-1]
+                if before_gap:  # one gap follows the other: the goal moves on from rest
+                    parts.append(([t - GAP_S - 0.004 * k for k in (2, 1, 0)] + [t], [rest] * 3 + [goal.q]))
+                else:
+                    assert np.array_equal(goal.q, rest) and not np.any(goal.v), "at rest where it was"
+                    parts.append(([t - 0.008, t - 0.004, t], [goal.q] * 3))
             else:
                 parts[-1][0].append(t)
                 parts[-1][1].append(goal.q)
