@@ -308,8 +308,11 @@ def test_a_hand_takes_the_arm_over_where_it_waits(rig):
     rig.hand.show(right=0.05, up=-0.03, back=0.02, yaw=25.0, pitch=10.0, roll=-8.0)
     rig.wait(lambda: rig.stream_state == "running", "the hand that takes over")
     rig.watch(1.5)
-    positions = np.array([s.T_base_tool[:3, 3] for s in rig.arm.since(start)])
-    assert np.linalg.norm(positions - TOOL[:3, 3], axis=1).max() < 5e-3
+    samples = rig.arm.since(start)
+    positions = np.array([s.T_base_tool[:3, 3] for s in samples])
+    # The hand comes to rest while it takes over, slower than 0.3 m/s; the tool goes the rest of its way along.
+    assert np.linalg.norm(positions - TOOL[:3, 3], axis=1).max() < 0.04
+    assert max(s.tool_speed for s in samples) < 0.3
     rig.hand.glide(1.5, up=-0.08)
     rig.settle()
     assert rig.arm.now.T_base_tool[2, 3] == pytest.approx(TOOL[2, 3] - 0.05, abs=5e-3)
