@@ -61,7 +61,7 @@ def room(workspace=WORKSPACE, tool_speed=0.7):
 
 
 def guard(**changes):
-    """Returns the change of the velocities and its guard; a tool that is very fast is the wish of some tests."""
+    """Returns the change of the velocities and its guard; some tests need a tool faster than the limit."""
     change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
     return change, StoppingGuard(change, room(tool_speed=9.0, **changes), ACCELERATION)
 

@@ -182,7 +182,7 @@ class ToolCheck:
 
 
 def refused(reason: str) -> ToolCheck:
-    """Returns the answer for a tool pose that is none, the end of a sentence."""
+    """Returns the answer to an invalid tool pose; `reason` is the end of a sentence."""
     return ToolCheck(f"The tool pose is refused: {reason}", obstacle=f"the tool pose is refused: {reason}")
 
 

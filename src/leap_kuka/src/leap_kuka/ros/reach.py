@@ -18,8 +18,8 @@ from rig_msgs.srv import CheckToolPose
 TIMEOUT_S = 0.5
 PERIOD_S = 0.1  # shortest time between two questions before a stream starts
 RUNNING_PERIOD_S = 0.6  # the same while one runs
-FRESH_S = 2.0  # an older answer is none; longer than a question that times out, and two periods
-NEAR_M, NEAR_RAD = 0.03, float(np.radians(10.0))  # an answer for a tool farther away is none for a start
+FRESH_S = 2.0  # older answers are ignored; longer than a question that times out, and two periods
+NEAR_M, NEAR_RAD = 0.03, float(np.radians(10.0))  # at a start, answers for a tool farther away are ignored
 ASKING = "the controller has not answered yet whether the arm can come"
 SILENT = "the controller does not answer whether the arm can come"
 
