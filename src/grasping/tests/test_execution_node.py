@@ -97,7 +97,7 @@ class Rig:
         self.checked.append(T)
         if self.out_of_reach:
             return CheckToolPoseResponse(success=False, message=self.out_of_reach)
-        return CheckToolPoseResponse(True, "", message_from_pose(translation(0.0, 0.01, 0.0) @ T))
+        return CheckToolPoseResponse(success=True, desired=message_from_pose(translation(0.0, 0.01, 0.0) @ T))
 
     def _hold(self, request):
         from common.ros.conversions import pose_in
