@@ -331,6 +331,7 @@ def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released(robot,
     assert not answer.success and "off and on again" in answer.message
     assert node.control(False).success
     assert node.control(True).success
+    node.wait_for_mode("home")
     shown = hand.again(shown)
     node.wait_for_mode("servo")
     wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
@@ -557,6 +558,7 @@ def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on
 
     answer = node.control(True)
     assert answer.success and "goes home first" in answer.message
+    node.wait_for_mode("home")
     hand.again(node.hand)
     node.wait_for_mode("servo")
     wait_until(lambda: at(back, home_tool()), MOVE_S, "the tool where the hand is")
@@ -601,6 +603,7 @@ def test_a_frozen_robot_is_waited_for_on_the_same_connection(ros, robot, start, 
     truth = robot.ask()
     assert truth["mode"] == "idle" and truth["connected"] and "deaf" not in node.log
     assert node.control(True).success
+    node.wait_for_mode("home")
     hand.again(shown)
     node.wait_for_mode("servo")
     assert [m.data for m in node.modes][:2] == ["stopped", "homing"]
