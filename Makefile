@@ -17,12 +17,15 @@ RECORD ?=
 SCENARIO ?=
 REPORT ?=
 ARGS ?=
+# Arguments of the benchmarks.
+ONLY ?=
+JSON ?=
 
 .PHONY: help setup demo test test-fast bench lint docs docs-pictures cad clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
-	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  SCENARIO=pick_cup (the simulated person picks a cup up) or assisted_grasp (the person corrects a grasp that the network proposes),\n  ARGS="name:=value ..." for the launch file.\n'
+	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  SCENARIO=pick_cup (the simulated person picks a cup up) or assisted_grasp (the person corrects a grasp that the network proposes),\n  ARGS="name:=value ..." for the launch file.\n\n  make bench takes ONLY="part ..." (see bench/README.md) and JSON=file; `python -m bench.compare OLD NEW` compares two such files.\n'
 
 setup: $(READY) ## installs what is missing and builds the workspace
 	@echo "The workspace is set up; in any terminal: source $(CURDIR)/devel/setup.bash"
@@ -43,7 +46,7 @@ test-fast: $(READY) ## the tests that need no ROS, in seconds
 	@.venv/bin/python -m pytest -n 2 --dist loadfile -m "not ros"
 
 bench: $(READY) ## measures speed on this machine and prints a table
-	@$(IN_WORKSPACE) python bench/run.py
+	@$(IN_WORKSPACE) python bench/run.py $(foreach part,$(ONLY),--only $(part)) $(if $(JSON),--json "$(JSON)")
 
 lint: $(READY) ## style, types, packages, shell scripts, architecture, handbook
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check .

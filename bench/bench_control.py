@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import ruckig
 import yaml
 
-from bench.measure import SRC, Row, row, timed
+from bench.measure import SRC, Goal, Peer, Row, row, timed
 from common.config import parse
 from common.poses import pose, read_only
 from kuka_control.loop import algorithms
@@ -24,6 +25,7 @@ FRAME_S = GOALS_PER_FRAME * GOAL_S
 AT_HOME_S = 0.5
 RADIUS_M = 0.06
 SPEED_M_S = 0.15
+GOAL_US = Goal(150.0)
 
 
 class IdealArm(Arm):
@@ -79,12 +81,12 @@ def rows(quick: bool) -> list[Row]:
 
     settings = f"circle of {1e3 * RADIUS_M:.0f} mm at {SPEED_M_S:g} m/s"
     times, targets = timed(resolve, [(T,) for T in circle])
-    table = [row("kuka_control: target chain", times, "us", f"scaling, workspace, IK; {settings}")]
+    table = [row("control: target chain", times, "us", f"scaling, workspace, IK; {settings}")]
 
     limits = algorithms.motion_limits(config, rig)
     limits.reset(rig.home.q)
     times, _ = timed(lambda q: limits.step(q, limits.goal, FRAME_S), [(target.q,) for target in targets])
-    table.append(row("kuka_control: motion limits", times, "us", settings))
+    table.append(row("control: motion limits", times, "us", settings, peer=_plain_ruckig(config, targets)))
     return table + _cycles(config, rig, circle, settings)
 
 
@@ -101,9 +103,26 @@ def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings
     servo = np.array([isinstance(step.command, Servo) for step in steps])
     fresh = np.array([isinstance(step.command, Servo) and step.command.stamp is not None for step in steps])
     return [
-        row("kuka_control: cycle, new desired tool", times[fresh], "us", f"arm without wire; {settings}"),
-        row("kuka_control: cycle in between", times[servo & ~fresh], "us", f"arm without wire; {settings}"),
+        row("control: cycle, new desired tool", times[fresh], "us", f"arm without wire; {settings}", GOAL_US),
+        row("control: cycle in between", times[servo & ~fresh], "us", f"arm without wire; {settings}"),
     ]
+
+
+def _plain_ruckig(config: RealTimeConfig, targets: list) -> Peer:
+    """Returns the time of Ruckig alone, as its examples use it: update, pass on, and a new target each cycle."""
+    otg = ruckig.Ruckig(7, FRAME_S)
+    plan, out = ruckig.InputParameter(7), ruckig.OutputParameter(7)
+    plan.current_position = targets[0].q.tolist()
+    plan.max_velocity = [config.joint_speed * 1.7] * 7
+    plan.max_acceleration, plan.max_jerk = [config.joint_acceleration] * 7, [config.joint_jerk] * 7
+
+    def step(q: np.ndarray) -> None:
+        plan.target_position = q.tolist()
+        otg.update(plan, out)
+        out.pass_to_input(plan)
+
+    times, _ = timed(step, [(target.q,) for target in targets])
+    return Peer("ruckig", float(np.median(times)))
 
 
 def _on_circle(home: np.ndarray, t: float) -> np.ndarray:

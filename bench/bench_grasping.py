@@ -15,12 +15,11 @@ import time
 import cv2
 import numpy as np
 import torch
-import torch.nn.functional as F
 import yaml
 
-from bench.measure import SRC, Row, row
+from bench.measure import SRC, Peer, Row, row
 from common.camera_model import pinhole
-from grasping.network.networks import GGCNN, HEADS
+from grasping.network.networks import HEADS
 from grasping.network.weights import load
 from grasping.pipeline.pipeline import GraspPipeline
 from grasping.pipeline.settings import overlaid, settings_from
@@ -48,43 +47,35 @@ def rows(quick: bool) -> list[Row]:
 
 
 def _rows(images: list[np.ndarray]) -> list[Row]:
-    torch.manual_seed(0)
     folder = SRC / "grasping"
-    networks = {
-        "GG-CNN2": load((folder / "weights" / "ggcnn2.pt").read_bytes()).network,
-        "GG-CNN, untrained": GGCNN().eval(),
-    }
+    network = load((folder / "weights" / "ggcnn2.pt").read_bytes()).network
     values = yaml.safe_load((folder / "config" / "ggcnn.yaml").read_text())
     values["tool"] = yaml.safe_load((folder / "config" / "tool_pose.yaml").read_text())
-    table = []
-    for name, network in networks.items():
-        chains = {
-            "published": functools.partial(published, copy.deepcopy(network))
-        }  # the live chain rearranges its own
-        for view in ("camera", "table"):
-            s = settings_from(overlaid(values, {"view": view}))
-            finder = GraspPipeline(s.views(), network, s.steps(UP), clock=CLOCK)
-            chains[f"live, view {view}"] = lambda depth, now, f=finder: f.step(depth, CAMERA, np.eye(4), now).seconds
-        times = {chain: [] for chain in chains}
-        for i, depth in enumerate(images):  # in turns, so that a busy moment meets all
-            for chain, call in chains.items():
-                times[chain].append(call(depth, i / 15.0))
-        table += _table(name, times)
-    return table
+    chains = {"published": functools.partial(published, copy.deepcopy(network))}  # the live chain rearranges its own
+    for view in ("camera", "table"):
+        s = settings_from(overlaid(values, {"view": view}))
+        finder = GraspPipeline(s.views(), network, s.steps(UP), clock=CLOCK)
+        chains[f"live, view {view}"] = lambda depth, now, f=finder: f.step(depth, CAMERA, np.eye(4), now).seconds
+    times: dict[str, list] = {chain: [] for chain in chains}
+    for i, depth in enumerate(images):  # in turns, so that a busy moment meets all
+        for chain, call in chains.items():
+            times[chain].append(call(depth, i / 15.0))
+    return _table("GG-CNN2", times)
 
 
 def _table(name: str, times: dict[str, list]) -> list[Row]:
-    table, published_all = [], 0.0
-    for chain, seconds in times.items():
-        seconds = seconds[1:]  # the first one compiles
-        for stage in STAGES:
-            table.append(
-                row(f"{name}, {chain}: {stage}", [1e3 * s[stage] for s in seconds], "ms", "time of one processor")
-            )
-        whole = [1e3 * sum(s.values()) for s in seconds]
-        published_all = published_all or float(np.median(whole))
-        how = f"{published_all / np.median(whole):.1f} x as fast as published"
-        table.append(row(f"{name}, {chain}: all", whole, "ms", how if chain != "published" else "all stages"))
+    """Returns the whole time of each live chain beside the published one, and the stages of the last chain."""
+    totals = {
+        chain: [1e3 * sum(s.values()) for s in seconds[1:]] for chain, seconds in times.items()
+    }  # the first compiles
+    peer = Peer("published", float(np.median(totals.pop("published"))))
+    how = "all stages, time of one processor"
+    table = [row(f"{name}, {chain}", whole, "ms", how, peer=peer) for chain, whole in totals.items()]
+    chain, seconds = list(times.items())[-1]
+    for stage in STAGES:
+        part = [1e3 * s[stage] for s in seconds[1:]]
+        published = Peer("published", float(np.median([1e3 * s[stage] for s in times["published"][1:]])))
+        table.append(row(f"{name}, {chain}: {stage}", part, "ms", "time of one processor", peer=published))
     return table
 
 
@@ -130,11 +121,5 @@ def published(network: torch.nn.Module, depth: np.ndarray, _) -> dict[str, float
 
 def plain(network: torch.nn.Module, x: torch.Tensor) -> list[torch.Tensor]:
     """Returns quality, cos, sin and width as the published code computes them: layer by layer, one head at a time."""
-    if isinstance(network, GGCNN):
-        for layer, pad in ((network.conv1, 3), (network.conv2, 2), (network.conv3, 1)):
-            x = F.relu(F.conv2d(x, layer.weight, layer.bias, layer.stride, pad))
-        for layer, pad in ((network.convt1, 1), (network.convt2, 2), (network.convt3, 3)):
-            x = F.relu(F.conv_transpose2d(x, layer.weight, layer.bias, layer.stride, pad, 1))
-    else:
-        x = network.features(x)
+    x = network.features(x)
     return [getattr(network, head)(x) for head in HEADS]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`make bench`: measures speed on this machine and prints one table; of all benchmarks as JSON to build/bench.json too.
+"""`make bench`: measures speed on this machine and prints one table, at most 100 columns wide.
 
 Nothing here is a pass or a fail. Numbers compare within one run; on a busy machine read the medians.
 """
@@ -14,28 +14,34 @@ import json
 import os
 import platform
 import sys
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES = ("kinematics", "control", "leap", "client", "lag", "shaping", "grasping", "demo")
+NAMES = ("kinematics", "control", "leap", "client", "shaping", "grasping", "demo", "load", "growth")
 
 
 def main(argv: list[str] | None = None) -> int:
     """Runs the benchmarks; returns 0, 1 if one of them could not run, 2 if none can."""
     parser = argparse.ArgumentParser(prog="run.py", description="Measures speed on this machine.")
     parser.add_argument("--only", choices=NAMES, action="append", help="this one; may be given more than once")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write all figures there too, with how they were made"
+    )
     parser.add_argument("--quick", action="store_true", help="few samples: shows that it runs, not how fast")
     arguments = parser.parse_args(argv)
     if importlib.util.find_spec("common") is None:
         print("bench: the workspace is not sourced; use `make bench`, or source devel/setup.bash", file=sys.stderr)
         return 2
-    from bench.measure import text
+    from bench.measure import HEAD, aligned, cells
     from common.errors import RigError
 
-    machine = {
+    result = {
         "machine": f"{_processor()}, {os.cpu_count()} CPUs, Python {platform.python_version()}",
-        "load_before": os.getloadavg()[0],
+        "date": time.strftime("%Y-%m-%d"),
         "quick": arguments.quick,
+        "load_before": os.getloadavg()[0],
+        "python_loop_ms": python_loop_ms(),
     }
     rows, failed = [], []
     for name in arguments.only or NAMES:
@@ -44,21 +50,38 @@ def main(argv: list[str] | None = None) -> int:
             rows += importlib.import_module(f"bench.bench_{name}").rows(arguments.quick)
         except (RigError, ImportError, OSError) as error:
             failed.append(f"{name}: {error}")
-    machine["load_after"] = os.getloadavg()[0]
+    result |= {"load_after": os.getloadavg()[0], "not_run": failed, "rows": [dataclasses.asdict(r) for r in rows]}
 
-    lines = [("what", "median", "p99", "unit", "how")]
-    lines += [(r.what, text(r.median), text(r.p99), r.unit, r.how) for r in rows]
-    wide = [max(len(line[i]) for line in lines) for i in range(4)]
-    print(f"{machine['machine']}, load {machine['load_before']:.1f} before and {machine['load_after']:.1f} after")
-    for what, median, p99, unit, how in lines:
-        print(f"{what:<{wide[0]}}  {median:>{wide[1]}}  {p99:>{wide[2]}}  {unit:<{wide[3]}}  {how}")
+    print(headline(result))
+    print("\n".join(aligned([HEAD, *map(cells, rows)], right=(1, 2, 6))))
     for sentence in failed:
         print(f"NOT RUN  {sentence}")
-    if not arguments.only:
-        (ROOT / "build").mkdir(exist_ok=True)
-        result = {**machine, "rows": [dataclasses.asdict(r) for r in rows], "not_run": failed}
-        (ROOT / "build" / "bench.json").write_text(json.dumps(result, indent=2) + "\n")
+    if arguments.json is not None:
+        try:
+            arguments.json.write_text(json.dumps(result, indent=2) + "\n")
+        except OSError as error:
+            print(f"bench: the figures could not be written to {arguments.json}: {error.strerror}", file=sys.stderr)
+            return 1
     return 1 if failed else 0
+
+
+def headline(result: dict) -> str:
+    """Returns what the machine was."""
+    return (
+        f"{result['machine']}; a loop of a million additions takes {result['python_loop_ms']:.0f} ms; "
+        f"load {result['load_before']:.1f} before, {result['load_after']:.1f} after"
+    )
+
+
+def python_loop_ms() -> float:
+    """Returns how long a loop of a million additions takes [ms], which tells slow machines and hours from fast ones."""
+    times = []
+    for _ in range(5):
+        begin, total = time.perf_counter(), 0
+        for i in range(1_000_000):
+            total += i
+        times.append(1e3 * (time.perf_counter() - begin))
+    return sorted(times)[2]
 
 
 def _processor() -> str:

@@ -1,4 +1,4 @@
-"""Numerical inverse kinematics to compare the closed form with: damped least squares by hand, and KDL's solvers.
+"""Numerical inverse kinematics to compare the closed form with: KDL's, or damped least squares by hand without it.
 
 Both take the arm from the rig's URDF. Poses are those of the flange in the base [m], joints in rad.
 """
@@ -33,11 +33,13 @@ class DampedLeastSquares:
     held there, and the step is calculated again without it.
     """
 
+    name = "DLS"
+    how = f"damped least squares in Python on Pinocchio, at most {ITERATIONS} steps, to {TOLERANCE:g}"
+
     def __init__(self, model: pin.Model) -> None:
         self._model, self._data = model, model.createData()
         self._flange = model.getFrameId(FLANGE)
         self.lower, self.upper = model.lowerPositionLimit, model.upperPositionLimit
-        self.iterations: list[int] = []
 
     def forward(self, q: np.ndarray) -> pin.SE3:
         """Returns the pose of the flange."""
@@ -48,11 +50,10 @@ class DampedLeastSquares:
         """Returns joints, or None after ITERATIONS steps; one attempt, no restart."""
         lower, upper = self.lower, self.upper
         q = seed.copy()
-        for count in range(ITERATIONS):
+        for _ in range(ITERATIONS):
             M = self.forward(q).actInv(target)
             error = pin.log6(M).vector
             if error @ error < TOLERANCE**2:
-                self.iterations.append(count)
                 return q
             J = pin.Jlog6(M.inverse()) @ pin.computeFrameJacobian(self._model, self._data, q, self._flange, pin.LOCAL)
             damping = (0.5 * error @ error + BIAS) * np.eye(6)
@@ -65,56 +66,48 @@ class DampedLeastSquares:
                     break
                 free[held] = 0.0
             q = np.clip(q + step, lower, upper)
-        self.iterations.append(ITERATIONS)
         return None
 
 
 class Kdl:
-    """KDL's solvers for the same arm: `newton_raphson` (NR_JL, keeps to the joint ranges), `levenberg_marquardt` (LMA).
+    """KDL's Levenberg-Marquardt solver (LMA) for the same arm.
 
     Raises:
         ImportError: PyKDL (Debian's python3-pykdl) is not installed.
     """
 
+    name = "KDL LMA"
+    how = f"KDL in C++, at most {ITERATIONS} steps, to {TOLERANCE:g}; it knows no joint ranges"
+
     def __init__(self, model: pin.Model) -> None:
         import PyKDL as kdl
 
         self._kdl = kdl
-        frames = [self.frame(placement) for placement in list(model.jointPlacements)[1:]]
-        frames.append(self.frame(model.frames[model.getFrameId(FLANGE)].placement))
-        self._chain = kdl.Chain()
+        frames = [self._frame(placement) for placement in list(model.jointPlacements)[1:]]
+        frames.append(self._frame(model.frames[model.getFrameId(FLANGE)].placement))
+        self._chain = kdl.Chain()  # KDL keeps a bare reference to it
         self._chain.addSegment(kdl.Segment(kdl.Joint(kdl.Joint.Fixed), frames[0]))
         for tip in frames[1:]:
             self._chain.addSegment(kdl.Segment(kdl.Joint(kdl.Joint.RotZ), tip))
-        # KDL keeps bare references: what a solver is made of has to live as long as it does.
-        self._forward = kdl.ChainFkSolverPos_recursive(self._chain)
-        self._velocity = kdl.ChainIkSolverVel_pinv(self._chain)
-        self._limits = self.joints(model.lowerPositionLimit), self.joints(model.upperPositionLimit)
-        self._nr = kdl.ChainIkSolverPos_NR_JL(
-            self._chain, *self._limits, self._forward, self._velocity, ITERATIONS, TOLERANCE
-        )
-        self._lma = kdl.ChainIkSolverPos_LMA(self._chain, np.ones(6), TOLERANCE, ITERATIONS)
+        self._solver = kdl.ChainIkSolverPos_LMA(self._chain, np.ones(6), TOLERANCE, ITERATIONS)
 
-    def newton_raphson(self, target, seed):
-        """Returns joints as KDL's array, or None."""
-        return self._solve(self._nr, target, seed)
+    def solve(self, target: pin.SE3, seed: np.ndarray) -> np.ndarray | None:
+        """Returns joints within half a turn, or None."""
+        start, q = self._kdl.JntArray(7), self._kdl.JntArray(7)
+        for i, angle in enumerate(seed.tolist()):
+            start[i] = angle
+        if self._solver.CartToJnt(start, self._frame(target), q) < 0:
+            return None
+        return (np.array(list(q)) + np.pi) % (2 * np.pi) - np.pi
 
-    def levenberg_marquardt(self, target, seed):
-        """Returns joints as KDL's array, perhaps whole turns and more out of range, or None."""
-        return self._solve(self._lma, target, seed)
-
-    def frame(self, pose: pin.SE3):
-        """Returns the pose as KDL has it."""
+    def _frame(self, pose: pin.SE3):
         R = self._kdl.Rotation(*np.asarray(pose.rotation).ravel().tolist())
         return self._kdl.Frame(R, self._kdl.Vector(*np.asarray(pose.translation).tolist()))
 
-    def joints(self, q: np.ndarray):
-        """Returns the joints as KDL has them."""
-        array = self._kdl.JntArray(len(q))
-        for i, angle in enumerate(q):
-            array[i] = float(angle)
-        return array
 
-    def _solve(self, solver, target, seed):
-        q = self._kdl.JntArray(7)
-        return q if solver.CartToJnt(seed, target, q) >= 0 else None
+def peer_of(model: pin.Model) -> Kdl | DampedLeastSquares:
+    """Returns the solver to compare with: KDL's where it is installed."""
+    try:
+        return Kdl(model)
+    except ImportError:
+        return DampedLeastSquares(model)

@@ -8,49 +8,71 @@ import sys
 
 import pytest
 
-from bench import bench_kinematics, run
+from bench import bench_kinematics, compare, run
+from bench.measure import HEAD, Goal, Peer, Row, aligned, cells
 
 
 @pytest.mark.parametrize(
-    "name", ["kinematics", "control", "client", "lag", "shaping", pytest.param("leap", marks=pytest.mark.ros)]
+    "name", ["kinematics", "control", "client", "shaping", pytest.param("leap", marks=pytest.mark.ros)]
 )
 def test_a_quick_run_gives_numbers(name):
     rows = importlib.import_module(f"bench.bench_{name}").rows(quick=True)
     assert rows
     for row in rows:
         if row.median is None:
-            assert row.p99 is None and ("not installed" in row.how or "no recordings" in row.how)
+            assert row.p99 is None and "recordings are not" in row.how
             continue
-        assert math.isfinite(row.median) and (row.median >= 0.0 or "negative: " in row.how)
+        assert math.isfinite(row.median) and row.median >= 0.0
         assert row.p99 is None or (math.isfinite(row.p99) and row.p99 >= row.median)
         assert row.what and row.unit and row.how
 
 
-def test_the_numerical_solvers_find_the_pose_they_are_compared_on():
-    rows = bench_kinematics.rows(quick=True)
-    solved = {row.what: row.median for row in rows if row.what.endswith(", solved") and " near: " in row.what}
-    assert len(solved) >= 4 and min(solved.values()) > 90.0, solved
+@pytest.mark.parametrize("kdl", ["KDL LMA", "DLS"])
+def test_the_numerical_solver_finds_the_poses_it_is_compared_on(monkeypatch, kdl):
+    if kdl == "DLS":
+        monkeypatch.setitem(sys.modules, "PyKDL", None)
+    else:
+        pytest.importorskip("PyKDL")
+    peers = {row.what: row.peer for row in bench_kinematics.rows(quick=True) if row.peer is not None}
+    assert len(peers) == 8 and {peer.name for peer in peers.values()} == {kdl}
+    assert min(peer.median for what, peer in peers.items() if what.endswith("near seed: solved")) > 90.0
 
 
-def test_without_kdl_the_rows_say_so(monkeypatch):
-    monkeypatch.setitem(sys.modules, "PyKDL", None)
-    rows = bench_kinematics.rows(quick=True)
-    kdl = [row for row in rows if "KDL" in row.what]
-    assert len(kdl) == 8 and all(row.median is None and "not installed" in row.how for row in kdl)
+def test_the_table_fits_on_a_terminal_and_goes_to_a_file_too(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(run, "NAMES", ("shaping",))
+    path = tmp_path / "new.json"
+    assert run.main(["--quick", "--json", str(path)]) == 0
+    table = capsys.readouterr().out.splitlines()
+    assert "lag at 0.1 rad/s, servo_law lts" in table[-2] and max(map(len, table[1:])) <= 100
+    assert compare.main([str(path), str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(" 1.00 " in line for line in lines[3:])
+    assert run.main(["--quick", "--json", str(tmp_path / "no folder" / "new.json")]) == 1
 
 
-def test_the_table_goes_to_a_file_too(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(run, "ROOT", tmp_path)
-    monkeypatch.setattr(run, "NAMES", ("lag",))
-    assert run.main(["--quick"]) == 0
-    assert "lag behind 0.1 rad/s, law lts" in capsys.readouterr().out
-    everything = (tmp_path / "build" / "bench.json").read_text()
-    assert '"rows"' in everything
-    assert run.main(["--quick", "--only", "lag"]) == 0
-    assert (tmp_path / "build" / "bench.json").read_text() == everything, "one part does not stand for all"
+def test_a_row_states_goal_peer_and_ratio():
+    row = Row("delay", 5.0, 9.0, "ms", "", Goal(2.5, 8.0), Peer("KDL", 4.0))
+    assert cells(row) == ("delay", "5.00", "9.00", "ms", "<= 2.5/8", "KDL 4.00", "1.2")
+    assert cells(Row("rate", None, None, "Hz", "", Goal(100.0, at_least=True)))[1:5] == ("-", "-", "Hz", ">= 100")
+    assert str(Goal(None, 25.0)) == "<= -/25" and str(Goal(0.0)) == "<= 0"
+    assert aligned([HEAD, cells(row)], right=(1,))[1].startswith("delay      5.00  9.00")
+
+
+def test_measures_of_one_file_alone_are_listed_too(tmp_path, capsys):
+    old = {"what": "a", "median": 2.0, "p99": None, "unit": "ms"}
+    new = [{**old, "median": 1.0}, {**old, "what": "b"}]
+    assert compare.compared([old, {**old, "what": "c"}], new) == [
+        ("a", "2.00", "1.00", "0.50", "-", "-", "ms"),
+        ("b", "-", "2.00", "", "-", "-", "ms"),
+        ("c", "2.00", "-", "", "-", "-", "ms"),
+    ]
+    (tmp_path / "bad.json").write_text("{}")
+    for arguments in ([], [str(tmp_path / "bad.json")] * 2, ["absent.json"] * 2):
+        assert compare.main(arguments) == 2
+    assert "cannot read the figures" in capsys.readouterr().err
 
 
 def test_the_closed_form_solves_every_pose():
-    law = [row for row in bench_kinematics.rows(quick=True) if " law: " in row.what]
-    assert [row.median for row in law if row.what.endswith("solved")] == [100.0, 100.0]
-    assert max(row.median for row in law if row.what.endswith("error")) < 1e6, "1e-9 m"
+    rows = bench_kinematics.rows(quick=True)
+    assert [row.median for row in rows if row.what.endswith("random poses solved")] == [100.0, 100.0]
+    assert max(row.median for row in rows if row.what.endswith("error")) < 1e6, "1e-9 m"
