@@ -53,7 +53,7 @@ class DemoRun:
     @property
     def lost(self) -> int:
         """How often the stream ended because no frames came in time."""
-        return sum("no tracking frame" in stream["reason"] for stream in self.report["streams"])
+        return sum("tracking frame" in stream["reason"] for stream in self.report["streams"])
 
     @property
     def busy(self) -> float:

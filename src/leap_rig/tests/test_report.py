@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from common.poses import pose, translation
 from common.rotations import rotation_about
+from leap_rig.processor import ProcessorLoad, cpu_times
 from leap_rig.recorder import Recorder
 from leap_rig.report import as_text, summarise
 
@@ -168,3 +170,36 @@ def test_a_film_that_ended_is_a_warning_and_no_fault():
     summary = summarise(good_run(), 20.0, remarks=["The film was not taken to the end."])
     assert summary["faults"] == [] and summary["warnings"] == ["The film was not taken to the end."]
     assert "  WARNING: The film was not taken to the end." in as_text(summary)
+
+
+def test_a_stream_lost_on_a_full_machine_is_a_warning_that_says_what_was_lacking():
+    def lost(load: float, reason: str = "no tracking frames come in") -> dict:
+        recorder = good_run()
+        recorder.stream(True, "palm in the box", 16.0)
+        recorder.stream(False, reason, 18.0)
+        recorder.loads = [(12.0, 1.0), (17.0, 0.4), (18.5, load), (25.0, 1.0)]
+        return summarise(recorder, 30.0)
+
+    (warning,) = lost(0.97)["warnings"]
+    assert warning.startswith("The stream was lost at 8.0 s while 97 % of the processors were in use")
+    assert lost(0.9)["warnings"] == [] and lost(0.97, "the hand was lost")["warnings"] == []
+    assert lost(0.97)["processor"] == {"median_percent": 98.5, "max_percent": 100.0, "full_s": 3}
+    assert "processors             98 % in use (largest 100 %); full for 3 s" in as_text(lost(0.97))
+    assert summarise(good_run(), 20.0)["processor"] is None
+
+
+STAT = """cpu  {} 0 100 {} 50 0 0 0 7 0
+cpu0 0 0 0 0 0 0 0 0 0 0
+"""
+
+
+def test_the_load_is_the_time_in_use_of_the_time_that_passed():
+    texts = iter([STAT.format(100, 900), STAT.format(175, 1025), "", STAT.format(175, 1025)])
+    load = ProcessorLoad(lambda: next(texts))
+    assert load.sample(5.0) is None, "nothing to compare with yet"
+    assert load.sample(5.9) is None
+    assert load.sample(6.0) == pytest.approx(75.0 / 200.0)
+    assert load.sample(7.0) is None, "the file could not be read"
+    assert load.sample(8.0) is None, "no time has passed"
+    busy, whole = cpu_times(Path("/proc/stat").read_text())
+    assert 0 < busy <= whole

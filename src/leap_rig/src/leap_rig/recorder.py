@@ -96,6 +96,7 @@ class Recorder:
         self.objects: dict[str, ObjectTrack] = {}
         self.scenario: dict[str, str] | None = None
         self.grasps: dict[str, dict[str, str]] = {}
+        self.loads: list[tuple[float, float]] = []  # time [s], and fraction of all processors in use before it
         self._base_counters: dict[str, dict[str, str]] = {}
         self._last_tool: np.ndarray | None = None
 

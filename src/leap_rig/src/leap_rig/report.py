@@ -17,6 +17,12 @@ FOLLOWING_ERROR_M = 0.05
 """Largest median distance to the commanded tool."""
 SLOW_WORLD = 0.95
 """Below this fraction of the requested speed of the world, the machine is too slow."""
+FULL = 0.95
+"""Above this fraction in use the processors are full, and programs wait for each other."""
+AROUND_S = 2.0
+"""What the processors did so long before and after the loss of a stream can be its cause [s]."""
+NO_FRAMES = "tracking frame"
+"""Part of the reasons of a stream that ended because frames were missing or late."""
 LEAST_LIFT_MM = {"pick_cup": 195.0}
 """The scenario lifts an object by 20 cm; the simulated operator tolerates an error of 4 mm."""
 COUNTERS = {
@@ -60,6 +66,7 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
         "scenario": recorder.scenario and {key: recorder.scenario[key] for key in ("scenario", "step", "failure")},
         "grasps": [_grasp(values) for values in recorder.grasps.values()],
         "real_time_factor": factor,
+        "processor": _processor(recorder.loads),
         "nodes_died": list(deaths),
     }
     summary["faults"] = _faults(summary)
@@ -70,7 +77,37 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
             f"The machine is too slow for the simulated world: {factor:.2f} s of it passed in a second instead of "
             f"{wanted:g}; arm and objects moved in slow motion, and delays and tracking errors are the machine's."
         )
+    summary["warnings"] += _lost_streams(recorder, began)
     return summary
+
+
+def _processor(loads: list[tuple[float, float]]) -> dict | None:
+    """Returns how much of all processors was in use [%], and for how many of the seconds they were full."""
+    if not loads:
+        return None
+    used = 100.0 * np.array([load for _, load in loads])
+    return {
+        "median_percent": round(float(np.median(used)), 1),
+        "max_percent": round(float(used.max()), 1),
+        "full_s": int(np.sum(used > 100.0 * FULL)),
+    }
+
+
+def _lost_streams(recorder: Recorder, began: float) -> list[str]:
+    """Returns a warning if streams were lost while the processors were full."""
+    lost = []
+    for stream in recorder.streams:
+        if stream.stopped is not None and NO_FRAMES in stream.reason:
+            around = [load for time, load in recorder.loads if abs(time - stream.stopped) <= AROUND_S]
+            lost += [(stream.stopped - began, max(around))] if around and max(around) > FULL else []
+    if not lost:
+        return []
+    times = ", ".join(f"{time:.1f} s" for time, _ in lost)
+    return [
+        f"The stream was lost at {times} while {100.0 * min(load for _, load in lost):.0f} % of the processors were in "
+        "use: frames came too late. End other programs, or leave out the camera (ARGS=camera:=false) or the screen "
+        "(HEADLESS=1)."
+    ]
 
 
 def _faults(summary: dict) -> list[str]:
@@ -212,6 +249,10 @@ def as_text(summary: dict) -> str:
         lines.append(f"  {label:<22} {'unknown' if value is None else value}{unit}")
     if summary["real_time_factor"] is not None:
         lines.append(f"  {'real-time factor':<22} {summary['real_time_factor']:.2f} (the world's seconds in a second)")
+    processor = summary["processor"]
+    if processor is not None:
+        used = f"{processor['median_percent']:.0f} % in use (largest {processor['max_percent']:.0f} %)"
+        lines.append(f"  processors             {used}; full for {processor['full_s']} s")
     lines.append(f"  hand travel            {summary['hand_travel_rad']} rad (index, middle, thumb, spread)")
     if summary["scenario"] is not None:
         lines.append(f"  scenario               {summary['scenario']['scenario']}: {summary['scenario']['step']}")

@@ -23,6 +23,7 @@ from roslaunch.pmon import ProcessListener
 from common.errors import RigError
 from common.ros.service_calls import ServiceFailed, call
 from kuka_msgs.srv import exitApp
+from leap_rig.processor import ProcessorLoad
 from leap_rig.recorder import Recorder
 from leap_rig.report import as_text, summarise
 from leap_rig.ros.listener import CLEAR_LINE, COMPLAINT, LiveStatus, RigListener
@@ -234,8 +235,12 @@ def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, dura
             time.sleep(0.1)
         begin = time.monotonic()
         listener.recorder.start(begin)
+        processor = ProcessorLoad()
         while not deaths.sentences:
-            elapsed = time.monotonic() - begin
+            now = time.monotonic()
+            elapsed, load = now - begin, processor.sample(now)
+            if load is not None:
+                listener.recorder.loads.append((now, load))
             if duration is not None and elapsed >= duration:
                 return "duration"
             if duration is None and listener.recorder.scenario_over:
