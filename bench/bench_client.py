@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from bench.measure import SRC, BenchError, Row, number, row
+from bench.plain_client import PlainClient
 from common.poses import translation
 from kst import Feedback, KstClient, KstTiming
 
@@ -36,6 +37,7 @@ def rows(quick: bool) -> list[Row]:
             client.start_joint_servo()
             for name, feedback in CALLS.items():
                 table += _call_rows(client, name, feedback, paced, fast)
+        table += _peer_rows(port, fast)
     return table
 
 
@@ -84,6 +86,26 @@ def _call_rows(client: KstClient, name: str, feedback: Feedback, paced: int, fas
         *table,
         number(f"kst {name}: highest rate", rate, "1/s", f"{fast} goals without pause; the simulation is a part of it"),
     ]
+
+
+def _peer_rows(port: int, fast: int) -> list[Row]:
+    """Returns the highest rates of a plain client that checks nothing."""
+    table: list[Row] = []
+    deadline = time.monotonic() + 10.0
+    while True:  # the simulated server takes a moment to start again
+        try:
+            with PlainClient.connected(port) as client:
+                for name, word in (("servo", "jp"), ("servo_joints", "jpJP")):
+                    begin = time.perf_counter()
+                    for _ in range(fast):
+                        client.goal(word, _goal().tolist())
+                    rate = fast / (time.perf_counter() - begin)
+                    table.append(number(f"plain client {name}: highest rate", rate, "1/s", "text, split, float"))
+            return table
+        except OSError as error:
+            if time.monotonic() > deadline:
+                raise BenchError(f"The simulated controller serves no second client: {error}.") from error
+            time.sleep(0.1)
 
 
 def _paced(call: Callable[[np.ndarray], object], count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,11 +1,12 @@
 """The wire text against lines recorded from the published server, and laws of its numbers, poses and framing."""
 
 import math
+import re
 import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.poses import pose, translation
@@ -181,3 +182,23 @@ def test_a_line_without_end_takes_no_memory_and_no_neighbour():
     overlong, good = splitter.feed(b"\ndone\n")
     assert parse_reply(overlong).kind is ReplyKind.FOREIGN and len(overlong) < 1000
     assert good == b"done"
+
+
+NUMBER = re.compile(r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|Infinity)|NaN")
+pieces = st.sampled_from(
+    ["-", "+", ".", "E", "e", "_", "0", "17", "NaN", "Infinity", "nan", "inf", " ", "0x1", "1.5E-7"]
+)
+fields = st.floats().map(lambda x: repr(x).replace("e", "E").replace("nan", "NaN").replace("inf", "Infinity"))
+vectors = st.lists(fields | st.lists(pieces, max_size=3).map("".join), max_size=9).map("_".join)
+
+
+@settings(max_examples=500)
+@given(vectors, st.sampled_from(["", "_", "__"]))
+def test_a_line_of_numbers_is_read_as_field_by_field(vector, end):
+    reply = parse_reply((vector + end).encode())
+    texts = re.sub("_$", "", vector + end).split("_") if vector + end not in ("0", "1") else []
+    if len(texts) in (3, 6, 7) and all(NUMBER.fullmatch(text) for text in texts):
+        assert reply.kind.value == f"{len(texts)} numbers"
+        np.testing.assert_array_equal(reply.numbers, [float(text) for text in texts])
+    else:
+        assert reply.kind in (ReplyKind.FOREIGN, ReplyKind.PIN) and len(reply.numbers) < 2

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import math
 import time
 from dataclasses import replace
 
@@ -300,7 +301,7 @@ class KstClient:
                 shape (4, 4) [m]. FORCE at the tool, shape (3,) [N]. None for DONE and NOTHING.
         """
         self._require_servo()
-        command = codec.joint_goal(self._limits.check(q), feedback)
+        command = codec.joint_goal(self._limits.check(q).tolist(), feedback)
         if feedback is Feedback.NOTHING:
             self._session.post(command)
             self._heed_refusal()
@@ -418,8 +419,7 @@ class KstClient:
 
     @staticmethod
     def _numbers(command: KstCommand, reply: KstReply) -> np.ndarray:
-        numbers = np.array(reply.numbers)
-        if not np.all(np.isfinite(numbers)):
+        if not all(map(math.isfinite, reply.numbers)):
             what = f"the controller reported `{reply.text}`, which is not all numbers; it was ignored"
             raise UnexpectedReply(what, command=command.word, reply=reply.text)
-        return numbers
+        return np.array(reply.numbers)

@@ -7,11 +7,13 @@ stop it, are left out.
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +23,8 @@ MAX_LINE = 512  # longest line that counts as a reply [bytes]; seven doubles in 
 MAX_TOOL_M = 1.0  # a tool point farther from the flange is refused: somebody mixed up millimetres and metres
 OUTPUT_PINS = (1, 2, 11, 12)
 INPUT_PINS = (3, 4, 10, 13, 16)
-_NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|Infinity)|NaN")
+_DIGITS = b"0123456789.-E_"  # all that a line of finite numbers consists of
+_NUMBER = re.compile(rb"[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|Infinity)|NaN")
 
 
 class ServerThread(enum.Enum):
@@ -44,12 +47,11 @@ class ReplyKind(enum.Enum):
     FOREIGN = "not a reply of the toolbox"
 
 
+_SEVEN = 7 * "_%r" + "_"
 _KIND_OF_COUNT = {3: ReplyKind.THREE, 6: ReplyKind.SIX, 7: ReplyKind.SEVEN}
-_KIND_OF_WORD = {"done": ReplyKind.DONE, "nak": ReplyKind.NAK}
 
 
-@dataclass(frozen=True)
-class KstCommand:
+class KstCommand(NamedTuple):
     """One line to the server, without its line feed, and who answers it with which kind of reply."""
 
     line: str
@@ -66,13 +68,20 @@ class KstCommand:
         return reply.kind is self.answer or (reply.kind is ReplyKind.NAK and self.thread is ServerThread.MAIN)
 
 
-@dataclass(frozen=True)
-class KstReply:
+class KstReply(NamedTuple):
     """One line from the server: its printable text, its kind, and its numbers in wire units."""
 
     text: str
     kind: ReplyKind
     numbers: tuple[float, ...] = ()
+
+
+_REPLIES = {
+    b"done": KstReply("done", ReplyKind.DONE),
+    b"nak": KstReply("nak", ReplyKind.NAK),
+    b"0": KstReply("0", ReplyKind.PIN, (0.0,)),
+    b"1": KstReply("1", ReplyKind.PIN, (1.0,)),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +138,11 @@ def relative_velocity(velocity: float) -> KstCommand:
 
 def joint_goal(q: Iterable[float], feedback: Feedback = Feedback.DONE) -> KstCommand:
     """Returns the command that sets the goal of the joint servo or of the next PTP to q, shape (7,) [rad]."""
+    angles = tuple(map(float, q))
+    if not all(map(math.isfinite, angles)):
+        raise ValueError(f"{angles} would stop the server's reader thread; nothing was sent")
     prefix, answer = feedback.value
-    return KstCommand(_with_numbers(prefix, q), ServerThread.READER, answer)
+    return KstCommand(prefix + _SEVEN % angles, ServerThread.READER, answer)
 
 
 def blue(on: bool) -> KstCommand:
@@ -197,16 +209,17 @@ def number(value: float) -> str:
 
 def parse_reply(line: bytes) -> KstReply:
     """Returns the reply in a line without its line feed; what is not a reply of the toolbox is `ReplyKind.FOREIGN`."""
+    known = _REPLIES.get(line)
+    if known is not None:
+        return known
     text = line.decode("ascii", "backslashreplace")
     if len(line) > MAX_LINE:
         return KstReply(text[:60], ReplyKind.FOREIGN)
-    if text in _KIND_OF_WORD:
-        return KstReply(text, _KIND_OF_WORD[text])
-    if text in ("0", "1"):
-        return KstReply(text, ReplyKind.PIN, (float(text),))
-    fields = (text[:-1] if text.endswith("_") else text).split("_")
-    if len(fields) in _KIND_OF_COUNT and all(_NUMBER.fullmatch(field) for field in fields):
-        return KstReply(text, _KIND_OF_COUNT[len(fields)], tuple(float(field) for field in fields))
+    fields = (line[:-1] if line.endswith(b"_") else line).split(b"_")
+    kind = _KIND_OF_COUNT.get(len(fields))
+    if kind is not None and (not line.translate(None, _DIGITS) or all(map(_NUMBER.fullmatch, fields))):
+        with contextlib.suppress(ValueError):
+            return KstReply(text, kind, tuple(map(float, fields)))
     return KstReply(repr(text)[1:-1][:60], ReplyKind.FOREIGN)
 
 
@@ -220,8 +233,7 @@ class KstLineSplitter:
         """Returns the lines that are complete with `data`, without CR and LF."""
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[: MAX_LINE + 2]
-        stripped = (line[: MAX_LINE + 2].rstrip(b"\r") for line in lines)
-        return [line for line in stripped if line]
+        return [line for line in [line[: MAX_LINE + 2].rstrip(b"\r") for line in lines] if line]
 
 
 def _with_numbers(word: str, values: Iterable[float]) -> str:

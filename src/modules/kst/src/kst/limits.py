@@ -7,7 +7,8 @@ millimetres that end up here by mistake are outside the ranges.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from operator import le
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +32,8 @@ class JointLimits:
 
     lower: np.ndarray
     upper: np.ndarray
+    _lowest: list[float] = field(init=False, repr=False)  # the same as plain numbers, for the check of each goal
+    _highest: list[float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
@@ -40,6 +43,8 @@ class JointLimits:
                 raise ValueError(f"the {name} joint limits need seven finite angles, not {bound.tolist()}")
         if np.any(self.lower >= self.upper):
             raise ValueError(f"the joint limits {self.lower.tolist()} to {self.upper.tolist()} leave no range")
+        object.__setattr__(self, "_lowest", self.lower.tolist())
+        object.__setattr__(self, "_highest", self.upper.tolist())
 
     def check(self, q: ArrayLike) -> np.ndarray:
         """Returns the joint angles q [rad] as a float array, shape (7,); BadJoints: not seven numbers in range."""
@@ -49,9 +54,9 @@ class JointLimits:
             raise BadJoints(f"the joint angles {q!r} are not numbers; nothing was sent") from error
         if angles.shape != (JOINTS,):
             raise BadJoints(f"seven joint angles are needed, not an array of shape {angles.shape}; nothing was sent")
-        bad = np.flatnonzero(~((angles >= self.lower) & (angles <= self.upper)))
-        if bad.size:
-            first = int(bad[0])
+        values = angles.tolist()
+        if not (all(map(le, self._lowest, values)) and all(map(le, values, self._highest))):
+            first = int(np.argmin((angles >= self.lower) & (angles <= self.upper)))
             low, high, angle = np.degrees([self.lower[first], self.upper[first], angles[first]])
             hint = " (degrees instead of radians?)" if np.any(np.abs(angles) > 2.0 * np.pi) else ""
             outside = f"joint {first + 1} at {angle:.6g} deg is outside its range {low:.6g} to {high:.6g} deg{hint}"

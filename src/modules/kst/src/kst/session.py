@@ -141,7 +141,8 @@ class KstSession:
             ConnectionLost: also if the server answers nothing for `KstTiming.silence`.
         """
         timeout = self.timing.reply if timeout is None else timeout
-        self._heed(self.resynchronise())
+        if self._unanswered is not None:
+            self._heed(self.resynchronise())
         self.poll()
         sent_at = self._send(command)
         foreign, last = 0, ""
@@ -298,10 +299,11 @@ class KstSession:
             pass
 
     def _send(self, command: KstCommand) -> float:
-        ready_at = self._main_answered_at + self.timing.main_pause
-        if ready_at > time.monotonic():
-            self.transport.pause(ready_at - time.monotonic())
         sent_at = time.monotonic()
+        ready_at = self._main_answered_at + self.timing.main_pause
+        if ready_at > sent_at:
+            self.transport.pause(ready_at - sent_at)
+            sent_at = time.monotonic()
         self.transport.send(command.line, self.timing.reply)
         self.counts.sent += 1
         return sent_at

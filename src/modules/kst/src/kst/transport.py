@@ -18,7 +18,7 @@ from kst.errors import ConnectionLost, NoServer
 
 USER_TIMEOUT_S = 3.0  # a link whose peer has not confirmed sent bytes for this long is lost [s]
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 2))
-_CHUNK = 65536
+_CHUNK = 4096
 _RECONNECT = "look after the arm, restart MatlabToolboxServer on the smartPad and connect again"
 
 
@@ -65,12 +65,13 @@ class KstTransport:
     def send(self, line: str, timeout: float) -> None:
         """Writes the line and its line feed; a peer that takes it only in part within `timeout` seconds is lost."""
         self._check()
-        data = memoryview(line.encode("ascii") + b"\n")
-        deadline = time.monotonic() + timeout
+        data = line.encode("ascii") + b"\n"
+        deadline = 0.0
         while data:
             try:
                 data = data[self._socket.send(data) :]
             except BlockingIOError:
+                deadline = deadline or time.monotonic() + timeout
                 if not self._wait(self._writable, deadline):
                     self.give_up(f"the controller has taken no more bytes for {timeout:g} s")
             except OSError as error:
@@ -89,8 +90,10 @@ class KstTransport:
     def waiting(self) -> list[KstReply]:
         """Returns the replies that have arrived already; does not wait."""
         self._check()
-        if self._wait(self._readable, 0.0):
+        if self._readable.poll(0):
             self._read()
+        if not self._replies:
+            return []
         replies = list(self._replies)
         self._replies.clear()
         return replies
