@@ -37,8 +37,15 @@ def tool_position(q):
     return np.array([0.4 * np.cos(turns).sum(), 0.4 * np.sin(turns).sum(), 0.1 * q[3]])
 
 
+def tool_point(q):
+    """The position, and its distances from the axes; the fourth joint moves it by 0.1 m/rad along them."""
+    turns = np.cumsum(q[:3])
+    joints = [0.4 * np.array([np.cos(turns[:i]).sum(), np.sin(turns[:i]).sum()]) for i in range(4)]
+    return tool_position(q), [float(np.linalg.norm(joints[3] - axis)) for axis in joints[:3]] + [0.1, 0.0, 0.0, 0.0]
+
+
 def limits(start=REST):
-    room = GuardedRoom(-RANGE, RANGE, TCP_SPEED, tool_position)
+    room = GuardedRoom(-RANGE, RANGE, TCP_SPEED, tool_point)
     result = MotionLimits(SPEEDS, ShapeLimits(ACCELERATION, JERK), room)
     result.reset(start)
     return result

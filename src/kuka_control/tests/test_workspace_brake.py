@@ -57,7 +57,7 @@ def outside(q):
 
 
 def room(workspace=WORKSPACE, tool_speed=0.7):
-    return GuardedRoom(MODEL.lower, MODEL.upper, tool_speed, tool_position, ARM.jacobian, workspace)
+    return GuardedRoom(MODEL.lower, MODEL.upper, tool_speed, ARM.tool_point, ARM.jacobian, workspace)
 
 
 def guard(**changes):
@@ -103,6 +103,47 @@ def test_what_stays_inside_is_untouched_bit_by_bit(desired, steps):
             return
         for taken, expected in ((now.q, free.q), (now.v, free.v), (now.a, free.a)):
             np.testing.assert_array_equal(taken, expected)
+
+
+class FullGuard(StoppingGuard):
+    """The guard that follows every stop, also far from all bounds."""
+
+    def _far_from_bounds(self, state):
+        return False
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_the_estimate_far_from_bounds_takes_the_step_of_the_full_check(seed):
+    rng = np.random.default_rng(seed)
+    change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
+    bounds = room(rng.choice([WORKSPACE, None]), tool_speed=rng.choice([0.2, 0.7, 2.0]))
+    quick, full = (kind(change, bounds, ACCELERATION) for kind in (StoppingGuard, FullGuard))
+    near = HOME + rng.choice([0.0, 0.1, 1.0]) * rng.uniform(-1.0, 1.0, 7)
+    q = rng.uniform(MODEL.lower, MODEL.upper) if rng.random() < 0.2 else np.clip(near, MODEL.lower, MODEL.upper)
+    v, a = (rng.choice([0.0, 0.2, 1.0]) * rng.uniform(-1.0, 1.0, 7) * most for most in (MODEL.max_speed, ACCELERATION))
+    now = JointState(q.tolist(), v.tolist(), a.tolist())
+    for _ in range(10):
+        desired = (rng.choice([0.1, 1.0]) * rng.uniform(-1.0, 1.0, 7) * MODEL.max_speed).tolist()
+        dt = rng.uniform(0.001, 0.03)
+        (now, held), (expected, expected_held) = quick.step(now, desired, dt), full.step(now, desired, dt)
+        assert held == expected_held
+        assert (now.q, now.v, now.a) == (expected.q, expected.v, expected.a)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_no_joint_is_faster_or_goes_further_on_the_way_to_its_stop_than_its_bounds(seed):
+    rng = np.random.default_rng(seed)
+    change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
+    v, a = (rng.choice([0.0, 0.05, 1.0]) * rng.uniform(-1.0, 1.0, 7) * most for most in (MODEL.max_speed, ACCELERATION))
+    state = JointState([0.0] * 7, v.tolist(), a.tolist())
+    speeds, lengths = change.stopping_bounds(state)
+    path = change.stopping(state)
+    times = np.linspace(0.0, path.duration, 400)
+    q, v = (np.array(rows) for rows in zip(*(path.at_time(t)[:2] for t in times)))
+    assert np.all(np.max(np.abs(v), axis=0) <= np.array(speeds) + 1e-9)
+    assert np.all(np.sum(np.abs(np.diff(q, axis=0)), axis=0) <= np.array(lengths) + 1e-9)
 
 
 @settings(max_examples=15)

@@ -91,6 +91,16 @@ def test_the_jacobian_is_the_derivative(model, seed):
 
 @models
 @given(seeds)
+def test_the_tool_point_is_that_of_the_pose_and_its_distances_are_those_from_the_axes(model, seed):
+    rng = np.random.default_rng(seed)
+    arm, q = random_arm(model, rng), rng.uniform(model.lower, model.upper)
+    point, distances = arm.tool_point(q.tolist())
+    np.testing.assert_allclose(point, arm.forward(q)[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(distances, np.linalg.norm(arm.jacobian(q)[:3], axis=0), atol=1e-12)
+
+
+@models
+@given(seeds)
 def test_without_deviations_it_is_the_arm_of_the_data_sheet(model, seed):
     rng = np.random.default_rng(seed)
     plain, arm = Kinematics(model, TOOL), arm_of(model, NONE)

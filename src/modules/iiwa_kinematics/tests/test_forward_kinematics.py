@@ -67,3 +67,11 @@ def test_points_of_the_arm_keep_its_lengths(q):
     lengths = [MODEL.base_shoulder, MODEL.shoulder_elbow, MODEL.elbow_wrist, MODEL.wrist_flange]
     np.testing.assert_allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), lengths, atol=1e-12)
     np.testing.assert_array_equal(points[-1], forward(MODEL, q)[:3, 3])
+
+
+@given(joints, st_numpy.arrays(float, 3, elements=st.floats(-0.3, 0.3)))
+def test_the_tool_point_is_that_of_the_pose_and_its_distances_are_those_from_the_axes(q, tool):
+    kinematics = Kinematics(MODEL, pose(rotation_from_zyx(0.3, -0.2, 0.1), tool))
+    point, distances = kinematics.tool_point(q.tolist())
+    np.testing.assert_allclose(point, kinematics.forward(q)[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(distances, np.linalg.norm(kinematics.jacobian(q)[:3], axis=0), atol=1e-12)

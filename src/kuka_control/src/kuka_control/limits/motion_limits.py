@@ -35,6 +35,7 @@ arm that catches up such a lag is too fast when its target slows down."""
 
 LOOK_AHEAD_S = 0.005  # the tool speed is averaged over this time [s]
 LEAST_USED = 1e-9  # fraction of a speed limit below which nothing moves
+AT_REST = read_only([0.0] * 7)  # the velocity at rest, shape (7,) [rad/s]
 AT_REST_RAD = 1e-7
 AT_REST_RAD_S = 1e-4  # a goal this close to a resting target, and this slow, is set to the target
 
@@ -60,10 +61,10 @@ class MotionLimits:
     """
 
     def __init__(self, joint_speeds: np.ndarray, shape: ShapeLimits, room: GuardedRoom) -> None:
-        self._joint_speeds = joint_speeds
+        self._joint_speeds = joint_speeds.tolist()
         self._room = room
-        self._braking = BRAKING_FRACTION * shape.acceleration
-        self._linear = self._braking / GAIN_PER_S**2
+        self._braking = (BRAKING_FRACTION * shape.acceleration).tolist()
+        self._ranges = list(zip(room.lower.tolist(), room.upper.tolist(), self._braking))
         self._change = SpeedChange(shape)
         self._guard = StoppingGuard(self._change, room, shape.acceleration)
         self._slow = False  # whether the last goal came after a gap
@@ -71,25 +72,25 @@ class MotionLimits:
 
     def reset(self, q: np.ndarray) -> None:
         """Starts from the joints q, at rest."""
-        self._now = JointState.rest(read_only(q))
+        self._goal = read_only(q)
+        self._now = JointState.rest(self._goal.tolist())
 
     @property
     def goal(self) -> np.ndarray:
         """The last goal, shape (7,) [rad]."""
-        return self._now.q
+        return self._goal
 
     @property
     def at_rest(self) -> bool:
         """Whether the goal has no speed and no acceleration."""
-        return not (np.any(self._now.v) or np.any(self._now.a))
+        return not (any(self._now.v) or any(self._now.a))
 
     def brake(self, dt: float) -> LimitedGoal:
         """Returns the goal after the next `dt` seconds on the way to the earliest stop within the limits."""
         dt = self._after(dt)
         stopped = self._change.stop(self._now, dt)
         at_rest = stopped.duration <= dt
-        self._now = JointState.rest(stopped.q) if at_rest else stopped
-        return LimitedGoal(read_only(self._now.q), read_only(self._now.v), None)
+        return self._moved(JointState.rest(stopped.q) if at_rest else stopped, None)
 
     def step(
         self,
@@ -113,26 +114,30 @@ class MotionLimits:
         """
         gap = "gap between goals" if dt > GAP_S else None
         dt = self._after(dt)
-        speed = np.zeros(7) if speed is None else speed
-        q, v = self._now.q, self._now.v
-        error = target - q - dt * v
-        at_rest = not np.any(speed) and np.max(np.abs(v)) < AT_REST_RAD_S
-        if at_rest and np.max(np.abs(target - q)) < AT_REST_RAD:
+        own = [0.0] * 7 if speed is None else speed.tolist()
+        q, v, ahead = self._now.q, self._now.v, target.tolist()
+        at_rest = not any(own) and max(map(abs, v)) < AT_REST_RAD_S
+        if at_rest and max([abs(a - b) for a, b in zip(ahead, q)]) < AT_REST_RAD:
             self.reset(target)
-            return LimitedGoal(self._now.q, read_only(self._now.v), None)
-        desired, held_by = self._desired_velocity(error, speed)
+            return LimitedGoal(self._goal, AT_REST, None)
+        error = [a - b - dt * rate for a, b, rate in zip(ahead, q, v)]
+        desired, held_by = self._desired_velocity(error, own)
         if scale < 1.0:
-            scale = min(1.0, max(scale, max(self._used(speed)) + 0.5 * scale))
-        allowed, limited_by = self._allowed(desired, measured, min(scale, cap))
+            needed = max(self._joint_fraction(own), self._tool_fraction(own))
+            scale = min(1.0, max(scale, needed + 0.5 * scale))
+        allowed, limited_by = self._allowed(desired, measured.tolist(), min(scale, cap))
         if cap < scale and limited_by in ("joint speed", "tool speed"):
             limited_by = "frame rate"
-        down, up = self._speed_within(np.array((q - self._room.lower, self._room.upper - q)))
-        within = np.clip(allowed, -down, up)
-        if np.max(np.abs(within - allowed)) > AT_REST_RAD_S:
+        within, slowed = self._in_ranges(allowed)
+        if slowed:
             limited_by = limited_by or "joint limit"
-        self._now, held = self._guard.step(self._now, within, dt)
-        late = "joint acceleration" if self._now.duration > LATE_S else None
-        return LimitedGoal(read_only(self._now.q), read_only(self._now.v), gap or held or limited_by or held_by or late)
+        now, held = self._guard.step(self._now, within, dt)
+        late = "joint acceleration" if now.duration > LATE_S else None
+        return self._moved(now, gap or held or limited_by or held_by or late)
+
+    def _moved(self, now: JointState, limited_by: str | None) -> LimitedGoal:
+        self._now, self._goal = now, read_only(now.q)
+        return LimitedGoal(self._goal, read_only(now.v), limited_by)
 
     def _after(self, dt: float) -> float:
         """Returns the time that the goal moves on [s]; after a gap it rests first where it is.
@@ -145,40 +150,67 @@ class MotionLimits:
         self.reset(self._now.q)
         return GAP_S if slow else 0.0
 
-    def _speed_within(self, room: np.ndarray) -> np.ndarray:
-        """Returns the speeds from which the joints can brake within distances, shape (n, 7) [rad]."""
-        room = np.maximum(room, 0.0)
-        fast = np.sqrt(2.0 * self._braking * np.maximum(room - 0.5 * self._linear, 0.0))
-        return np.where(room <= self._linear, GAIN_PER_S * room, fast)
+    def _in_ranges(self, velocity: list[float]) -> tuple[list[float], bool]:
+        """Returns the velocity from which each joint can brake within its range, and whether one is slowed down."""
+        within, slowed = [], False
+        for rate, angle, (lower, upper, braking) in zip(velocity, self._now.q, self._ranges):
+            room = max(upper - angle if rate > 0.0 else angle - lower, 0.0)
+            linear = braking / GAIN_PER_S**2
+            most = GAIN_PER_S * room if room <= linear else math.sqrt(2.0 * braking * (room - 0.5 * linear))
+            if abs(rate) > most:
+                slowed = slowed or abs(rate) - most > AT_REST_RAD_S
+                rate = math.copysign(most, rate)
+            within.append(rate)
+        return within, slowed
 
-    def _desired_velocity(self, error: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, str | None]:
+    def _desired_velocity(self, error: list[float], speed: list[float]) -> tuple[list[float], str | None]:
         """Returns the desired velocity, and "joint acceleration" if braking before the target limits it."""
         # In units of what each joint brakes with, distances are squares of times.
-        far = float(np.max(np.abs(error) / self._braking))
+        far = max([abs(e) / braking for e, braking in zip(error, self._braking)])
         linear = 1.0 / GAIN_PER_S**2
         if far <= linear:
-            return speed + GAIN_PER_S * error, None
-        return speed + (np.sqrt(2.0 * far - linear) / far) * error, "joint acceleration"
+            return [v + GAIN_PER_S * e for v, e in zip(speed, error)], None
+        gain = math.sqrt(2.0 * far - linear) / far
+        return [v + gain * e for v, e in zip(speed, error)], "joint acceleration"
 
-    def _allowed(self, desired: np.ndarray, measured: np.ndarray, scale: float) -> tuple[np.ndarray, str | None]:
+    def _allowed(self, desired: list[float], measured: list[float], scale: float) -> tuple[list[float], str | None]:
         """Returns the desired velocity scaled down to the limits, and the limit that scales it down most."""
-        fastest, tool = self._used(desired)
-        factor, limited_by = scale / max(fastest, tool, scale, LEAST_USED), None
-        if factor < 1.0:
+        fastest, limited_by = self._joint_fraction(desired), None
+        tool = self._tool_fraction(desired, scale)
+        used = max(fastest, tool, LEAST_USED)
+        if used > scale:
+            factor = scale / used
             limited_by = "joint speed" if fastest > tool else "tool speed"
-        desired = factor * desired
+            desired = [factor * rate for rate in desired]
+        behind = 0.0
+        for rate, angle, joint in zip(desired, self._now.q, measured):
+            if rate > 0.0:
+                behind = max(behind, angle - joint - ARM_S * rate)
+            elif rate < 0.0:
+                behind = max(behind, joint - angle + ARM_S * rate)
         begin, end = LEAD_RAD
-        behind = np.sign(desired) * (self._now.q - measured) - ARM_S * np.abs(desired)
-        room = (end - float(np.max(behind[desired != 0.0], initial=0.0))) / (end - begin)
+        room = (end - behind) / (end - begin)
         if room >= 1.0:
             return desired, limited_by
-        return max(room, 0.0) * desired, "lag of the arm"
+        return [max(room, 0.0) * rate for rate in desired], "lag of the arm"
 
-    def _used(self, speed: np.ndarray) -> tuple[float, float]:
-        """Returns the fractions of the joint speed limits and of the tool speed limit that a velocity uses."""
-        position = self._room.tool_position
-        path = math.dist(position(self._now.q + LOOK_AHEAD_S * speed), position(self._now.q))
-        return float(np.max(np.abs(speed) / self._joint_speeds)), path / (LOOK_AHEAD_S * self._room.tool_speed)
+    def _joint_fraction(self, velocity: list[float]) -> float:
+        """Returns the greatest fraction of a joint's speed limit that a velocity uses."""
+        return max([abs(rate) / limit for rate, limit in zip(velocity, self._joint_speeds)])
+
+    def _tool_fraction(self, velocity: list[float], enough: float = 0.0) -> float:
+        """Returns the fraction of the tool's speed limit that a velocity uses; not exactly where it is below `enough`.
+
+        The tool moves no further than all joints would move it if they did so in one direction.
+        """
+        position, distances = self._guard.tool_point(self._now.q)
+        path = 0.0
+        for i in (6, 5, 4, 3, 2, 1, 0):
+            path += LOOK_AHEAD_S * abs(velocity[i]) * (distances[i] + path)
+        if path > enough * LOOK_AHEAD_S * self._room.tool_speed:
+            ahead, _ = self._room.tool_point([a + LOOK_AHEAD_S * rate for a, rate in zip(self._now.q, velocity)])
+            path = math.dist(ahead, position)
+        return path / (LOOK_AHEAD_S * self._room.tool_speed)
 
 
 class Unlimited:

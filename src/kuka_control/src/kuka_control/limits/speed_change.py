@@ -7,11 +7,10 @@ and below its speed limit on the way. That stop is always the next step that is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
 from kuka_control.model.workspace import Workspace
@@ -21,6 +20,7 @@ STOPPING = (0.0, 0.1, 0.3, 0.6, 1.0)  # fractions of the stopping time at which 
 FASTEST = 3  # at so many of them, the first ones, its speed is checked too: later it mostly falls
 NEAR_LIMIT = 0.85  # a speed above this fraction of the limit is checked at more of them:
 MORE = (0.02, 0.05, 0.15, 0.2, 0.4, 0.5)
+QUICK = 0.999  # fraction of the tool's speed limit up to which an upper bound of the speed replaces that check
 DIFFERENCE_S = 1e-4  # time over which that speed is calculated [s]
 SLACK_M = 1e-3  # the path to a stop may lead out of the workspace by this much: at curved bounds it is straight [m]
 SLACK_RAD = 1e-9  # rounding error of a stop that ends at a joint limit [rad]
@@ -41,58 +41,71 @@ class ShapeLimits:
 
 @dataclass(frozen=True)
 class JointState:
-    """Joint angles [rad], velocities [rad/s] and accelerations [rad/s^2], shape (7,) each."""
+    """Joint angles [rad], velocities [rad/s] and accelerations [rad/s^2], 7 each."""
 
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
+    q: list[float]
+    v: list[float]
+    a: list[float]
     duration: float = 0.0  # of the whole velocity change [s]
 
     @classmethod
-    def rest(cls, q: np.ndarray) -> JointState:
+    def rest(cls, q: list[float]) -> JointState:
         """Returns the state at rest at joints q."""
-        return cls(q, np.zeros(7), np.zeros(7))
+        return cls(q, [0.0] * 7, [0.0] * 7)
 
 
 class SpeedChange:
     """Changes the joint velocities within the limits `shape`."""
 
     def __init__(self, shape: ShapeLimits) -> None:
-        self._acceleration = shape.acceleration
+        self._acceleration = shape.acceleration.tolist()
+        self._jerk = shape.jerk.tolist()
         self._ruckig = Ruckig(7)
         self._trajectory = Trajectory(7)
         self._change, self._stop = InputParameter(7), InputParameter(7)
         for plan in (self._change, self._stop):
             plan.control_interface = ControlInterface.Velocity
-            plan.max_acceleration = shape.acceleration.tolist()
-            plan.max_jerk = shape.jerk.tolist()
+            plan.max_acceleration = self._acceleration
+            plan.max_jerk = self._jerk
         self._change.minimum_duration = EVEN_S
         # Each joint as quickly as it can: the rest of such a stop is the stop from any state on its way.
         self._stop.synchronization = Synchronization.No
 
-    def step(self, now: JointState, desired: np.ndarray, dt: float) -> JointState:
-        """Returns the state dt [s] later, on the way to the velocities `desired`, shape (7,) [rad/s], all in step."""
-        self._change.target_velocity = desired.tolist()
+    def step(self, now: JointState, desired: Sequence[float], dt: float) -> JointState:
+        """Returns the state dt [s] later, on the way to the velocities `desired`, 7 [rad/s], all in step."""
+        self._change.target_velocity = desired
         try:
             trajectory = self._plan(self._change, now)
         except RuckigError:  # rounding may close every way of a least duration: a stop is always there
             return self.stop(now, dt)
-        q, v, a = (np.array(values) for values in trajectory.at_time(dt))
-        return JointState(q, v, a, trajectory.duration)
+        return JointState(*trajectory.at_time(dt), trajectory.duration)
 
     def stop(self, now: JointState, dt: float) -> JointState:
         """Returns the state dt [s] later, on the way to the earliest stop of each joint."""
         trajectory = self.stopping(now)
-        q, v, a = (np.array(values) for values in trajectory.at_time(dt))
-        return JointState(q, v, a, trajectory.duration)
+        return JointState(*trajectory.at_time(dt), trajectory.duration)
 
     def stopping(self, now: JointState) -> Trajectory:
         """Returns the path to the earliest stop of each joint; it is valid until the next call of this object."""
         return self._plan(self._stop, now)
 
+    def stopping_bounds(self, now: JointState) -> tuple[list[float], list[float]]:
+        """Returns bounds of each joint's speed [rad/s] and path length [rad] on the way to its earliest stop.
+
+        An acceleration a that must first go to zero at the jerk j adds a^2 / 2j to the speed and takes a / j; the stop
+        from a speed v then takes v / a_max + a_max / j at most, at v / 2 in the mean.
+        """
+        speeds, lengths = [], []
+        for v, a, most, jerk in zip(now.v, now.a, self._acceleration, self._jerk):
+            rise = abs(a) / jerk
+            speed = abs(v) + 0.5 * abs(a) * rise
+            speeds.append(speed)
+            lengths.append(speed * (rise + 0.5 * (speed / most + most / jerk)))
+        return speeds, lengths
+
     def _plan(self, plan: InputParameter, now: JointState) -> Trajectory:
-        plan.current_position, plan.current_velocity = now.q.tolist(), now.v.tolist()
-        plan.current_acceleration = np.clip(now.a, -self._acceleration, self._acceleration).tolist()
+        plan.current_position, plan.current_velocity = now.q, now.v
+        plan.current_acceleration = [min(max(a, -most), most) for a, most in zip(now.a, self._acceleration)]
         self._ruckig.calculate(plan, self._trajectory)
         return self._trajectory
 
@@ -104,8 +117,9 @@ class GuardedRoom:
     lower: np.ndarray  # joint ranges, shape (7,) [rad]
     upper: np.ndarray
     tool_speed: float  # of the tool point [m/s]
-    tool_position: Callable[[ArrayLike], np.ndarray]  # of the tool point, shape (3,) [m], at joints, shape (7,) [rad]
-    tool_jacobian: Callable[[np.ndarray], np.ndarray] | None = None  # of the tool point, shape (6, 7), likewise
+    tool_point: Callable[[Sequence[float]], tuple[Sequence[float], Sequence[float]]]
+    """Of 7 joints [rad]: the tool point, x, y, z [m], and its distances from the 7 joint axes [m]."""
+    tool_jacobian: Callable[[np.ndarray], np.ndarray] | None = None  # of the tool point, shape (6, 7), at joints (7,)
     workspace: Workspace | None = None  # of the tool point; with a Jacobian
 
 
@@ -140,10 +154,20 @@ class StoppingGuard:
         self._acceleration = acceleration
         self._allowed = _Stop(room.tool_speed, SLACK_M)
         self._ranges = list(zip(room.lower.tolist(), room.upper.tolist()))
+        self._q: list[float] | None = None
+        self._point: tuple[Sequence[float], Sequence[float]] = (), ()
 
-    def step(self, now: JointState, desired: np.ndarray, dt: float) -> tuple[JointState, str | None]:
-        """Returns the state after dt [s], and what held the desired velocities, (7,) [rad/s], back."""
+    def tool_point(self, q: list[float]) -> tuple[Sequence[float], Sequence[float]]:
+        """Returns the tool point of 7 joints as `GuardedRoom.tool_point`; that of the same list is calculated once."""
+        if q is not self._q:
+            self._q, self._point = q, self._room.tool_point(q)
+        return self._point
+
+    def step(self, now: JointState, desired: Sequence[float], dt: float) -> tuple[JointState, str | None]:
+        """Returns the state after dt [s], and what held the desired velocities, 7 [rad/s], back."""
         free = self._change.step(now, desired, dt)
+        if self._far_from_bounds(free):
+            return free, None
         stop, beyond = self._stop(free)
         if not beyond and stop.within(self._allowed):
             return free, None
@@ -155,17 +179,17 @@ class StoppingGuard:
         bound = _Stop(max(self._allowed.speed, least.speed), max(self._allowed.outside, least.outside))
         if stop.within(bound):
             return best, held
-        kept, given_up, best = np.zeros(7), desired, braking
+        kept, given_up, best = [0.0] * 7, desired, braking
         if stop.outside > bound.outside:
             held = "workspace"
-            along = self.along(now.q, desired)
+            along = self.along(np.array(now.q), np.array(desired)).tolist()
             state, stop = self._ranged(self._change.step(now, along, dt), braking)
             if stop.within(bound):
                 kept, best = along, state
             else:
                 given_up = along
         for _ in range(HALVINGS):
-            middle = 0.5 * (kept + given_up)
+            middle = [0.5 * (a + b) for a, b in zip(kept, given_up)]
             state, stop = self._ranged(self._change.step(now, middle, dt), braking)
             if stop.within(bound):
                 kept, best = middle, state
@@ -177,7 +201,7 @@ class StoppingGuard:
         """Returns the joint velocities without what carries the tool beyond a bound; shape (7,) [rad/s], at q [rad]."""
         room = self._room
         assert room.workspace is not None and room.tool_jacobian is not None, "only a workspace has bounds"
-        position, J = room.tool_position(q), room.tool_jacobian(q)
+        position, J = np.array(room.tool_point(q)[0]), room.tool_jacobian(q)
         normals = room.workspace.outward(position)
         # In units of each joint's deceleration, so that the strong joints move most.
         strong = J * self._acceleration
@@ -195,12 +219,34 @@ class StoppingGuard:
         pace, allowed = (float(np.max(np.abs(v) / self._acceleration)) for v in (left, desired))
         return left if pace <= allowed else allowed / pace * left
 
+    def _far_from_bounds(self, state: JointState) -> bool:
+        """Returns True only if the stop from a state keeps all bounds, by estimates that cost less than the stop.
+
+        On the way the tool is no further from a joint's axis than now, plus the path length on which the joints after
+        it carry the tool.
+        """
+        room = self._room
+        speeds, lengths = self._change.stopping_bounds(state)
+        for angle, length, (lower, upper) in zip(state.q, lengths, self._ranges):
+            if not (angle + length <= upper and angle - length >= lower):
+                return False
+        position, distances = self.tool_point(state.q)
+        speed = path = 0.0
+        for i in (6, 5, 4, 3, 2, 1, 0):
+            distance = distances[i] + path
+            speed += speeds[i] * distance
+            path += lengths[i] * distance
+        if not speed <= QUICK * room.tool_speed:
+            return False
+        return room.workspace is None or path <= min(room.workspace.rooms(position))
+
     def _ranged(self, state: JointState, braking: JointState) -> tuple[JointState, _Stop]:
         """Returns the state with the joints that could not stop in their ranges braking instead, and its stop."""
         stop, beyond = self._stop(state)
         if beyond:
-            for i in beyond:
-                state.q[i], state.v[i], state.a[i] = braking.q[i], braking.v[i], braking.a[i]
+            columns = zip((state.q, state.v, state.a), (braking.q, braking.v, braking.a))
+            q, v, a = ([b[i] if i in beyond else s[i] for i in range(7)] for s, b in columns)
+            state = JointState(q, v, a, state.duration)
             stop, _ = self._stop(state)
         return state, stop
 
@@ -218,18 +264,18 @@ class StoppingGuard:
         speed = 0.0
         for i, fraction in enumerate(STOPPING):
             q, v, _ = path.at_time(fraction * path.duration)
-            positions.append(room.tool_position(q))
+            positions.append(room.tool_point(q)[0])
             if i < FASTEST:
                 speed = max(speed, self._speed(q, v, positions[-1]))
         if speed > NEAR_LIMIT * room.tool_speed:
             for fraction in MORE:
                 q, v, _ = path.at_time(fraction * path.duration)
-                speed = max(speed, self._speed(q, v, room.tool_position(q)))
+                speed = max(speed, self._speed(q, v, room.tool_point(q)[0]))
         if room.workspace is None:
             return _Stop(speed, -math.inf), beyond
         return _Stop(speed, -min(min(room.workspace.rooms(position)) for position in positions)), beyond
 
-    def _speed(self, q: list[float], v: list[float], position: np.ndarray) -> float:
+    def _speed(self, q: list[float], v: list[float], position: Sequence[float]) -> float:
         """Returns the speed of the tool [m/s] at a position [m], the one at joints q [rad], for joint speeds v."""
-        ahead = self._room.tool_position([angle + DIFFERENCE_S * rate for angle, rate in zip(q, v)])
+        ahead, _ = self._room.tool_point([angle + DIFFERENCE_S * rate for angle, rate in zip(q, v)])
         return math.dist(ahead, position) / DIFFERENCE_S

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from kuka_control.limits.motion_limits import MotionLimits, Unlimited
 from kuka_control.limits.speed_change import GuardedRoom, ShapeLimits
@@ -179,15 +178,11 @@ def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
     """Returns the limits of the stream of servo goals; faster joints change their speed more quickly in proportion."""
     pace = rig.model.max_speed / np.min(rig.model.max_speed)
     acceleration = config.joint_acceleration * pace
-
-    def tool_position(q: ArrayLike) -> np.ndarray:
-        return rig.kinematics.forward(np.asarray(q))[:3, 3]
-
     room = GuardedRoom(
         lower=rig.model.lower + RANGE_MARGIN_RAD,
         upper=rig.model.upper - RANGE_MARGIN_RAD,
         tool_speed=TOOL_MARGIN * config.tcp_speed,
-        tool_position=tool_position,
+        tool_point=rig.kinematics.tool_point,
         tool_jacobian=rig.kinematics.jacobian,
         workspace=rig.workspace,
     )

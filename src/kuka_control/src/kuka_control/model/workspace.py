@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from typing import Sequence
 
 import numpy as np
 
@@ -156,9 +157,9 @@ class Workspace:
         result = self.constrain(position)
         return isinstance(result, Constrained) and not result.bounds
 
-    def rooms(self, position: np.ndarray) -> tuple[float, ...]:
+    def rooms(self, position: Sequence[float] | np.ndarray) -> tuple[float, ...]:
         """Returns the distances [m] of a position to two side planes, two z limits, two spheres, negative beyond."""
-        x, y, z = position.tolist()
+        x, y, z = position
         (a, b, _), (c, d, _) = self._side_normals
         r = math.hypot(x, y, z - self.joint_2_height)
         sides = -(a * x + b * y), -(c * x + d * y)

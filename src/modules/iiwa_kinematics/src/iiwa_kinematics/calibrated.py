@@ -10,9 +10,13 @@ remaining error. They have no component along the self-motion: the elbow stays w
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from math import cos, hypot, sin
+from typing import Sequence
 
 import numpy as np
 
+from iiwa_kinematics.chain import Vector
 from iiwa_kinematics.elbow_choice import CROSSING_RAD
 from iiwa_kinematics.elbow_circle import Branch
 from iiwa_kinematics.inverse import IkFailure, IkResult, Kinematics, inverse_pose
@@ -61,6 +65,12 @@ class DhParameters:
         for i, link in enumerate(links):
             frames[i + 1] = frames[i] @ link
         return frames
+
+    @cached_property
+    def rows(self) -> list[tuple[float, float, float, float, float]]:
+        """For joints 7 to 1: theta [rad], cosine and sine of alpha, a and d [m]."""
+        columns = self.theta, np.cos(self.alpha), np.sin(self.alpha), self.a, self.d
+        return list(zip(*(column[::-1].tolist() for column in columns)))
 
 
 def nominal_parameters(model: RobotModel) -> DhParameters:
@@ -115,6 +125,17 @@ class CalibratedKinematics(Kinematics):
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         return self._pose_and_jacobian(q)[1]
+
+    def tool_point(self, q: Sequence[float]) -> tuple[Vector, list[float]]:
+        x, y, z = self._tool
+        distances = []
+        for angle, (theta, ca, sa, a, d) in zip(reversed(q), self._parameters.rows):
+            x, y, z = x + a, ca * y - sa * z, sa * y + ca * z + d
+            distances.append(hypot(x, y))
+            c, s = cos(angle + theta), sin(angle + theta)
+            x, y = c * x - s * y, s * x + c * y
+        distances.reverse()
+        return (x, y, z), distances
 
     def inverse(self, T_base_tool: np.ndarray, q_seed: np.ndarray, keep_branch: bool = False) -> IkResult:
         T, seed = self._checked(T_base_tool, q_seed)

@@ -7,8 +7,8 @@ The arithmetic is written out in plain floats: for single poses this is several 
 
 from __future__ import annotations
 
-from math import cos, sin
-from typing import Tuple
+from math import cos, hypot, sin
+from typing import Sequence, Tuple
 
 import numpy as np
 
@@ -75,6 +75,37 @@ def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None 
         J[:3, i] = cross(axes[i], (p[0] - point[0], p[1] - point[1], p[2] - point[2]))
         J[3:, i] = axes[i]
     return J
+
+
+def tool_point(model: RobotModel, tool: Vector, q: Sequence[float]) -> tuple[Vector, list[float]]:
+    """Returns the tool point in the base [m], and its distances from the axes of joints 1 to 7 [m].
+
+    `tool` is the tool point in the flange [m], q the 7 joint angles [rad]. The point is carried from the flange to the
+    base: each joint turns it about its own axis.
+    """
+    q1, q2, q3, q4, q5, q6, q7 = q
+    x, y, z = tool[0], tool[1], tool[2] + model.wrist_flange
+    r7 = hypot(x, y)
+    c, s = cos(q7), sin(q7)
+    x, y = c * x - s * y, s * x + c * y
+    r6 = hypot(x, z)
+    c, s = cos(q6), sin(q6)
+    x, z = c * x + s * z, c * z - s * x
+    r5 = hypot(x, y)
+    c, s = cos(q5), sin(q5)
+    x, y, z = c * x - s * y, s * x + c * y, z + model.elbow_wrist
+    r4 = hypot(x, z)
+    c, s = cos(q4), sin(q4)
+    x, z = c * x - s * z, c * z + s * x
+    r3 = hypot(x, y)
+    c, s = cos(q3), sin(q3)
+    x, y, z = c * x - s * y, s * x + c * y, z + model.shoulder_elbow
+    r2 = hypot(x, z)
+    c, s = cos(q2), sin(q2)
+    x, z = c * x + s * z, c * z - s * x
+    r1 = hypot(x, y)
+    c, s = cos(q1), sin(q1)
+    return (c * x - s * y, s * x + c * y, z + model.base_shoulder), [r1, r2, r3, r4, r5, r6, r7]
 
 
 def _frames(model: RobotModel, q: np.ndarray) -> Frames:

@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from math import atan2, hypot, isfinite, sqrt
+from typing import Sequence
 
 import numpy as np
 
-from iiwa_kinematics.chain import Vector, combination, cross, forward, jacobian, zyz_axes
+from iiwa_kinematics.chain import Vector, combination, cross, forward, jacobian, tool_point, zyz_axes
 from iiwa_kinematics.elbow_choice import ElbowChoice
 from iiwa_kinematics.elbow_circle import Branch, ElbowCircle, wrapped
 from iiwa_kinematics.robot_model import RobotModel, read_only
@@ -66,6 +67,7 @@ class Kinematics:
         self.model = model
         self.T_flange_tool = read_only(np.eye(4) if T_flange_tool is None else T_flange_tool)
         self.T_tool_flange = inverse_pose(self.T_flange_tool)
+        self._tool: Vector = tuple(self.T_flange_tool[:3, 3].tolist())
         self._lengths = (model.shoulder_elbow, model.elbow_wrist)
         self._elbow = ElbowChoice(model, elbow_preference)
 
@@ -76,6 +78,10 @@ class Kinematics:
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Returns the geometric Jacobian of the tool point in the base frame, shape (6, 7); rows 0-2 linear."""
         return jacobian(self.model, q, self.T_flange_tool)
+
+    def tool_point(self, q: Sequence[float]) -> tuple[Vector, list[float]]:
+        """Returns the tool point in the base [m], and its distances from the 7 joint axes [m], at 7 joints q [rad]."""
+        return tool_point(self.model, self._tool, q)
 
     def refined(self, q: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray | None:
         """Returns joints near q, shape (7,) [rad], that bring this arm to a pose to which q brings the nominal arm.
