@@ -35,7 +35,7 @@ $(READY): $(MANIFESTS)
 	@touch $@
 
 demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated arm and hand
-	@$(IN_WORKSPACE) rosrun leap_rig demo.py $(if $(filter 1 true yes,$(HEADLESS)),--headless) $(if $(DURATION),--duration $(DURATION)) \
+	@$(IN_WORKSPACE) devel/lib/leap_rig/demo.py $(if $(filter 1 true yes,$(HEADLESS)),--headless) $(if $(DURATION),--duration $(DURATION)) \
 	  $(if $(RECORDING),--recording "$(RECORDING)") $(if $(OFFSET),--offset $(OFFSET)) $(if $(REPORT),--report "$(REPORT)") \
 	  $(if $(RECORD),--record "$(RECORD)") $(if $(SCENARIO),--scenario $(SCENARIO)) -- $(ARGS)
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.measure import BenchError, Goal, Row, number
+from bench.measure import ROOT, BenchError, Goal, Row, number
 from common.ports import free_port
 
 PORTS = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port")
@@ -172,8 +172,13 @@ def cpu_shares(pid: int, slices: int) -> dict[str, np.ndarray]:
 def _start(arguments: list[str], env: dict[str, str], output) -> subprocess.Popen:
     launch = {name: free_port() for name in (*PORTS, "camera_control_port")}
     launch["hand_port"] = free_port(socket.SOCK_DGRAM)
-    command = ("rosrun", "leap_rig", "demo.py", *arguments, "--", *(f"{name}:={v}" for name, v in launch.items()))
+    ports = (f"{name}:={value}" for name, value in launch.items())
+    command = (str(ROOT / "devel" / "lib" / "leap_rig" / "demo.py"), *_with_launch(arguments, *ports))
     return subprocess.Popen(command, env=env, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
+
+
+def _with_launch(arguments: list[str], *launch: str) -> list[str]:
+    return [*arguments, *launch] if "--" in arguments else [*arguments, "--", *launch]
 
 
 def _wait_until_home(process: subprocess.Popen, log: Path) -> None:
