@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from decimal import Decimal
 
 import pytest
 from hypothesis import given
@@ -40,6 +41,18 @@ from rig_simulation.devices.sunrise import java_text
 )
 def test_golden_texts(value, text):
     assert java_text.text(value) == text
+
+
+@given(st.floats(1e-4, 1e8) | st.floats(0.0009, 0.0011) | st.floats(9e6, 1.1e7) | st.integers(1, 10**8).map(float))
+def test_texts_are_decimal_from_a_thousandth_to_ten_million_and_scientific_beyond(value):
+    _, listed, exponent = Decimal(repr(value)).as_tuple()
+    digits, point = "".join(map(str, listed)).rstrip("0"), len(listed) + exponent
+    if 1e-3 <= value < 1e7:
+        whole, fraction = digits[: max(point, 0)].ljust(point, "0"), "0" * -point + digits[max(point, 0) :]
+        assert java_text.text(value) == f"{whole or '0'}.{fraction or '0'}"
+    else:
+        assert java_text.text(value) == f"{digits[0]}.{digits[1:] or '0'}E{point - 1}"
+    assert java_text.text(-value) == f"-{java_text.text(value)}"
 
 
 def test_a_vector_ends_with_its_separator():

@@ -42,6 +42,26 @@ def test_a_step_keeps_its_limits_and_is_symmetric(speed, acceleration):
     assert_allclose(s + s[::-1], 1.0, atol=1e-9)
 
 
+speeds = st.lists(st.floats(-3.0, 3.0), min_size=7, max_size=7).map(np.array)
+errors = st.lists(st.floats(-0.3, 0.3) | st.floats(-1e-9, 1e-9), min_size=7, max_size=7).map(np.array)
+
+
+@given(errors, speeds)
+def test_law_and_drives_compute_their_formulas_and_leave_their_input(error, v):
+    """As written in the docstrings: f(e) = sign(e) a (1 - exp(-(e/b)^2)); mid-point speed, braking, limits."""
+    given_error, given_v = error.copy(), v.copy()
+    distance = lts_law(error)
+    assert_allclose(distance, np.copysign(0.07 * (1.0 - np.exp(-((error / 0.0525) ** 2))), error), rtol=0.0, atol=1e-15)
+    lag, braking, path = 2.0 / 3.0 * 0.04, 0.8 * FULL_ACCELERATION, np.abs(distance)
+    close = path <= braking * lag**2
+    speed = np.where(close, path / lag, np.sqrt(np.maximum(0.0, 2.0 * braking * path - (braking * lag) ** 2)))
+    change = np.copysign(np.minimum(speed, ROBOT.max_speed), distance) - v
+    most = FULL_ACCELERATION * 1e-3
+    after = Drives(ROBOT.max_speed, FULL_ACCELERATION, 0.04).towards(distance, v, 1e-3)
+    assert_allclose(after, v + np.clip(change, -most, most), atol=1e-12)
+    assert np.array_equal(error, given_error) and np.array_equal(v, given_v)
+
+
 @settings(max_examples=25)
 @given(joints, joints, st.floats(0.01, 1.0))
 def test_a_joint_move_arrives_exactly_with_all_joints_in_step(start, end, share):

@@ -306,3 +306,27 @@ def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(
     assert min(waits) < 0.15, "20 steps of 2 ms, not a second of them"
     assert state(server)["age"] < 1.0, "what it is behind does not grow"
     client.close()
+
+
+def test_an_arm_that_lags_answers_before_it_makes_up_its_lag(monkeypatch, serve, wait_until):
+    steps, step = [], SimulatedArm.step
+
+    def slow_step(arm, dt):
+        steps.append(dt)
+        time.sleep(0.005)
+        step(arm, dt)
+
+    server = serve()
+    client = Connection(server)
+    for line in ("jRelVel_1.0_", "jp_1.0_0.0_0.0_0.0_0.0_0.0_0.0_"):
+        assert client.ask(line) == "done\n"
+    monkeypatch.setattr(SimulatedArm, "step", slow_step)
+    assert client.ask("doPTPinJS") == "done\n"
+    wait_until(lambda: len(steps) > 10, 10.0, "the arm to lag")
+    taken = []
+    for _ in range(10):
+        before = len(steps)
+        client.ask("getJointsPositions")
+        taken.append(len(steps) - before)
+    assert sorted(taken)[5] <= 3, "the rest of the present piece, none of the 200 steps that it lags"
+    client.close()

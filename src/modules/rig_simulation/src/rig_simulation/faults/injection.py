@@ -65,6 +65,8 @@ class Faults:
         self._known = {fault.name: fault for fault in known}
         self._clock = clock
         self._active: dict[str, _Active] = {}
+        self._values: dict[str, float] = {}  # of the active faults; replaced, never changed
+        self._next_end = math.inf  # of an active fault [s]
         self._reported: dict[str, float] = {}
         self._lock = threading.Lock()
 
@@ -86,14 +88,20 @@ class Faults:
             self._active.pop(name, None)
             if on:
                 self._active[name] = _Active(number, ends)
+            self._update(self._clock())
         return {"active": sorted(self.active())}
 
     def active(self) -> dict[str, float]:
-        """Returns the faults that are on, each with its number, 1.0 for a fault without one."""
-        now = self._clock()
-        with self._lock:
-            self._active = {name: active for name, active in self._active.items() if active.ends > now}
-            return {name: active.value for name, active in self._active.items()}
+        """Returns the faults that are on, each with its number, 1.0 for a fault without one; not to be changed."""
+        if self._next_end < math.inf and self._clock() >= self._next_end:
+            with self._lock:
+                self._update(self._clock())
+        return self._values
+
+    def _update(self, now: float) -> None:
+        self._active = {name: active for name, active in self._active.items() if active.ends > now}
+        self._values = {name: active.value for name, active in self._active.items()}
+        self._next_end = min((active.ends for active in self._active.values()), default=math.inf)
 
     def is_on(self, name: str) -> bool:
         """Returns whether a fault is on."""
@@ -101,7 +109,8 @@ class Faults:
 
     def value(self, name: str) -> float | None:
         """Returns the number of a fault that is on, 1.0 for a fault without one; None for a fault that is off."""
-        find(self._known.values(), name)
+        if name not in self._known:
+            find(self._known.values(), name)  # refuses it
         return self.active().get(name)
 
     def changes(self) -> dict[str, float | None]:

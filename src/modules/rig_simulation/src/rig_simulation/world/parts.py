@@ -33,7 +33,7 @@ class ArmJoints(Part):
         self._timestep = world.timestep
         self._stiffness, self._damping = np.array(ARM_STIFFNESS), np.array(ARM_DAMPING)
         self._q = self._v = self._v_next = np.zeros(7)
-        self._torque = np.zeros(7)
+        self._torque, self._spring = np.zeros(7), np.zeros(7)  # measured; of the springs at the present angles
         self._observer_gain = self._timestep / (OBSERVER_TIME_S + self._timestep)
         world.add(self)
 
@@ -47,8 +47,13 @@ class ArmJoints(Part):
         self._v_next = v
         self._world.step()
         self._q, self._v = q, v
-        torque = -self._spring() - self._damping * (v - self._joint_v)
-        self._torque = self._torque + self._observer_gain * (torque - self._torque)
+        self._update_spring()
+        torque = v - self._joint_v
+        torque *= self._damping
+        torque += self._spring
+        torque += self._torque
+        torque *= self._observer_gain
+        self._torque = self._torque - torque
         return self._torque
 
     def bind(self, world: World) -> None:
@@ -56,22 +61,31 @@ class ArmJoints(Part):
         model, data = world.model, world.data
         joints = [model.joint(name) for name in JOINTS]
         qpos, dofs = (_run([j.qposadr[0] for j in joints]), _run([j.dofadr[0] for j in joints]))
-        self._strongest = model.jnt_actfrcrange[[joint.id for joint in joints], 1]
+        self._weakest, self._strongest = model.jnt_actfrcrange[[joint.id for joint in joints]].T.copy()
         # Views of the state, to read and write it.
         self._joint_q, self._joint_v = data.qpos[qpos], data.qvel[dofs]
         self._bias, self._applied = data.qfrc_bias[dofs], data.qfrc_applied[dofs]
         self._all_a, self._all_efforts = np.zeros(model.nv), np.zeros(model.nv)
         self._a, self._efforts = self._all_a[dofs], self._all_efforts[dofs]
+        self._update_spring()
 
     def before_step(self) -> None:
         """Writes the efforts of the drives; the damping acts in the physics, at the speed after the step."""
-        self._a[:] = (self._v_next - self._v) / self._timestep
+        applied = self._applied
+        np.subtract(self._v_next, self._v, out=self._a)
+        np.divide(self._a, self._timestep, out=self._a)
         mujoco.mj_mulM(self._world.model, self._world.data, self._all_efforts, self._all_a)
-        self._applied[:] = self._efforts + self._bias + self._spring() + self._damping * self._v_next
+        np.multiply(self._damping, self._v_next, out=applied)
+        np.add(applied, self._efforts, out=applied)
+        np.add(applied, self._bias, out=applied)
+        np.add(applied, self._spring, out=applied)
 
-    def _spring(self) -> np.ndarray:
-        torque = self._stiffness * (self._q - self._joint_q)
-        return np.minimum(np.maximum(torque, -self._strongest), self._strongest)
+    def _update_spring(self) -> None:
+        spring = self._spring
+        np.subtract(self._q, self._joint_q, out=spring)
+        np.multiply(spring, self._stiffness, out=spring)
+        np.minimum(spring, self._strongest, out=spring)
+        np.maximum(spring, self._weakest, out=spring)
 
 
 def _run(addresses: list[int]) -> slice:
@@ -85,11 +99,12 @@ COUNTS_PER_N = 25.0  # in the middle of a taxel. An assumption: the vendor count
 TAXEL_REACH_M = 0.005  # standard deviation of the sensitivity beside a taxel; it falls to one half at 5.9 mm
 _TIP_TILT_RAD = np.radians(30.0)
 _TAXEL_POSITIONS = {
-    "proximal": [(x, 0.0, 0.0154) for x in (0.0189, 0.0268, 0.0347, 0.0426, 0.0506)],
-    "distal": [(0.0114, 0.0, 0.0129), (0.0193, 0.0, 0.0129), (0.0272, 0.0, 0.0129), (0.0375, 0.0, 0.0073)],
+    "proximal": np.array([(x, 0.0, 0.0154) for x in (0.0189, 0.0268, 0.0347, 0.0426, 0.0506)]),
+    "distal": np.array([(0.0114, 0.0, 0.0129), (0.0193, 0.0, 0.0129), (0.0272, 0.0, 0.0129), (0.0375, 0.0, 0.0073)]),
 }
 _UP = (0.0, 0.0, 1.0)
-_TAXEL_NORMALS = {"proximal": [_UP] * 5, "distal": [_UP] * 3 + [(np.sin(_TIP_TILT_RAD), 0.0, np.cos(_TIP_TILT_RAD))]}
+_TIP_NORMAL = (np.sin(_TIP_TILT_RAD), 0.0, np.cos(_TIP_TILT_RAD))
+_TAXEL_NORMALS = {"proximal": np.array([_UP] * 5), "distal": np.array([_UP] * 3 + [_TIP_NORMAL])}
 
 
 class PhysicalMechanics(Mechanics):
@@ -100,6 +115,8 @@ class PhysicalMechanics(Mechanics):
         self._model, self._data = model, data
         self._tendons = [model.actuator(tendon_name(finger + 1)).id for finger in range(FINGERS)]
         self._swivels = [model.actuator(f"reflex/preshape_{finger}").id for finger in (1, 2)]
+        self._controls, self._forces = data.ctrl[_run(self._tendons + self._swivels)], data.actuator_force
+        self._pulled: tuple[float, ...] = ()
         self._joints = {
             part: [model.joint(f"reflex/{part}_joint_{finger + 1}").id for finger in range(FINGERS)] for part in PARTS
         }
@@ -110,16 +127,17 @@ class PhysicalMechanics(Mechanics):
 
     def pull(self, spools: Sequence[float] | np.ndarray) -> None:
         """Sets the spool angles of tendons and swivels for the next step."""
-        self._data.ctrl[self._tendons] = spools[:FINGERS]
-        self._data.ctrl[self._swivels] = spools[FINGERS], -spools[FINGERS]
+        pulled = (*spools, -spools[FINGERS])
+        if pulled != self._pulled:
+            self._controls[:] = self._pulled = pulled
 
     def resistance(self, motor: int) -> float:
         """Returns the effort of a motor [0.1 %], from the tension of its tendon or the torques of both swivels."""
-        torques = self._data.actuator_force
+        torque = self._forces.item
         if motor < FINGERS:
-            return float(torques[self._tendons[motor]]) / FINGER_RATIO * EFFORT_PER_NM
+            return torque(self._tendons[motor]) / FINGER_RATIO * EFFORT_PER_NM
         first, second = self._swivels
-        return float(torques[first] - torques[second]) / SWIVEL_RATIO * EFFORT_PER_NM
+        return (torque(first) - torque(second)) / SWIVEL_RATIO * EFFORT_PER_NM
 
     def proximal(self, finger: int) -> float:
         """Returns the turn of a knuckle."""
@@ -133,12 +151,12 @@ class PhysicalMechanics(Mechanics):
         """Returns the pressure on the nine taxels of a finger [counts]."""
         pads = self._pads[finger]
         counts = np.zeros(TAXELS)
-        for i, geoms in enumerate(self._data.contact.geom):
-            for side, sign in ((0, 1.0), (1, -1.0)):
-                part = pads.get(int(geoms[side]))
+        for i, geoms in enumerate(self._data.contact.geom.tolist()):
+            for geom, sign in zip(geoms, (1.0, -1.0)):
+                part = pads.get(geom)
                 if part is not None:
                     first = 0 if part == "proximal" else len(_TAXEL_POSITIONS["proximal"])
-                    pressure = self._pressure(i, int(geoms[side]), part, sign)
+                    pressure = self._pressure(i, geom, part, sign)
                     counts[first : first + len(pressure)] += pressure
         return counts.tolist()
 
@@ -160,8 +178,8 @@ class PhysicalMechanics(Mechanics):
         R, p = self._data.xmat[body].reshape(3, 3), self._data.xpos[body]
         # The contact's normal points from the first geom to the second, away from the pad if that is the first.
         outward = R.T @ found.frame[:3] * sign
-        offset = R.T @ (found.pos - p) - np.array(_TAXEL_POSITIONS[part])
-        normals = np.array(_TAXEL_NORMALS[part])
+        offset = R.T @ (found.pos - p) - _TAXEL_POSITIONS[part]
+        normals = _TAXEL_NORMALS[part]
         beside = np.linalg.norm(offset - np.sum(offset * normals, axis=1, keepdims=True) * normals, axis=1)
         pressing = wrench[0] * np.maximum(0.0, normals @ outward)
         return COUNTS_PER_N * pressing * np.exp(-0.5 * (beside / TAXEL_REACH_M) ** 2)

@@ -87,7 +87,8 @@ class World:
         for part in self._parts:
             part.before_step()
         mujoco.mj_step2(self.model, self.data)
-        if self.data.warning.number[DIVERGED].any():
+        q_bad, v_bad, a_bad = self._diverged
+        if q_bad.number or v_bad.number or a_bad.number:
             raise DeviceError(f"The physics diverged after {self.time:.3f} s. Reset it; check the masses in the scene.")
         self.steps += 1
         for part in self._parts:
@@ -143,6 +144,7 @@ class World:
         self.data: mujoco.MjData = self._placed(model, scene, self.data if self.loads else None)
         self.model, self.description, self._scene = model, description, scene
         self._geom_bodies = _geom_bodies(model)
+        self._diverged = [self.data.warning[number] for number in DIVERGED]
         self.loads += 1
 
     def _placed(self, model: mujoco.MjModel, scene: WorldScene, before: mujoco.MjData | None) -> mujoco.MjData:

@@ -91,6 +91,8 @@ class SimulatedHand:
         for i in range(4):
             slack = self._rng.uniform(LEAST_SLACK_RAD, MOST_SLACK_RAD) if i != _PRESHAPE else 0.0
             self.servos.append(DynamixelServo(self._shaft(i, -slack)))
+        stops = [(LOOSEST_SPOOL_RAD, MAX_SPOOL_RAD)] * FINGERS + [PRESHAPE_STOPS_RAD]
+        self._stops = [sorted(self._shaft(i, stop) for stop in pair) for i, pair in enumerate(stops)]  # [ticks]
         self._forced_loads: list[float | None] = [None] * 4
         self._target_mode = POSITION
         self.modes = [IDLE] * 4
@@ -102,11 +104,10 @@ class SimulatedHand:
         """Advances by `dt` [s]."""
         self._clock += dt
         for i, servo in enumerate(self.servos):
-            stops = PRESHAPE_STOPS_RAD if i == _PRESHAPE else (LOOSEST_SPOOL_RAD, MAX_SPOOL_RAD)
-            low, high = sorted(self._shaft(i, stop) for stop in stops)
             resistance = self._mechanics.resistance(i)
-            if i != _PRESHAPE:
+            if i != _PRESHAPE and self._fingers[i].obstacle is not None:
                 resistance += self._fingers[i].resistance(self.angle(i))
+            low, high = self._stops[i]
             servo.step(dt, low, high, _CLOSING[i] * resistance)
         self._mechanics.pull([self.angle(i) for i in range(4)])
 

@@ -73,13 +73,15 @@ class DynamixelServo:
             self.velocity, self.effort = 0.0, 0.0
             return
         wanted = self.goal - self._reported_minus_shaft
-        opposing = math.copysign(1.0, wanted - before) * resistance
-        speed = NO_LOAD_SPEED_RAD_S * max(0.0, min(1.0, 1.0 - opposing / MAX_EFFORT))
-        if self.speed_setting & _SPEED_MASK:
-            speed = min(speed, (self.speed_setting & _SPEED_MASK) * SPEED_UNIT_RAD_S)
-        reach = speed / TICK_RAD * dt
-        moved = before + max(-reach, min(reach, wanted - before))
-        self.shaft = max(low, min(high, moved))
+        way = wanted - before
+        if way:
+            opposing = math.copysign(1.0, way) * resistance
+            speed = NO_LOAD_SPEED_RAD_S * max(0.0, min(1.0, 1.0 - opposing / MAX_EFFORT))
+            if self.speed_setting & _SPEED_MASK:
+                speed = min(speed, (self.speed_setting & _SPEED_MASK) * SPEED_UNIT_RAD_S)
+            reach = speed / TICK_RAD * dt
+            way = max(-reach, min(reach, way))
+        self.shaft = max(low, min(high, before + way))
         self.velocity = (self.shaft - before) * TICK_RAD / dt
         self.effort = resistance + math.copysign(FRICTION, self.velocity) * (self.velocity != 0)
         if self.shaft in (low, high):

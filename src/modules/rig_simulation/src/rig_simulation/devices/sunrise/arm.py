@@ -58,7 +58,8 @@ class SimulatedArm:
         self.settings = settings
         self._environment = environment
         self.time: float | None = None  # up to which the arm has moved [s]
-        self.q, self.v, self.a = np.zeros(7), np.zeros(7), np.zeros(7)  # joint angles [rad], speeds, accelerations
+        self.q, self.v = np.zeros(7), np.zeros(7)  # joint angles [rad] and speeds; replaced, never changed
+        self._v_before, self._last_dt = self.v, CYCLE_S
         self.T_flange_tool = np.eye(4)  # the attached tool
         self.goal, self.goal_speed, self._last_goal_speed = np.zeros(7), np.zeros(7), np.zeros(7)
         self.safety_stop: str | None = None  # cause of the active safety stop
@@ -77,6 +78,7 @@ class SimulatedArm:
         self._backing_off = False
         self._back_drives = Drives(np.full(7, BACK_OFF_SPEED_RAD_S), self.acceleration, settings.trajectory_time)
         self._steps = 0
+        self._checked_goal: np.ndarray | None = None  # the last goal within the joint range
 
     def advance(self, now: float) -> None:
         """Moves the arm up to the time `now` [s]; after a longer delay it skips all but `MAX_CATCH_UP_S`, or
@@ -102,7 +104,7 @@ class SimulatedArm:
             self._step_servo(*self._servo, dt)
         else:
             self._move(self._drives.brake(self.v, dt), dt)
-        self.a = (self.v - v_before) / dt
+        self._v_before, self._last_dt = v_before, dt
         if self.time is not None:
             self.time += dt
         if self._environment is not None:
@@ -226,7 +228,8 @@ class SimulatedArm:
     @property
     def measured_torques(self) -> np.ndarray:
         """Torques of the drives: those of gravity and motion minus the external ones, shape (7,) [Nm]."""
-        return self.robot.torques(self.q, self.v, self.a) - self.external_torques
+        a = (self.v - self._v_before) / self._last_dt
+        return self.robot.torques(self.q, self.v, a) - self.external_torques
 
     @property
     def _touch_wrench(self) -> np.ndarray:
@@ -262,17 +265,20 @@ class SimulatedArm:
             self._move(self._drives.brake(self.v, dt), dt)
 
     def _still_backing_off(self, path_left: bool) -> bool:
-        free = np.max(np.abs(self.external_torques)) <= FREE_FRACTION * self.settings.torque_limit
-        self._backing_off = self._backing_off and path_left and not free
+        if self._backing_off:
+            free = np.max(np.abs(self.external_torques)) <= FREE_FRACTION * self.settings.torque_limit
+            self._backing_off = path_left and not free
         return self._backing_off
 
     def _step_servo(self, law: Law, drives: Drives, integrates: bool, dt: float) -> None:
         if integrates:
             self.goal = self.goal + dt * 0.5 * (self.goal_speed + self._last_goal_speed)
             self._last_goal_speed = self.goal_speed
-        if not self.robot.within_range(self.goal):
-            self._servo = None
-            return
+        if self.goal is not self._checked_goal:
+            if not self.robot.within_range(self.goal):
+                self._servo = None
+                return
+            self._checked_goal = self.goal
         self._move(drives.towards(law(self.goal - self.q), self.v, dt), dt)
 
     def _move(self, v: np.ndarray, dt: float) -> None:
@@ -284,7 +290,7 @@ class SimulatedArm:
         self.max_tool_speed = max(self.max_tool_speed, self.tool_speed)
         if self.safety_stop is not None:
             return
-        if not self._trail or np.max(np.abs(self._trail[-1] - self.q)) > TRAIL_STEP_RAD:
+        if not self._trail or max(map(abs, (self._trail[-1] - self.q).tolist())) > TRAIL_STEP_RAD:
             self._trail.append(self.q)
         cause = self._torque_fault()
         if not cause and self.tool_speed > self.settings.speed_limit:
@@ -294,8 +300,9 @@ class SimulatedArm:
             self.stops += 1
 
     def _torque_fault(self) -> str | None:
-        torque, limit = np.abs(self.external_torques), self.settings.torque_limit
-        joint = int(np.argmax(torque))
+        limit = self.settings.torque_limit
+        torque = list(map(abs, self.external_torques.tolist()))
+        joint = torque.index(max(torque))
         if not torque[joint] > limit:
             return None
         return f"The external torque of joint {joint + 1} is {torque[joint]:.1f} Nm (limit {limit:g})."

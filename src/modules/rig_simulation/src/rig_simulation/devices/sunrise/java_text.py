@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable
 from decimal import Decimal
 
+import numpy as np
+
 _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?[dDfF]?", re.ASCII)
 _HEXADECIMAL = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)[pP][+-]?\d+[dDfF]?", re.ASCII)
 _SPECIAL = re.compile(r"[+-]?(NaN|Infinity)")
@@ -18,27 +20,24 @@ _BLANKS = "".join(map(chr, range(0x21)))
 def text(value: float) -> str:
     """Returns the shortest text for the double `value`, such as 0.1, -0.0, 5.0E-5, 1.0E7, NaN."""
     value = float(value)
+    if 1e-3 <= abs(value) < 1e7 or value == 0.0:
+        return repr(value)  # Python's shortest text is the same in this range
     if math.isnan(value):
         return "NaN"
     sign = "-" if math.copysign(1.0, value) < 0.0 else ""
     if math.isinf(value):
         return f"{sign}Infinity"
-    if value == 0.0:
-        return f"{sign}0.0"
     _, digit_tuple, exponent = Decimal(repr(abs(value))).as_tuple()
     assert isinstance(exponent, int)  # a letter would mean a value that is not finite
     digits = "".join(map(str, digit_tuple)).rstrip("0")
     point = len(digit_tuple) + exponent
-    if -3 < point <= 7:
-        whole = digits[:point].ljust(point, "0") if point > 0 else "0"
-        fraction = "0" * -point + digits[max(point, 0) :]
-        return f"{sign}{whole}.{fraction or '0'}"
     return f"{sign}{digits[0]}.{digits[1:] or '0'}E{point - 1}"
 
 
 def vector(values: Iterable[float]) -> str:
     """Returns the server's text of several numbers: each followed by `_`."""
-    return "".join(f"{text(v)}_" for v in values)
+    listed = values.tolist() if isinstance(values, np.ndarray) else values
+    return "".join([f"{text(v)}_" for v in listed])
 
 
 def number(source: str) -> float:
@@ -46,6 +45,8 @@ def number(source: str) -> float:
     `1,5` and the empty text.
     """
     stripped = source.strip(_BLANKS)
+    if _DECIMAL.fullmatch(stripped):
+        return float(stripped.rstrip("dDfF"))
     if _SPECIAL.fullmatch(stripped):
         return float(stripped)
     if _HEXADECIMAL.fullmatch(stripped):
@@ -53,9 +54,7 @@ def number(source: str) -> float:
             return float.fromhex(stripped.rstrip("dDfF"))
         except OverflowError:
             return -math.inf if stripped.startswith("-") else math.inf
-    if not _DECIMAL.fullmatch(stripped):
-        raise ValueError(f"{source!r} is not a number")
-    return float(stripped.rstrip("dDfF"))
+    raise ValueError(f"{source!r} is not a number")
 
 
 class JavaLineSplitter:

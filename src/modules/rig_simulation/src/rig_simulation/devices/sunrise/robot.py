@@ -9,6 +9,7 @@ acceleration limits. So it approaches a step in the goal from one side, without 
 
 from __future__ import annotations
 
+import math
 from typing import Callable, Sequence
 
 import numpy as np
@@ -61,10 +62,12 @@ class Robot:
 
     def tool_speed(self, q: np.ndarray, v: np.ndarray, T_flange_tool: np.ndarray) -> float:
         """Returns the speed of the tool point [m/s] at the joint angles q [rad] and speeds v [rad/s], shape (7,)."""
+        if not v.any():
+            return 0.0
         pin.forwardKinematics(self._model, self._data, q, v)
-        motion = self._data.v[self._last_joint]
-        point = self._flange_in_joint.act(T_flange_tool[:3, 3])
-        return float(np.linalg.norm(pin.SE3(np.eye(3), point).actInv(motion).linear))
+        vx, vy, vz, wx, wy, wz = self._data.v[self._last_joint].vector.tolist()
+        x, y, z = self._flange_in_joint.act(T_flange_tool[:3, 3]).tolist()
+        return math.sqrt((vx + wy * z - wz * y) ** 2 + (vy + wz * x - wx * z) ** 2 + (vz + wx * y - wy * x) ** 2)
 
     def jacobian(self, q: np.ndarray, T_flange_tool: np.ndarray) -> np.ndarray:
         """Returns the geometric Jacobian at the tool point, in the tool's axes, shape (6, 7); rows 0-2 linear."""
@@ -115,8 +118,12 @@ Law = Callable[[np.ndarray], np.ndarray]
 
 def lts_law(error: np.ndarray) -> np.ndarray:
     """Returns f(e) = sign(e) a (1 - exp(-(e/b)^2)) [rad], the law of the published server (builds 1.5 to LTS)."""
-    scaled = error / LTS_WIDTH_RAD
-    return np.copysign(LTS_REACH_RAD * -np.expm1(-scaled * scaled), error)
+    scaled = error * (1.0 / LTS_WIDTH_RAD)
+    scaled *= scaled
+    np.negative(scaled, out=scaled)
+    np.expm1(scaled, out=scaled)
+    scaled *= LTS_REACH_RAD
+    return np.copysign(scaled, error, out=scaled)
 
 
 def plain_law(error: np.ndarray) -> np.ndarray:
@@ -136,19 +143,29 @@ class Drives:
         self._speed = speed
         self._acceleration = acceleration
         self._lag = 2.0 / 3.0 * trajectory_time
-        self._braking = BRAKING_FRACTION * acceleration
-        self._linear_range = self._braking * self._lag**2
+        self._double_braking = 2.0 * BRAKING_FRACTION * acceleration
+        self._linear_range = 0.5 * self._double_braking * self._lag**2
+        self._half_range = 0.5 * self._linear_range
 
     def towards(self, distance: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Returns the speed, shape (7,) [rad/s], after a step of dt [s] towards a destination at `distance` from the
         measured joints, shape (7,) [rad]; `v`: present speed, shape (7,) [rad/s].
         """
         path = np.abs(distance)
-        far = np.maximum(path, self._linear_range)
-        wanted = np.minimum(path / self._lag, np.sqrt(2.0 * self._braking * (far - 0.5 * self._linear_range)))
-        wanted = np.copysign(np.minimum(wanted, self._speed), distance)
-        change = self._acceleration * dt
-        return v + np.minimum(np.maximum(wanted - v, -change), change)
+        braking = np.maximum(path, self._linear_range)
+        braking -= self._half_range
+        braking *= self._double_braking
+        np.sqrt(braking, out=braking)
+        path /= self._lag
+        np.minimum(path, braking, out=path)
+        np.minimum(path, self._speed, out=path)
+        change = np.copysign(path, distance, out=path)
+        change -= v
+        most = self._acceleration * dt
+        np.minimum(change, most, out=change)
+        np.maximum(change, -most, out=change)
+        change += v
+        return change
 
     def brake(self, v: np.ndarray, dt: float) -> np.ndarray:
         """Returns the speed, shape (7,) [rad/s], after a step of dt [s] of braking."""

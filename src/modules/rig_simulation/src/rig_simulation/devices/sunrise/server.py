@@ -23,10 +23,11 @@ from rig_simulation.devices.sunrise.java_text import JavaLineSplitter
 from rig_simulation.faults.arm import ARM_FAULTS, ArmAnswers, Encoders
 from rig_simulation.faults.injection import Faults
 
-MOVING_TICK_S = 0.002
+MOVING_TICK_S = 0.004
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
-AT_ONCE_S = 0.02  # longest time that the arm catches up before the server looks after its client again
+AT_ONCE_S = 0.005  # longest lag that the arm makes up before an answer
+PIECE_S = 0.002  # of a longer lag it makes up this much before the server looks after its client again
 LONGEST_LAG_S = 0.2  # a lag beyond this is dropped: the arm moves in slow motion, but the server answers
 MOTION = "doPTP"
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
@@ -60,7 +61,7 @@ class SunriseServer:
         control_port: int,
         log: Callable[[str], None] = lambda _: None,  # takes one sentence about each change of state
         clock: Callable[[], float] = time.monotonic,  # the arm's time [s]; may run faster, slower or in steps
-        at_once: float = AT_ONCE_S,  # longest advance in one go [s]; infinite for a clock that waits for the arm
+        at_once: float = AT_ONCE_S,  # longest lag made up in one go [s]; infinite for a clock that waits for the arm
     ) -> None:
         self._arm, self._settings, self._log = arm, settings, log
         self._clock, self._at_once = clock, at_once
@@ -191,7 +192,7 @@ class SunriseServer:
             self._arm.attach(np.eye(4))
             self._answers.put("done\nnak\n", now)
         else:
-            self._answers.put(self._application.receive(line, self._next_time()), now)
+            self._answers.put(self._application.receive(line, self._next_time(0.0)), now)
 
     def _send(self) -> None:
         for piece in self._answers.take(time.monotonic()):
@@ -290,19 +291,18 @@ class SunriseServer:
         self._arm.back_off()
         self._log("the arm backs off")
 
-    def _next_time(self) -> float:
-        """Returns the time to advance to: the clock's, or `at_once` further where the arm lags more."""
+    def _next_time(self, piece: float) -> float:
+        """Returns the time to advance to: the clock's, or only `piece` [s] further where the arm lags more."""
         now, arm = self._clock(), self._arm
         if arm.time is None or arm.asleep or math.isinf(self._at_once):
             self._behind = False
             return now
         arm.time = max(arm.time, now - LONGEST_LAG_S)
-        reached = min(now, arm.time + self._at_once)
-        self._behind = reached < now
-        return reached
+        self._behind = now - arm.time > self._at_once
+        return arm.time + piece if self._behind else now
 
     def _advance(self) -> None:
-        self._answers.put(self._application.advance(self._next_time()), time.monotonic())
+        self._answers.put(self._application.advance(self._next_time(PIECE_S)), time.monotonic())
 
 
 def _numbers(value: Any, count: int) -> np.ndarray:
