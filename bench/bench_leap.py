@@ -19,9 +19,10 @@ from leap_hand.config import HandConfig
 from leap_kuka import teleop as arm_teleop
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_motion.codec import read_message
+from leap_motion.frames import LeapFrame, TrackingFrame
 from leap_motion.msg import Human
-from leap_motion.ros.human import human_from_frame
-from leap_motion.ros.tracking import frame_from_human
+from leap_motion.ros.human import FrameMessage
+from leap_motion.ros.tracking import ReceivedHuman, ReceivedPalms
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import Playback, ScriptedOperator
 
@@ -45,18 +46,16 @@ def rows(quick: bool) -> list[Row]:
     table.append(row("leap codec, simulated frames", times, "us", f"{_size(texts)}, one hand"))
 
     stamps = [rospy.Time.from_sec(CLOCK_S + i * PERIOD_S) for i in range(count)]
-    times, humans = timed(human_from_frame, zip(frames, stamps))
-    table.append(row("Human: from the frame", times, "us", "one hand, five fingers"))
-    times, packed = timed(_serialised, [(human,) for human in humans])
-    table.append(row("Human: serialised", times, "us", f"{len(packed[-1])} bytes"))
-    times, humans = timed(lambda data: Human().deserialize(data), [(data,) for data in packed])
-    table.append(row("Human: deserialised", times, "us", "once in each node that listens"))
+    times, packed = timed(_serialised, zip(frames, stamps))
+    table.append(row("Human: from the frame to bytes", times, "us", f"{len(packed[-1])} bytes; one hand, five fingers"))
+    times, _ = timed(lambda data: Human().deserialize(data), [(data,) for data in packed])
+    table.append(row("Human: read by genpy", times, "us", "once in each other node that listens"))
 
     arm, hand = _arm_teleop(), hand_teleop.HandTeleop(_config(HandConfig, "leap_hand", "leap_hand", "leap_hand"), True)
-    times, results = timed(lambda h, s: arm.step(frame_from_human(h, s), s.to_sec()), zip(humans, stamps))
+    times, results = timed(lambda d, s: arm.step(_frame(ReceivedPalms, d, s), s.to_sec()), zip(packed, stamps))
     running = sum(result.state == arm_teleop.StreamState.RUNNING for result in results)
     table.append(row("leap_kuka: Human to desired tool", times, "us", f"the stream runs in {running} of them"))
-    times, results = timed(lambda h, s: hand.step(frame_from_human(h, s), s.to_sec()), zip(humans, stamps))
+    times, results = timed(lambda d, s: hand.step(_frame(ReceivedHuman, d, s), s.to_sec()), zip(packed, stamps))
     following = sum(result is not None and result.state == hand_teleop.GripperState.FOLLOWING for result in results)
     table.append(row("leap_hand: Human to command", times, "us", f"a hand is followed in {following} of them"))
     return table
@@ -83,10 +82,14 @@ def _size(texts: list[str]) -> str:
     return f"{np.median([len(text) for text in texts]) / 1e3:.1f} kB in the median"
 
 
-def _serialised(human: Human) -> bytes:
+def _serialised(frame: LeapFrame, stamp: rospy.Time) -> bytes:
     buffer = io.BytesIO()
-    human.serialize(buffer)
+    FrameMessage(frame, stamp).serialize(buffer)
     return buffer.getvalue()
+
+
+def _frame(kind: type[ReceivedHuman], data: bytes, now: rospy.Time) -> TrackingFrame:
+    return kind().deserialize(data).frame(now)
 
 
 def _arm_teleop() -> arm_teleop.ArmTeleop:

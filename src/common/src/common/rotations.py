@@ -12,6 +12,19 @@ from numpy.typing import ArrayLike
 
 UNIT_TOLERANCE = 1e-3  # the norm of a quaternion or axis may be this far from 1 to be normalised instead of refused
 
+_PRODUCTS = np.array([
+    [1, 0, 0, 0, -1, 0, 0, 0, -1], [0, 1, 0, 1, 0, 0, 0, 0, 0],
+    [0, 0, 1, 0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, -1, 0, 1, 0],
+    [0, 1, 0, 1, 0, 0, 0, 0, 0], [-1, 0, 0, 0, 1, 0, 0, 0, -1],
+    [0, 0, 0, 0, 0, 1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0],
+    [0, 0, 1, 0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, 1, 0, 1, 0],
+    [-1, 0, 0, 0, -1, 0, 0, 0, 1], [0, -1, 0, 1, 0, 0, 0, 0, 0],
+    [0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0],
+    [0, -1, 0, 1, 0, 0, 0, 0, 0], [1, 0, 0, 0, 1, 0, 0, 0, 1],
+], dtype=float).T  # fmt: skip
+_ONES = np.eye(4).ravel()
+"""R, row by row, times _PRODUCTS, plus _ONES, is 4 q q' of the quaternion q = x, y, z, w of the rotation R."""
+
 
 def unit(vector: ArrayLike) -> np.ndarray:
     """Returns vector / |vector|, shape (n,); raises ValueError if the vector is zero or not finite."""
@@ -49,6 +62,14 @@ def quaternion_from_rotation(R: ArrayLike) -> np.ndarray:
     """Returns the quaternion x, y, z, w with w >= 0, shape (4,), of the rotation R, shape (3, 3)."""
     q = pin.Quaternion(np.asarray(R, dtype=float)).normalized().coeffs()
     return -q if q[3] < 0.0 else np.array(q)
+
+
+def quaternions_from_rotations(R: np.ndarray) -> np.ndarray:
+    """Returns the quaternions x, y, z, w with w >= 0, shape (n, 4), of n rotations, shape (n, 3, 3), all at once."""
+    products = R.reshape(-1, 9) @ _PRODUCTS + _ONES
+    row = np.where(products[:, 15] > 1.0, 3, np.argmax(products[:, :15:5], axis=1))
+    q = products.reshape(-1, 4, 4)[np.arange(len(row)), row]
+    return q / (np.sqrt((q * q).sum(axis=1)) * np.where(q[:, 3] < 0.0, -1.0, 1.0))[:, None]
 
 
 def rotation_from_quaternion(q: ArrayLike) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from common.rotations import quaternion_from_rotation
 from leap_motion.codec import read_message
 
 pytestmark = pytest.mark.ros
@@ -18,6 +19,10 @@ PITCHED_AND_TURNED = [[0.9397, 0, 0.3420], [-0.1710, 0.8660, 0.4698], [-0.2962, 
 
 def frame(basis, side="right"):
     """A frame with one hand, whose fingers' bones and arm all have this basis on the wire."""
+    return read_message(json.dumps(wire_frame(basis, side)))
+
+
+def wire_frame(basis, side="right"):
     hand = {
         "id": 7,
         "type": side,
@@ -48,18 +53,74 @@ def frame(basis, side="right"):
         }
         for kind in range(5)
     ]
-    return read_message(
-        json.dumps(
-            {"id": 2**40 + 5, "timestamp": 12, "currentFrameRate": 115.5, "hands": [hand], "pointables": fingers}
-        )
-    )
+    return {"id": 2**40 + 5, "timestamp": 12, "currentFrameRate": 115.5, "hands": [hand], "pointables": fingers}
 
 
 def convert(got, orientation="compatible"):
-    rospy = pytest.importorskip("rospy")
-    from leap_motion.ros.human import human_from_frame
+    from leap_motion.msg import Human
 
-    return human_from_frame(got, rospy.Time(12, 34), orientation)
+    return Human().deserialize(packed(got, orientation))
+
+
+def packed(got, orientation="compatible", seq=0):
+    """The bytes of the message as rospy sends them as its message `seq`."""
+    rospy = pytest.importorskip("rospy")
+    from leap_motion.ros.human import FrameMessage
+
+    message, buffer = FrameMessage(got, rospy.Time(12, 34), orientation), io.BytesIO()
+    rospy.msg.serialize_message(buffer, seq, message)
+    return buffer.getvalue()[4:]
+
+
+def plain(got, orientation="compatible", seq=0):
+    """The same message filled field by field with genpy's classes."""
+    import rospy
+    from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+    from std_msgs.msg import Header
+
+    from leap_motion.msg import Arm, Bone, Finger, Hand, Human
+
+    compatible = orientation == "compatible"
+    header = Header(seq, rospy.Time(12, 34), "leap_hands")
+
+    def int32(number):
+        return int(np.int64(number & 0xFFFFFFFF).astype(np.int32))
+
+    def ends(bone):
+        q = quaternion_from_rotation(bone.rotation.T if compatible else bone.rotation)
+        return (Pose(Point(*end), Quaternion(*q)) for end in (bone.start, bone.end))
+
+    def bone_message(bone, number, width):
+        return Bone(header, number, bone.length, width, "", *ends(bone), bone.center)
+
+    def finger_message(f):
+        bones = [bone_message(bone, i, f.width) for i, bone in enumerate(f.bones)]
+        return Finger(header, int32(f.id), f.type, f.length, f.width, "", bones)
+
+    def arm_message(arm):
+        if arm is None:
+            return Arm(center=[0.0, 0.0, 0.0])
+        direction = arm.center if compatible else -arm.rotation[:, 2]
+        return Arm(Header(0, header.stamp, ""), *ends(arm), arm.center, Vector3(*direction))
+
+    def hand_message(hand):
+        if hand is None:
+            return Hand()
+        return Hand(
+            header=header, lmc_hand_id=int32(hand.id), is_present=True, time_visible=hand.time_visible,
+            confidence=hand.confidence, roll=hand.roll, pitch=hand.pitch, yaw=hand.yaw,
+            direction=Vector3(*hand.direction), normal=Vector3(*hand.normal), grab_strength=hand.grab,
+            pinch_strength=hand.pinch, palm_velocity=hand.velocity, palm_center=Point(*hand.palm),
+            palm_width=hand.palm_width, sphere_radius=hand.sphere_radius, sphere_center=hand.sphere_center,
+            finger_list=[finger_message(finger) for finger in hand.fingers], arm=arm_message(hand.arm),
+        )  # fmt: skip
+
+    return Human(
+        header=header, lmc_frame_id=int32(got.id), nr_of_hands=len(got.hands), nr_of_fingers=got.finger_count,
+        nr_of_gestures=got.gestures, current_frames_per_second=got.rate,
+        to_string=f"frame {got.id}, device time {got.timestamp_us} us",
+        right_hand=hand_message(got.hand("right")), left_hand=hand_message(got.hand("left")),
+    )  # fmt: skip
 
 
 def quaternion(pose):
@@ -105,7 +166,7 @@ def test_fields():
 def test_an_absent_hand_is_the_default_message():
     from leap_motion.msg import Hand
 
-    assert convert(frame(PITCHED)).left_hand == Hand()
+    assert serialised(convert(frame(PITCHED)).left_hand) == serialised(Hand())
 
 
 def test_direction_of_the_arm():
@@ -115,15 +176,135 @@ def test_direction_of_the_arm():
     assert_allclose([direction.x, direction.y, direction.z], [0, 0, -1])
 
 
-def test_recorded_hands_can_be_sent(shared_data):
+def serialised(message):
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
+
+
+def without_quaternions(human):
+    """The bytes without the orientations, and these."""
+    poses = [
+        pose
+        for hand in (human.right_hand, human.left_hand)
+        for ends in (
+            *((bone.bone_start, bone.bone_end) for finger in hand.finger_list for bone in finger.bone_list),
+            (hand.arm.elbow, hand.arm.wrist),
+        )
+        for pose in ends
+    ]
+    orientations = [quaternion(pose) for pose in poses]
+    for pose in poses:
+        pose.orientation = type(pose.orientation)()
+    return serialised(human), orientations
+
+
+def vary(wire, rng):
+    """Changes what a service may leave out or send otherwise."""
+    for hand in wire["hands"]:
+        if rng.random() < 0.3:
+            hand["id"] += 2**33 + 2**31
+        if "armBasis" in hand and rng.random() < 0.3:
+            del hand["armBasis"]
+        hand.update(grabStrength=rng.random(), timeVisible=1e6 * rng.random(), type=rng.choice(["left", "right"]))
+    wire["id"] += int(rng.integers(2**40))
+    keep = rng.random() < 0.5
+    wire["pointables"] = [p for p in wire["pointables"] if keep or rng.random() < 0.8]
+
+
+@pytest.mark.parametrize("orientation", ["compatible", "correct"])
+def test_the_bytes_are_those_of_the_message_filled_field_by_field(shared_data, orientation):
+    from leap_motion.msg import Human
+
+    rng = np.random.default_rng(5)
+    texts = [json.dumps(wire_frame(PITCHED_AND_TURNED)), '{"id":1,"timestamp":2,"hands":[],"pointables":[]}']
+    for name in ("three-claps", "confidence-74fps"):
+        with gzip.open(shared_data / "leap" / f"{name}.jsonl.gz", "rt") as lines:
+            texts += list(lines)[::10]
+    seen = set()
+    for seq, text in enumerate(texts):
+        wire = json.loads(text)
+        if seq % 2:
+            vary(wire, rng)
+        got = read_message(json.dumps(wire))
+        seen |= {(len(hand.fingers), hand.arm is None) for hand in got.hands} | {len(got.hands)}
+        data = packed(got, orientation, seq)
+        fast, orientations = without_quaternions(Human().deserialize(data))
+        slow, expected = without_quaternions(plain(got, orientation, seq))
+        assert serialised(Human().deserialize(data)) == data
+        assert fast == slow
+        assert_allclose(orientations, expected, atol=1e-12)
+    assert {0, 1, 2, (5, True), (5, False), (3, True)} <= seen
+
+
+def tracked(frame):
+    """The numbers of a tracking frame."""
+    return frame.id, frame.age, [
+        (h.id, h.is_left, h.confidence, *(v.tolist() for v in (h.palm, h.direction, h.normal)),
+         h.fingers and [vars(h.fingers)[name].tolist() for name in sorted(vars(h.fingers))])
+        for h in frame.hands
+    ]  # fmt: skip
+
+
+def test_what_is_read_from_the_bytes_is_what_the_message_says(shared_data):
+    """Also of messages that are laid out otherwise: fewer fingers or bones, texts, other frame ids, odd lists."""
+    import rospy
+
+    from leap_motion.msg import Gesture
+    from leap_motion.ros.tracking import ReceivedHuman, ReceivedPalms
+
+    def drop_bone(hand):
+        del hand.finger_list[1].bone_list[2]
+
+    def swap_bones(hand):
+        hand.finger_list[1].bone_list.reverse()
+
+    changes = {
+        "as it is": lambda hand: None,
+        "a finger is missing": lambda hand: hand.finger_list.pop(),
+        "fingers in another order": lambda hand: hand.finger_list.reverse(),
+        "a bone is missing": drop_bone,
+        "bones in another order": swap_bones,
+        "text of the hand": lambda hand: setattr(hand, "to_string", "hand"),
+        "text of a finger": lambda hand: setattr(hand.finger_list[2], "to_string", "fingers"),
+        "text of a bone": lambda hand: setattr(hand.finger_list[2].bone_list[3], "to_string", "bone"),
+        "frame id of a bone": lambda hand: setattr(hand.finger_list[0].bone_list[3].header, "frame_id", "x"),
+        "frame id of the hand": lambda hand: setattr(hand.header, "frame_id", "leap_hand5"),
+        "no velocity": lambda hand: setattr(hand, "palm_velocity", []),
+        "long center": lambda hand: setattr(hand.finger_list[3].bone_list[0], "center", [1.0] * 4),
+        "a gesture": lambda hand: hand.gesture_list.append(Gesture()),
+        "frame id of the arm": lambda hand: setattr(hand.arm.header, "frame_id", "arm"),
+        "not present": lambda hand: setattr(hand, "is_present", False),
+    }
     with gzip.open(shared_data / "leap" / "three-claps.jsonl.gz", "rt") as lines:
-        frames = [read_message(line) for line in lines]
-    for got in frames[::20]:
-        human = convert(got)
-        buffer = io.BytesIO()
-        human.serialize(buffer)
-        back = type(human)().deserialize(buffer.getvalue())
-        for hand, side in ((back.right_hand, "right"), (back.left_hand, "left")):
-            tip = hand.finger_list[1].bone_list[3].bone_end.position
-            assert_allclose([tip.x, tip.y, tip.z], got.hand(side).fingers[1].bones[3].end)
-            assert_allclose(np.linalg.norm(quaternion(hand.finger_list[0].bone_list[1].bone_start)), 1.0)
+        frames = [read_message(line) for line in list(lines)[::40]]
+    now = rospy.Time(12, 90)
+    for got in (*frames, frame(PITCHED), frame(PITCHED, "left")):
+        for change in changes.values():
+            for side in ("right", "left"):
+                human = plain(got)
+                if got.hand(side):
+                    change(getattr(human, f"{side}_hand"))
+                data = serialised(human)
+                oracle, message, palms = ReceivedHuman(), ReceivedHuman(), ReceivedPalms()
+                oracle._read_any(type(human)().deserialize(data))
+                assert tracked(message.deserialize(data).frame(now)) == tracked(oracle.frame(now))
+                without = [(*hand[:-1], None) for hand in tracked(oracle.frame(now))[2]]
+                for hand, expected in zip(palms.deserialize(data).hands, without):
+                    assert (hand.id, hand.palm.tolist(), hand.confidence) == (expected[0], expected[3], expected[2])
+    with pytest.raises(genpy_error()):
+        ReceivedHuman().deserialize(b"torn")
+
+
+def genpy_error():
+    import genpy
+
+    return genpy.DeserializationError
+
+
+def test_of_the_usual_message_nothing_else_is_read(shared_data, monkeypatch):
+    from leap_motion.ros.tracking import ReceivedHuman
+
+    monkeypatch.setattr(ReceivedHuman, "_read_any", None)
+    for orientation in ("compatible", "correct"):
+        assert len(ReceivedHuman().deserialize(packed(frame(PITCHED), orientation, 9)).hands) == 1

@@ -24,7 +24,7 @@ from leap_kuka.ros.stream_status import StreamStatus
 from leap_kuka.teleop import ArmTeleop, TeleopResult
 from leap_kuka.tool_hold import HoldAnswer
 from leap_motion.frames import TrackingFrame
-from leap_motion.ros.tracking import subscribe
+from leap_motion.ros.tracking import ReceivedPalms, subscribe
 from rig_msgs.msg import KukaStatus
 from rig_msgs.srv import HoldTool, HoldToolRequest
 
@@ -43,7 +43,7 @@ class ArmTeleopNode:
         rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
         rospy.Service("leap_kuka/hold_tool", HoldTool, self._on_hold_request)
         Diagnostics("leap_kuka", self._diagnostics)
-        subscribe(self._on_frame)
+        subscribe(self._on_frame, ReceivedPalms)
 
     def watch(self) -> None:
         """Watches the stream until ROS shuts down."""

@@ -19,9 +19,11 @@ Handedness is taken from `type`: some services write right-handed bases for left
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NoReturn, TypeVar
+from itertools import chain
+from typing import Any, NoReturn, Tuple, TypeVar
 
 import numpy as np
 
@@ -35,6 +37,8 @@ UNIT_TOLERANCE = 0.01  # how far the length of a unit vector, or a product of tw
 LIMIT = 1e9  # numbers beyond this are not measurements; they would not fit into the fields of messages either
 MM = 1e-3
 ZERO = (0, 0, 0)
+IDENTITY = np.eye(3)
+PLAIN = {int, float}
 Read = TypeVar("Read")
 
 
@@ -88,7 +92,9 @@ def _checked(read: Callable[..., Read], *fields: Any) -> Read:
 
 def _object(text: str | bytes) -> dict:
     try:
-        message = json.loads(text, parse_constant=_refuse_constant)
+        message = DECODER.decode(
+            text if isinstance(text, str) else text.decode(json.detect_encoding(text), "surrogatepass")
+        )
     except (ValueError, RecursionError) as error:
         if isinstance(error, LeapProtocolError):
             raise
@@ -100,6 +106,9 @@ def _object(text: str | bytes) -> dict:
 
 def _refuse_constant(token: str) -> NoReturn:
     raise LeapProtocolError(f"The text holds the number {token}.")
+
+
+DECODER = json.JSONDecoder(parse_constant=_refuse_constant)
 
 
 def _event(event: Any) -> DeviceEvent | None:
@@ -135,49 +144,74 @@ def _frame(message: dict) -> LeapFrame:
 
 
 def _hand(hand: dict, fingers_of: dict[int, list[dict]]) -> LeapHand:
-    pointables = fingers_of.get(_whole(hand, "id"), [])
+    pointables = sorted(fingers_of.get(_whole(hand, "id"), []), key=lambda pointable: _whole(pointable, "type"))
     if _field(hand, "type") not in ("right", "left"):
         raise LeapProtocolError(f"A hand has the type {str(hand['type'])[:40]!r}.")
-    normal, direction = _unit(hand, "palmNormal"), _unit(hand, "direction")
+    n, has_arm, has_bases = len(pointables), "armBasis" in hand, all("bases" in p for p in pointables)
+    lengths, numbers = _arrays(
+        [
+            ("palmPosition", _field(hand, "palmPosition"), (3,)),
+            ("palmVelocity", hand.get("palmVelocity", ZERO), (3,)),
+            ("sphereCenter", hand.get("sphereCenter", ZERO), (3,)),
+            ("tipPosition", [_field(p, "tipPosition") for p in pointables], (n, 3)),
+            ("the joints of a finger", [_joints(p) for p in pointables], (n, 5, 3)),
+            ("the arm", [_field(hand, "elbow"), _field(hand, "wrist")] if has_arm else [], (2 * has_arm, 3)),
+        ],
+        [
+            ("palmNormal", _field(hand, "palmNormal"), (3,)),
+            ("direction", _field(hand, "direction"), (3,)),
+            ("bases", [p["bases"] for p in pointables] if has_bases else [], (n * has_bases, 4, 3, 3)),
+            ("armBasis", hand["armBasis"] if has_arm else [], (3 * has_arm, 3)),
+        ],
+    )
+    palm, velocity, sphere_center, tips, joints, arm = lengths
+    bases = np.concatenate([array.reshape(-1, 3, 3) for array in numbers[2:]])
+    wrong, rotations = _not_orthonormal(bases), _proper(bases.swapaxes(-1, -2))
+    normal, direction = _unit(numbers[0], "palmNormal"), _unit(numbers[1], "direction")
     if abs(normal @ direction) > UNIT_TOLERANCE:
         raise LeapProtocolError("palmNormal and direction of a hand are not orthogonal.")
     confidence = _number(hand, "confidence")
     if not 0.0 <= confidence <= 1.0:
         raise LeapProtocolError(f"The confidence of a hand is {confidence:g}, not between 0 and 1.")
-    palm_axes = np.stack([_cross(normal, direction), -normal, -direction], axis=1)
+    count = 4 * n * has_bases
+    bones = rotations[:count].reshape(-1, 4, 3, 3)
+    if n and (not has_bases or wrong[:count].any()):
+        palm_axes = np.stack([_cross(normal, direction), -normal, -direction], axis=1)
+        bones = _completed(bones, wrong[:count].reshape(-1, 4), joints, palm_axes)
+    fingers = _fingers(pointables, tips, joints, bones)
+    if has_arm and wrong[-1]:
+        raise LeapProtocolError("The axes of an arm are not orthonormal.")
     return LeapHand(
-        id=_whole(hand, "id"),
+        id=hand["id"],
         side=hand["type"],
-        palm=_vectors(_field(hand, "palmPosition"), "palmPosition", 3, scale=MM),
+        palm=palm,
         normal=normal,
         direction=direction,
-        velocity=_vectors(hand.get("palmVelocity", ZERO), "palmVelocity", 3, scale=MM),
+        velocity=velocity,
         confidence=confidence,
         grab=_number(hand, "grabStrength", 0.0),
         pinch=_number(hand, "pinchStrength", 0.0),
         time_visible=_number(hand, "timeVisible", 0.0),
         palm_width=_number(hand, "palmWidth", 0.0) * MM,
-        sphere_center=_vectors(hand.get("sphereCenter", ZERO), "sphereCenter", 3, scale=MM),
+        sphere_center=sphere_center,
         sphere_radius=_number(hand, "sphereRadius", 0.0) * MM,
-        fingers=_fingers(pointables, palm_axes) if pointables else (),
-        arm=_arm(hand) if "armBasis" in hand else None,
+        fingers=fingers,
+        arm=LeapBone(arm[0], arm[1], rotations[-1]) if has_arm else None,
     )
 
 
-def _fingers(pointables: list[dict], palm_axes: np.ndarray) -> tuple[LeapFinger, ...]:
-    pointables = sorted(pointables, key=lambda pointable: _whole(pointable, "type"))
+def _fingers(
+    pointables: list[dict], tips: np.ndarray, joints: np.ndarray, rotations: np.ndarray
+) -> tuple[LeapFinger, ...]:
     types = [pointable["type"] for pointable in pointables]
     if len(set(types)) < len(types) or not set(types) <= set(range(5)):
         raise LeapProtocolError(f"The fingers of a hand have the types {types}.")
-    n = len(pointables)
-    tips = _vectors([_field(p, "tipPosition") for p in pointables], "tipPosition", n, 3, scale=MM)
-    joints = _joints(pointables)
-    rotations = _rotations(pointables, joints, palm_axes)
     return tuple(
         LeapFinger(
             id=_whole(p, "id"),
             type=p["type"],
-            bones=tuple(LeapBone(joints[i, j], joints[i, j + 1], rotations[i, j]) for j in range(4)),
+            joints=joints[i],
+            rotations=rotations[i],
             tip=tips[i],
             length=_number(p, "length", 0.0) * MM,
             width=_number(p, "width", 0.0) * MM,
@@ -187,54 +221,43 @@ def _fingers(pointables: list[dict], palm_axes: np.ndarray) -> tuple[LeapFinger,
     )
 
 
-def _joints(pointables: list[dict]) -> np.ndarray:
-    """Returns the five joints of each finger, shape (n, 5, 3) [m]."""
-    chains = []
-    for p in pointables:
-        mcp, tip = _field(p, "mcpPosition"), _field(p, "tipPosition")
-        carp, btip = p.get("carpPosition", mcp), p.get("btipPosition", tip)
-        chains.append([carp, mcp, _field(p, "pipPosition"), p["dipPosition"], btip])
-    return _vectors(chains, "the joints of a finger", len(pointables), 5, 3, scale=MM)
+def _joints(pointable: dict) -> list:
+    """Returns the five joints of a finger."""
+    mcp, tip = _field(pointable, "mcpPosition"), _field(pointable, "tipPosition")
+    carp, btip = pointable.get("carpPosition", mcp), pointable.get("btipPosition", tip)
+    return [carp, mcp, _field(pointable, "pipPosition"), pointable["dipPosition"], btip]
 
 
-def _rotations(pointables: list[dict], joints: np.ndarray, palm_axes: np.ndarray) -> np.ndarray:
-    """Returns the orientations of the four bones of each finger, shape (n, 4, 3, 3), axes as columns."""
+def _completed(rotations: np.ndarray, wrong: np.ndarray, joints: np.ndarray, palm_axes: np.ndarray) -> np.ndarray:
+    """Returns the orientations of the four bones of each finger, shape (n, 4, 3, 3), axes as columns: the service's
+    where they are not `wrong`, the palm's for a bone without length, and without any of the service those that fit.
+    """
     back = joints[:, :-1] - joints[:, 1:]
     length = np.linalg.norm(back, axis=-1)
     no_length = length < 1e-6
-    if all("bases" in p for p in pointables):
-        bases = _vectors([p["bases"] for p in pointables], "bases", len(pointables), 4, 3, 3)
-        wrong = _not_orthonormal(bases)
+    if rotations.size:
         if (wrong & ~no_length).any():
             raise LeapProtocolError("The axes of a bone are not orthonormal.")
-        rotations = np.where((wrong & no_length)[..., None, None], palm_axes, _proper(bases.swapaxes(-1, -2)))
-    else:
-        z = np.where(no_length[..., None], palm_axes[:, 2], back / np.maximum(length, 1e-6)[..., None])
-        x = palm_axes[:, 0] - (z @ palm_axes[:, 0])[..., None] * z
-        sideways = np.linalg.norm(x, axis=-1) < 0.1
-        x[sideways] = _cross(palm_axes[:, 1], z[sideways])
-        x /= np.linalg.norm(x, axis=-1)[..., None]
-        rotations = np.stack([x, _cross(z, x), z], axis=-1)
-    return _read_only(rotations)
-
-
-def _arm(hand: dict) -> LeapBone:
-    ends = _vectors([_field(hand, "elbow"), _field(hand, "wrist")], "the arm", 2, 3, scale=MM)
-    basis = _vectors(hand["armBasis"], "armBasis", 3, 3)
-    if _not_orthonormal(basis):
-        raise LeapProtocolError("The axes of an arm are not orthonormal.")
-    return LeapBone(ends[0], ends[1], _proper(basis.T))
+        return _read_only(np.where(wrong[..., None, None], palm_axes, rotations))
+    z = np.where(no_length[..., None], palm_axes[:, 2], back / np.maximum(length, 1e-6)[..., None])
+    x = palm_axes[:, 0] - (z @ palm_axes[:, 0])[..., None] * z
+    sideways = np.linalg.norm(x, axis=-1) < 0.1
+    x[sideways] = _cross(palm_axes[:, 1], z[sideways])
+    x /= np.linalg.norm(x, axis=-1)[..., None]
+    return _read_only(np.stack([x, _cross(z, x), z], axis=-1))
 
 
 def _not_orthonormal(bases: np.ndarray) -> np.ndarray:
     """Returns for each of the matrices, shape (..., 3, 3), whether its rows are not orthonormal."""
-    return np.abs(bases @ bases.swapaxes(-1, -2) - np.eye(3)).max(axis=(-1, -2)) > UNIT_TOLERANCE
+    return np.abs(bases @ bases.swapaxes(-1, -2) - IDENTITY).max(axis=(-1, -2)) > UNIT_TOLERANCE
 
 
 def _proper(axes: np.ndarray) -> np.ndarray:
     """Returns the matrices, shape (..., 3, 3), with the x column negated where they mirror, as for left hands."""
-    axes = axes.copy()
-    axes[..., 0] *= np.where(np.linalg.det(axes) < 0.0, -1.0, 1.0)[..., None]
+    mirrored = np.linalg.det(axes) < 0.0
+    if mirrored.any():
+        axes = axes.copy()
+        axes[..., 0] *= np.where(mirrored, -1.0, 1.0)[..., None]
     return _read_only(axes)
 
 
@@ -260,22 +283,55 @@ def _number(message: dict, key: str, missing: float | None = None) -> float:
     return float(value)
 
 
-def _vectors(value: Any, name: str, *shape: int, scale: float = 1.0) -> np.ndarray:
+Field = Tuple[str, Any, Tuple[int, ...]]
+
+
+def _arrays(lengths: list[Field], numbers: list[Field]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Returns the values of fields, (name, value, shape) each, as read-only arrays of their shapes: the `lengths` in
+    metres, the `numbers` as they are.
+
+    All of them are converted and checked at once; where that fails, one by one, so that the refusal names the field.
+    """
+    flat: list = []
+    try:
+        for _, value, shape in (*lengths, *numbers):
+            items = [value]
+            for n in shape:
+                if not {n}.issuperset(map(len, items)):
+                    raise ValueError(value)
+                items = list(chain.from_iterable(items))
+            flat += items
+        array = np.array(flat, dtype=float) if PLAIN.issuperset(map(type, flat)) else None
+    except (TypeError, ValueError, OverflowError):
+        array = None
+    if array is None or not (np.abs(array) < LIMIT).all():
+        return [_vectors(*field, scale=MM) for field in lengths], [_vectors(*field) for field in numbers]
+    array[: sum(math.prod(shape) for _, _, shape in lengths)] *= MM
+    _read_only(array)
+    parts, begin = [], 0
+    for _, _, shape in (*lengths, *numbers):
+        size = math.prod(shape)
+        parts.append(array[begin : begin + size].reshape(shape))
+        begin += size
+    return parts[: len(lengths)], parts[len(lengths) :]
+
+
+def _vectors(name: str, value: Any, shape: tuple[int, ...], scale: float = 1.0) -> np.ndarray:
     """Returns `value` as a read-only array of the shape, times `scale`."""
     try:
         array = np.array(value)
     except ValueError:
         array = np.array(None)
-    if array.shape != shape or array.dtype.kind not in "fi" or not (np.abs(array) < LIMIT).all():
+    empty = 0 in shape
+    if not empty and (array.shape != shape or array.dtype.kind not in "fi" or not (np.abs(array) < LIMIT).all()):
         raise LeapProtocolError(f"The field {name} does not hold {' x '.join(map(str, shape))} numbers.")
-    return _read_only(array * scale)
+    return _read_only(np.empty(shape) if empty else array * scale)
 
 
-def _unit(message: dict, key: str) -> np.ndarray:
-    vector = _vectors(_field(message, key), key, 3)
-    norm = float(np.linalg.norm(vector))
+def _unit(vector: np.ndarray, name: str) -> np.ndarray:
+    norm = math.sqrt(vector @ vector)
     if abs(norm - 1.0) > UNIT_TOLERANCE:
-        raise LeapProtocolError(f"The field {key} has the length {norm:g}, not 1.")
+        raise LeapProtocolError(f"The field {name} has the length {norm:g}, not 1.")
     return _read_only(vector / norm)
 
 

@@ -43,11 +43,17 @@ class LeapFinger:
 
     id: int  # 10 * id of the hand + type
     type: int  # THUMB to PINKY
-    bones: tuple[LeapBone, ...]  # METACARPAL to DISTAL. The metacarpal of the thumb has no length.
+    joints: np.ndarray  # ends of the four bones, from the wrist to the tip, shape (5, 3) [m]
+    rotations: np.ndarray  # orientations of the four bones, shape (4, 3, 3), as LeapBone.rotation
     tip: np.ndarray  # centre of the finger tip, shape (3,) [m]; a few millimetres before the end of the last bone
     length: float  # as the service reports it [m]; the bones are the better source
     width: float  # as the service reports it [m]
     extended: bool  # whether the finger points straight
+
+    @property
+    def bones(self) -> tuple[LeapBone, ...]:
+        """METACARPAL to DISTAL. The metacarpal of the thumb has no length."""
+        return tuple(LeapBone(self.joints[i], self.joints[i + 1], self.rotations[i]) for i in range(4))
 
 
 @dataclass(frozen=True)
@@ -154,6 +160,8 @@ class TrackingFrame:
 
 def _freeze(record: object, *names: str) -> None:
     for name in names:
-        array = np.array(getattr(record, name), dtype=float)
-        array.flags.writeable = False
-        object.__setattr__(record, name, array)
+        array = getattr(record, name)
+        if not isinstance(array, np.ndarray) or array.dtype != float or array.flags.writeable:
+            array = np.array(array, dtype=float)
+            array.flags.writeable = False
+            object.__setattr__(record, name, array)

@@ -12,7 +12,7 @@ from common.ros.node import run
 from common.ros.params import private_config
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
 from leap_motion.msg import Human
-from leap_motion.ros.human import human_from_frame
+from leap_motion.ros.human import FrameMessage
 from leap_motion.ros.parameters import DriverConfig
 
 POLL_S = 0.1
@@ -76,7 +76,7 @@ def start() -> None:
             report.update()
             received = client.next_frame(POLL_S)
             if received is not None:
-                publisher.publish(human_from_frame(received.frame, received.stamp, config.orientation))
+                publisher.publish(FrameMessage(received.frame, received.stamp, config.orientation))
                 stage.done(received.stamp)
     finally:
         client.close()

@@ -13,94 +13,122 @@ Gestures, which this driver does not ask for, and the texts of hands, fingers an
 
 from __future__ import annotations
 
+import struct
+from functools import lru_cache
+from io import BytesIO
+
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import Header
 
-from common.rotations import quaternion_from_rotation
+from common.rotations import quaternions_from_rotations
 from leap_motion.frames import LeapBone, LeapFinger, LeapFrame, LeapHand
-from leap_motion.msg import Arm, Bone, Finger, Hand, Human
+from leap_motion.msg import Human
 from leap_motion.ros.parameters import COMPATIBLE
 
-FRAME_ID = "leap_hands"
+FRAME_ID = b"leap_hands"
+HEADER = "IIII10s"  # seq, stamp, length of the frame id and the frame id
+TOP = struct.Struct(f"<{HEADER}4ifI")  # of the message, up to the length of its to_string
+HAND = struct.Struct(f"<{HEADER}i2B5f3d3d2fI3f3d2fI3fII")  # of a hand, up to the number of fingers
+ARM = struct.Struct("<I4I7d7dI3f3d")  # the rest of a hand, from the number of gestures on
+_HEADER = np.dtype([("numbers", "<u4", 3), ("length", "<u4"), ("frame_id", "S10")])
+_POSE = np.dtype([("position", "<f8", 3), ("orientation", "<f8", 4)])
+_BONE = np.dtype([
+    ("header", _HEADER), ("type", "u1"), ("length", "<f4"), ("width", "<f4"), ("to_string", "<u4"),
+    ("ends", _POSE, 2), ("center_count", "<u4"), ("center", "<f4", 3),
+])  # fmt: skip
+FINGER = np.dtype([
+    ("header", _HEADER), ("id", "<i4"), ("type", "u1"), ("length", "<f4"), ("width", "<f4"), ("to_string", "<u4"),
+    ("bone_count", "<u4"), ("bones", _BONE, 4),
+])  # fmt: skip
+"""A finger of the message, if the frame id is FRAME_ID, the texts are empty and all lists are complete."""
+CENTER = 3
+NO_HAND = bytes(
+    struct.calcsize("<4Ii2B5f3d3d2fI3d2f4I4I7d7dI3d")
+)  # a hand whose numbers are 0 and whose lists are empty
 
 
-def human_from_frame(frame: LeapFrame, stamp: rospy.Time, orientation: str = COMPATIBLE) -> Human:
-    """Returns the message of a frame received at `stamp`; of several hands of one side the one tracked longest."""
-    header = Header(0, stamp, FRAME_ID)
-    convert = _Converter(header, orientation == COMPATIBLE)
-    return Human(
-        header=header,
-        lmc_frame_id=_int32(frame.id),
-        nr_of_hands=len(frame.hands),
-        nr_of_fingers=frame.finger_count,
-        nr_of_gestures=frame.gestures,
-        current_frames_per_second=frame.rate,
-        to_string=f"frame {frame.id}, device time {frame.timestamp_us} us",
-        right_hand=convert.hand(frame.hand("right")),
-        left_hand=convert.hand(frame.hand("left")),
-    )
+class FrameMessage(Human):
+    """The message of a frame received at `stamp`; of several hands of one side the one tracked longest.
+
+    It has no fields but the header. Its bytes are made where they are sent, which rospy does for subscribers only.
+    """
+
+    def __init__(self, frame: LeapFrame, stamp: rospy.Time, orientation: str = COMPATIBLE) -> None:
+        self.header = Header(0, stamp, FRAME_ID.decode())
+        self._frame, self._compatible = frame, orientation == COMPATIBLE
+
+    def serialize(self, buff: BytesIO) -> None:
+        """Writes the bytes of the message."""
+        frame, header = self._frame, (self.header.seq, self.header.stamp.secs, self.header.stamp.nsecs)
+        counts = len(frame.hands), frame.finger_count, frame.gestures
+        text = f"frame {frame.id}, device time {frame.timestamp_us} us".encode()
+        buff.write(TOP.pack(*header, len(FRAME_ID), FRAME_ID, _int32(frame.id), *counts, frame.rate, len(text)) + text)
+        for side in ("right", "left"):
+            hand = frame.hand(side)
+            buff.write(NO_HAND if hand is None else _hand_bytes(hand, header, self._compatible))
 
 
-class _Converter:
-    """Converts the parts of one frame; all of them carry the same header."""
+def _hand_bytes(hand: LeapHand, header: tuple[int, int, int], compatible: bool) -> bytes:
+    bones = [finger.rotations for finger in hand.fingers]
+    rotations = np.concatenate([*bones, (hand.arm.rotation if hand.arm else np.eye(3))[None]])
+    quaternions = quaternions_from_rotations(rotations)
+    if compatible:
+        quaternions[:, :3] *= -1.0
+    head = HAND.pack(
+        *header, len(FRAME_ID), FRAME_ID, _int32(hand.id), True, False,
+        hand.time_visible, hand.confidence, hand.roll, hand.pitch, hand.yaw,
+        *hand.direction.tolist(), *hand.normal.tolist(), hand.grab, hand.pinch,
+        CENTER, *hand.velocity.tolist(), *hand.palm.tolist(), hand.palm_width, hand.sphere_radius,
+        CENTER, *hand.sphere_center.tolist(), 0, len(hand.fingers),
+    )  # fmt: skip
+    fingers = _finger_bytes(hand.fingers, header, quaternions[:-1].reshape(-1, 4, 1, 4)) if hand.fingers else b""
+    return head + fingers + _arm_bytes(hand.arm, header, quaternions[-1].tolist(), compatible)
 
-    def __init__(self, header: Header, compatible: bool) -> None:
-        self._header, self._compatible = header, compatible
 
-    def hand(self, hand: LeapHand | None) -> Hand:
-        if hand is None:
-            return Hand()
-        return Hand(
-            header=self._header,
-            lmc_hand_id=_int32(hand.id),
-            is_present=True,
-            time_visible=hand.time_visible,
-            confidence=hand.confidence,
-            roll=hand.roll,
-            pitch=hand.pitch,
-            yaw=hand.yaw,
-            direction=Vector3(*hand.direction.tolist()),
-            normal=Vector3(*hand.normal.tolist()),
-            grab_strength=hand.grab,
-            pinch_strength=hand.pinch,
-            palm_velocity=hand.velocity.tolist(),
-            palm_center=Point(*hand.palm.tolist()),
-            palm_width=hand.palm_width,
-            sphere_radius=hand.sphere_radius,
-            sphere_center=hand.sphere_center.tolist(),
-            finger_list=[self._finger(finger) for finger in hand.fingers],
-            arm=self._arm(hand.arm) if hand.arm else Arm(center=[0.0, 0.0, 0.0]),
-        )
+def _finger_bytes(fingers: tuple[LeapFinger, ...], header: tuple[int, int, int], quaternions: np.ndarray) -> bytes:
+    """Returns the bytes of n fingers whose bones have the orientations `quaternions`, shape (n, 4, 1, 4)."""
+    records = empty_fingers(len(fingers)).copy()
+    bones = records["bones"]
+    joints = np.array([finger.joints for finger in fingers])
+    start, end = joints[:, :-1], joints[:, 1:]
+    widths = [finger.width for finger in fingers]
+    records["header"]["numbers"] = bones["header"]["numbers"] = header
+    records["id"] = [_int32(finger.id) for finger in fingers]
+    records["type"] = [finger.type for finger in fingers]
+    records["length"] = [finger.length for finger in fingers]
+    records["width"] = widths
+    bones["width"] = np.array(widths)[:, None]
+    bones["length"] = np.linalg.norm(end - start, axis=-1)
+    bones["center"] = 0.5 * (start + end)
+    ends = bones["ends"]
+    ends["position"][:, :, 0], ends["position"][:, :, 1], ends["orientation"] = start, end, quaternions
+    return records.tobytes()
 
-    def _finger(self, finger: LeapFinger) -> Finger:
-        return Finger(
-            header=self._header,
-            lmc_finger_id=_int32(finger.id),
-            type=finger.type,
-            length=finger.length,
-            width=finger.width,
-            bone_list=[self._bone(bone, i, finger.width) for i, bone in enumerate(finger.bones)],
-        )
 
-    def _bone(self, bone: LeapBone, number: int, width: float) -> Bone:
-        start, end = self._ends(bone)
-        return Bone(self._header, number, bone.length, width, "", start, end, bone.center.tolist())
+def _arm_bytes(arm: LeapBone | None, header: tuple[int, int, int], q: list[float], compatible: bool) -> bytes:
+    if arm is None:
+        return ARM.pack(*[0] * 19, CENTER, *[0.0] * 6)
+    center = arm.center
+    direction = center if compatible else -arm.rotation[:, 2]
+    ends = *arm.start.tolist(), *q, *arm.end.tolist(), *q
+    return ARM.pack(0, 0, *header[1:], 0, *ends, CENTER, *center.tolist(), *direction.tolist())
 
-    def _arm(self, arm: LeapBone) -> Arm:
-        elbow, wrist = self._ends(arm)
-        center = arm.center
-        direction = center if self._compatible else -arm.rotation[:, 2]
-        header = Header(0, self._header.stamp, "")
-        return Arm(header, elbow, wrist, center.tolist(), Vector3(*direction.tolist()))
 
-    def _ends(self, bone: LeapBone) -> tuple[Pose, Pose]:
-        rotation = bone.rotation.T if self._compatible else bone.rotation
-        orientation = Quaternion(*quaternion_from_rotation(rotation).tolist())
-        return Pose(Point(*bone.start.tolist()), orientation), Pose(Point(*bone.end.tolist()), orientation)
+@lru_cache(maxsize=None)
+def empty_fingers(n: int, mask: bool = False) -> np.ndarray:
+    """Returns n fingers with the types, counts and texts, zero elsewhere, shape (n,); as a `mask` all their bits."""
+    records = np.zeros(n, FINGER)
+    for part, count, number in ((records, "bone_count", 4), (records["bones"], "center_count", CENTER)):
+        part["type"] = 255 if mask else range(part.shape[-1])
+        part["to_string"] = 2**32 - 1 if mask else 0
+        part[count] = 2**32 - 1 if mask else number
+        part["header"]["length"] = 2**32 - 1 if mask else len(FRAME_ID)
+        part["header"]["frame_id"] = b"\xff" * len(FRAME_ID) if mask else FRAME_ID
+    records.setflags(write=False)
+    return records
 
 
 def _int32(number: int) -> int:
     """Returns the low 32 bits as a signed number, the part of a longer id that the field can hold."""
-    return int(np.int64(number & 0xFFFFFFFF).astype(np.int32))
+    return (number + 2**31) % 2**32 - 2**31
