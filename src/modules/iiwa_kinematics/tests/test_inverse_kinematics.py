@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from iiwa_kinematics import Branch, IkFailure, Kinematics
-from iiwa_kinematics.elbow_choice import RETURN_FRACTION
+from iiwa_kinematics import Branch, IkFailure, Kinematics, inverse
+from iiwa_kinematics.elbow_choice import RETURN_FRACTION, ElbowChoice
 from iiwa_kinematics.elbow_circle import BRANCHES, ElbowCircle, Limits
 from iiwa_kinematics.robot_model import robot_model
 
@@ -72,6 +72,62 @@ def test_a_motion_from_rest_takes_not_much_longer_than_the_quickest_of_all_branc
         found = arm.inverse(T, q_rest)
         check(arm, found, T)
         assert duration(arm, q_rest, found.q) < 1.5 * quickest + 0.6
+
+
+class FullChoice(ElbowChoice):
+    """The choice that computes what all limits leave free, and all branches, for every pose."""
+
+    def __init__(self, model):
+        super().__init__(model, 0.0)
+        self._margins.hold = lambda q: False
+
+    def _descend(self, circle, branch, interval, angle, seed, best):
+        return None if interval is None else super()._descend(circle, branch, interval, angle, seed, best)
+
+    def _least_time(self, circle, branch, seed):
+        return 0.0
+
+
+def present_circle(arm, q, seed):
+    """The circle of the pose of joints q, with the elbow of the seed near angle zero."""
+    circle = circle_of(arm, arm.forward(q))
+    reference = inverse._elbow_across(circle._u, seed.tolist())
+    axes = tuple(map(tuple, (arm.forward(q) @ np.linalg.inv(arm.T_flange_tool))[:3, :3].T))
+    return ElbowCircle(circle.bend, arm._lengths, circle._u, reference, axes)
+
+
+@arms
+@settings(max_examples=100)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_near_the_seed_the_elbow_is_chosen_as_among_all_that_the_limits_leave_free(arm, seed):
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(arm.model.lower, arm.model.upper)
+    q = np.where(rng.random(7) < rng.choice([0.0, 0.3]), rng.choice([arm.model.lower, arm.model.upper]), q)
+    near = np.clip(q + np.radians(rng.choice([0.1, 2.0])) * rng.uniform(-1.0, 1.0, 7), arm.model.lower, arm.model.upper)
+    circle = present_circle(arm, q, near)
+    quick, full, present = ElbowChoice(arm.model, 0.0), FullChoice(arm.model), near.tolist()
+    branch = Branch.of(near)
+    found, expected = (choice._best_in_branch(circle, branch, present) for choice in (quick, full))
+    assert (found is None) == (expected is None)
+    if found is None:
+        return
+    # Both are results of three steps; where the circle is small or joints 2 or 6 near zero, the starts count.
+    assert found.cost <= 1.02 * expected.cost + 1e-9
+    led, fully = (choice.led_back(circle, found, present, 0.3) for choice in (quick, full))
+    np.testing.assert_allclose(led.q, fully.q, atol=1e-12)
+
+
+@arms
+@settings(max_examples=100)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_branches_that_cannot_be_quicker_are_left_out_and_no_others(arm, seed):
+    rng = np.random.default_rng(seed)
+    q, near = rng.uniform(arm.model.lower, arm.model.upper, (2, 7))
+    circle = present_circle(arm, q, near)
+    found, expected = (
+        choice.quickest(circle, near.tolist()) for choice in (ElbowChoice(arm.model, 0.0), FullChoice(arm.model))
+    )
+    assert found == expected
 
 
 def duration(arm, q_rest, q):

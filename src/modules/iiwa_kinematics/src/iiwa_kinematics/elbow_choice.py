@@ -15,12 +15,12 @@ whose tool is at rest does not move.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 from math import pi, radians
-from typing import Sequence
+from typing import NamedTuple, Sequence
 
 from iiwa_kinematics.arcs import TURN, Interval, nearest
-from iiwa_kinematics.elbow_circle import BRANCHES, Branch, ElbowCircle, Limits, wrapped
+from iiwa_kinematics.elbow_circle import ALIGNED, BRANCHES, Branch, ElbowCircle, Limits, wrapped
 from iiwa_kinematics.robot_model import RobotModel
 
 JOINT_TOLERANCE_RAD = 1e-10  # a joint out of its range by at most this is a rounding error
@@ -34,15 +34,13 @@ WOUND = -0.5
 """Below this cosine of joint 3, the preferred arm angle would need joints 1 and 3 turned over: it is not used."""
 
 
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(NamedTuple):
     """Joints that reach the pose."""
 
     cost: float  # squared weighted joint step from the seed
     angle: float  # of the elbow on its circle [rad]
     q: list[float]  # joints, 7 angles [rad]
     branch: Branch  # signs of joints 2, 4 and 6
-    interval: Interval  # of the angles around `angle` at which all joints are in their ranges [rad]
 
 
 class ElbowChoice:
@@ -78,27 +76,49 @@ class ElbowChoice:
 
     def quickest(self, circle: ElbowCircle, seed: list[float]) -> Candidate | None:
         """Returns the joints of all branches to which a motion from rest at the seed takes the least time."""
-        best = self._best_in_branch(circle, Branch.of(seed), seed)
+        present = Branch.of(seed)
+        best = self._best_in_branch(circle, present, seed)
         if best is not None and _step(best.q, seed) <= NEARBY_RAD:
             return best
-        found = [self._best_in_branch(circle, branch, seed) for branch in BRANCHES]
-        reached = [one for one in found if one is not None]
-        return min(reached, key=lambda one: self._time(one.q, seed)) if reached else None
+        least = sorted((self._least_time(circle, branch, seed), i) for i, branch in enumerate(BRANCHES))
+        fastest = math.inf, 0
+        for bound, i in least:
+            if bound > fastest[0]:
+                break
+            found = best if BRANCHES[i] == present else self._best_in_branch(circle, BRANCHES[i], seed)
+            if found is not None and (self._time(found.q, seed), i) < fastest:
+                quickest, fastest = found, (self._time(found.q, seed), i)
+        return None if fastest[0] == math.inf else quickest
+
+    def _least_time(self, circle: ElbowCircle, branch: Branch, seed: list[float]) -> float:
+        """Returns a time that a motion from the seed to joints of the branch takes at least [s]."""
+        ways = (
+            abs(seed[3] - branch.elbow * circle.bend) / self._speeds[3],
+            max(-branch.shoulder * seed[1], 0.0) / self._speeds[1],
+            max(-branch.wrist * seed[5], 0.0) / self._speeds[5],
+        )
+        return max(ways)
 
     def led_back(self, circle: ElbowCircle, found: Candidate, seed: list[float], zero: float) -> Candidate:
         """Returns `found`, led towards the preferred arm angle by a small part of its joint step.
 
         `zero` is the arm angle at the circle's angle zero [rad].
         """
-        goal = self._goal(circle, found, zero)
         fastest = max(1.0, max(map(abs, circle.self_motion(found.q))))
-        most = RETURN_FRACTION * _step(found.q, seed) / fastest
-        step = min(max(goal - found.angle, -most), most)
+        joint_step = _step(found.q, seed)
+        most = RETURN_FRACTION * joint_step / fastest
+        if joint_step <= NEARBY_RAD and self._margins.hold(found.q):
+            angle = found.angle + min(max(self._preferred(circle, found, zero) - found.angle, -most), most)
+            q = found.q if angle == found.angle else circle.joints(angle, found.branch, seed, self._limits)
+            if self._margins.hold(q) and Branch.of(q) == found.branch:
+                return Candidate(found.cost, angle, q, found.branch)
+        low, high = interval = self._interval(circle, found)
+        step = min(max(self._goal(circle, found, zero, interval) - found.angle, -most), most)
         if step == 0.0:
             return found
-        angle = min(max(found.angle + step, found.interval[0]), found.interval[1])
-        q = self._in_range(circle.joints(angle, found.branch, seed, self._limits))
-        return found if q is None else Candidate(found.cost, angle, q, found.branch, found.interval)
+        angle = min(max(found.angle + step, low), high)
+        reached = self._in_range(circle.joints(angle, found.branch, seed, self._limits))
+        return found if reached is None else Candidate(found.cost, angle, reached, found.branch)
 
     def _time(self, q: list[float], seed: list[float]) -> float:
         """Returns the time of a motion at full joint speed [s], and more for joints near the ends of their ranges."""
@@ -111,6 +131,10 @@ class ElbowChoice:
         if not self.can_bend(circle.bend * branch.elbow):
             return None
         starts = circle.keeping_joint_3(seed[2], branch) or [0.0 if branch.elbow == Branch.of(seed).elbow else pi]
+        # At angle zero the elbow is nearest to the seed's. Mostly the steps from there meet no joint limit.
+        best = self._descend(circle, branch, None, min(starts, key=abs), seed, None)
+        if best is not None and _step(best.q, seed) <= NEARBY_RAD:
+            return best
         best = None
         for interval in circle.free(branch, self._limits):
             for start in starts:
@@ -123,33 +147,53 @@ class ElbowChoice:
         self,
         circle: ElbowCircle,
         branch: Branch,
-        interval: Interval,
+        interval: Interval | None,
         angle: float,
         seed: list[float],
         best: Candidate | None,
     ) -> Candidate | None:
-        """Returns the better of `best` and the result of Gauss-Newton steps from `angle` within the interval."""
+        """Returns the better of `best` and the result of Gauss-Newton steps from `angle` within the interval.
+
+        Without an interval: None if a step leaves the joint ranges.
+        """
+        least, found, weights = math.inf if best is None else best.cost, None, self._weights
         for _ in range(3):
             q = self._in_range(circle.joints(angle, branch, seed, self._limits))
             if q is None:
-                return best
-            differences = [a - b for a, b in zip(q, seed)]
-            cost = sum(w * d * d for w, d in zip(self._weights, differences))
-            if best is not None and cost >= best.cost:
-                return best
-            best = Candidate(cost, angle, q, branch, interval)
-            motion = circle.self_motion(q)
-            slope = sum(w * m * d for w, m, d in zip(self._weights, motion, differences))
-            step = slope / sum(w * m * m for w, m in zip(self._weights, motion))
-            angle = min(max(angle - step, interval[0]), interval[1])
-        return best
+                if interval is None:
+                    return None
+                break
+            cost = 0.0
+            for weight, a, b in zip(weights, q, seed):
+                cost += weight * (a - b) * (a - b)
+            if cost >= least:
+                break
+            least, found = cost, (angle, q)
+            slope = curvature = 0.0
+            for weight, m, a, b in zip(weights, circle.self_motion(q), q, seed):
+                slope += weight * m * (a - b)
+                curvature += weight * m * m
+            angle -= slope / curvature
+            if interval is not None:
+                angle = min(max(angle, interval[0]), interval[1])
+        return best if found is None else Candidate(least, *found, branch)
 
-    def _goal(self, circle: ElbowCircle, found: Candidate, zero: float) -> float:
-        """Returns the circle's angle near the preference that keeps the margins and is not across a limit [rad]."""
-        low, high = found.interval
+    def _preferred(self, circle: ElbowCircle, found: Candidate, zero: float) -> float:
+        """Returns the circle's angle of the preference, or the present one if that would wind joint 3 up [rad]."""
         preferred = found.angle + wrapped(self._preference - zero - found.angle)
-        if circle.cosine_of_joint_3(preferred, found.branch) < WOUND:
-            preferred = found.angle
+        return found.angle if circle.cosine_of_joint_3(preferred, found.branch) < WOUND else preferred
+
+    def _interval(self, circle: ElbowCircle, found: Candidate) -> Interval:
+        """Returns the angles around that of `found` at which all joints are in their ranges [rad]."""
+        for low, high in circle.free(found.branch, self._limits):
+            for shift in (-TURN, 0.0, TURN):
+                if low + shift - ALIGNED <= found.angle <= high + shift + ALIGNED:
+                    return low + shift, high + shift
+        return found.angle, found.angle
+
+    def _goal(self, circle: ElbowCircle, found: Candidate, zero: float, interval: Interval) -> float:
+        """Returns the circle's angle near the preference that keeps the margins and is not across a limit [rad]."""
+        low, high = interval
         inside = []
         for with_margins in circle.free(found.branch, self._margins):
             for shift in (-TURN, 0.0, TURN):
@@ -159,13 +203,15 @@ class ElbowChoice:
         if not inside:
             return (low + high) / 2.0
         _, a, b = min(inside)
-        return min(max(preferred, a), b)
+        return min(max(self._preferred(circle, found, zero), a), b)
 
     def _in_range(self, q: list[float]) -> list[float] | None:
         """Returns the joints without rounding errors beyond their ranges, None if they are further out."""
+        if self._limits.hold(q):
+            return q
         inside = [min(max(a, low), high) for a, low, high in zip(q, self._limits.lower, self._limits.upper)]
         return inside if _step(inside, q) <= JOINT_TOLERANCE_RAD else None
 
 
 def _step(q: Sequence[float], seed: Sequence[float]) -> float:
-    return max(abs(a - b) for a, b in zip(q, seed))
+    return max([abs(a - b) for a, b in zip(q, seed)])

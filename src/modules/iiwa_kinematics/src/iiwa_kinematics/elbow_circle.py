@@ -21,7 +21,7 @@ from typing import Callable, Iterable, NamedTuple, Sequence
 import numpy as np
 
 from iiwa_kinematics.arcs import FLAT, TURN, Arc, Interval, intersection, positive, remaining
-from iiwa_kinematics.chain import Vector, combination, cross
+from iiwa_kinematics.chain import Vector, cross
 
 ALIGNED = 1e-10  # below this sine of joint 2 (or 6) only the sum of joints 1 and 3 (or 5 and 7) matters
 
@@ -36,7 +36,7 @@ class Branch(NamedTuple):
     @classmethod
     def of(cls, q: Sequence[float] | np.ndarray) -> Branch:
         """Returns the branch that joints q, 7 angles [rad], are in."""
-        return cls(*(int(copysign(1.0, q[i])) for i in (1, 3, 5)))
+        return cls(int(copysign(1.0, q[1])), int(copysign(1.0, q[3])), int(copysign(1.0, q[5])))
 
 
 BRANCHES = tuple(Branch(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1))
@@ -54,7 +54,15 @@ class Limits:
     def __init__(self, lower: Iterable[float], upper: Iterable[float], least_bend: float = 0.0) -> None:
         self.lower, self.upper = tuple(map(float, lower)), tuple(map(float, upper))
         self.directions = tuple((cos(a), sin(a), cos(b), sin(b)) for a, b in zip(self.lower, self.upper))
+        self.least_bend = least_bend
         self.greatest_cos = cos(least_bend) if least_bend > 0.0 else None
+
+    def hold(self, q: Sequence[float]) -> bool:
+        """Returns whether joints q, 7 angles [rad], are within."""
+        for angle, low, high in zip(q, self.lower, self.upper):
+            if not low <= angle <= high:
+                return False
+        return not self.least_bend or (abs(q[1]) >= self.least_bend and abs(q[5]) >= self.least_bend)
 
 
 class ElbowCircle:
@@ -94,33 +102,39 @@ class ElbowCircle:
         `near`, 7 joint angles [rad], and the joint ranges decide only where the axes of two joints coincide.
         """
         c, s = cos(angle), sin(angle)
-        sign = branch.elbow
+        shoulder, sign, wrist = branch
         ca, sa, cb, sb = self._ca, self._sa, self._cb, self._sb
 
-        e, h = combination(c, self._v, s, self._n), combination(c, self._n, -s, self._v)
-        zx, zy, zz = combination(cb, self._u, sb, e)
-        xx, xy, _ = combination(sign * cb, e, -sign * sb, self._u)
-        yx, yy = sign * h[0], sign * h[1]
-        if hypot(zx, zy) < ALIGNED:
+        # The axes of the third frame: x and y without their z, which is not needed.
+        (ux, uy, uz), (vx, vy, vz), (nx, ny, nz) = self._u, self._v, self._n
+        ex, ey = c * vx + s * nx, c * vy + s * ny
+        zx, zy = cb * ux + sb * ex, cb * uy + sb * ey
+        xx, xy = sign * (cb * ex - sb * ux), sign * (cb * ey - sb * uy)
+        yx, yy = sign * (c * nx - s * vx), sign * (c * ny - s * vy)
+        across = hypot(zx, zy)
+        if across < ALIGNED:
             q1 = _shared_turn(atan2(xy, xx), near[0], limits, 0, 2)
+            c1, s1 = cos(q1), sin(q1)
         else:
-            q1 = atan2(branch.shoulder * zy, branch.shoulder * zx)
-        c1, s1 = cos(q1), sin(q1)
-        q2 = atan2(c1 * zx + s1 * zy, zz)
+            c1, s1 = shoulder * zx / across, shoulder * zy / across
+            q1 = atan2(s1, c1)
+        q2 = atan2(c1 * zx + s1 * zy, cb * uz + sb * (c * vz + s * nz))
         q3 = atan2(c1 * xy - s1 * xx, c1 * yy - s1 * yx)
 
         # Rows of the rotation from the forearm to the flange, which is Rz(q5) Ry(q6) Rz(q7).
         (x_v, x_n, x_u), (y_v, y_n, y_u), (z_v, z_n, z_u) = self._flange
-        x_e, y_e, z_e = c * x_v + s * x_n, c * y_v + s * y_n, c * z_v + s * z_n
-        r00, r01, r02 = sign * (ca * x_e + sa * x_u), sign * (ca * y_e + sa * y_u), sign * (ca * z_e + sa * z_u)
-        r10, r11, r12 = sign * (c * x_n - s * x_v), sign * (c * y_n - s * y_v), sign * (c * z_n - s * z_v)
-        r22 = ca * z_u - sa * z_e
-        if hypot(r02, r12) < ALIGNED:
+        z_e = c * z_v + s * z_n
+        r00, r01 = sign * (ca * (c * x_v + s * x_n) + sa * x_u), sign * (ca * (c * y_v + s * y_n) + sa * y_u)
+        r10, r11 = sign * (c * x_n - s * x_v), sign * (c * y_n - s * y_v)
+        r02, r12 = sign * (ca * z_e + sa * z_u), sign * (c * z_n - s * z_v)
+        across = hypot(r02, r12)
+        if across < ALIGNED:
             q5 = _shared_turn(atan2(r10, r00), near[4], limits, 4, 6)
+            c5, s5 = cos(q5), sin(q5)
         else:
-            q5 = atan2(branch.wrist * r12, branch.wrist * r02)
-        c5, s5 = cos(q5), sin(q5)
-        q6 = atan2(c5 * r02 + s5 * r12, r22)
+            c5, s5 = wrist * r02 / across, wrist * r12 / across
+            q5 = atan2(s5, c5)
+        q6 = atan2(c5 * r02 + s5 * r12, ca * z_u - sa * z_e)
         q7 = atan2(c5 * r10 - s5 * r00, c5 * r11 - s5 * r01)
         return [q1, q2, q3, sign * self.bend, q5, q6, q7]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from math import atan2, hypot, isfinite, sqrt
+from math import atan2, copysign, hypot, isfinite, sqrt
 from typing import Sequence
 
 import numpy as np
@@ -137,7 +137,7 @@ class Kinematics:
         if seed.shape != (7,) or not all(map(isfinite, seed.tolist())):
             raise ValueError(f"the seed must be seven finite joint angles, not {seed.tolist()}")
         T = np.asarray(T_base_tool, dtype=float)
-        if T.shape != (4, 4) or not np.isfinite(T).all():
+        if T.shape != (4, 4) or not isfinite(sum(map(sum, T.tolist()))):
             raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")
         return T, seed
 
@@ -145,7 +145,7 @@ class Kinematics:
 def _elbow_across(u: Vector, q: list[float]) -> Vector:
     """Returns the unit vector across u (shoulder to wrist) to the elbow for which the axis of joint 4 changes least."""
     axis = zyz_axes(q[0], q[1], q[2])[1]
-    sign = Branch.of(q).elbow
+    sign = copysign(1.0, q[3])
     for h in ((sign * axis[0], sign * axis[1], sign * axis[2]), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)):
         e = cross(h, u)
         length = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
