@@ -34,9 +34,9 @@ def check_pose(T: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     reflection), or its last row is not 0 0 0 1.
     """
     T = np.asarray(T, dtype=float)
-    if T.shape != (4, 4) or not np.all(np.isfinite(T)):
+    if T.shape != (4, 4) or not np.isfinite(T).all():
         raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")
-    if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
+    if T[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise ValueError(f"the last row of a pose is 0 0 0 1, not {T[3].tolist()}")
     check_rotation(T[:3, :3], tolerance)
     return T

@@ -6,6 +6,8 @@ orientation of b in a: its columns are the axes of b written in a.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -49,13 +51,22 @@ def check_rotation(R: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     `tolerance`, or a reflection.
     """
     R = np.asarray(R, dtype=float)
-    if R.shape != (3, 3) or not np.all(np.isfinite(R)):
+    if R.shape != (3, 3) or not np.isfinite(R).all():
         raise ValueError(f"a rotation needs 3 x 3 finite numbers, not {R.tolist()}")
-    if np.abs(R @ R.T - np.eye(3)).max() > tolerance:
+    x, y, z = R.tolist()
+    error = max(abs(_dot(x, x) - 1.0), abs(_dot(y, y) - 1.0), abs(_dot(z, z) - 1.0))
+    if max(error, abs(_dot(x, y)), abs(_dot(y, z)), abs(_dot(z, x))) > tolerance:
         raise ValueError(f"the matrix {R.tolist()} is not orthonormal")
-    if np.linalg.det(R) < 0.0:
+    if (
+        z[0] * (x[1] * y[2] - x[2] * y[1]) + z[1] * (x[2] * y[0] - x[0] * y[2]) + z[2] * (x[0] * y[1] - x[1] * y[0])
+        < 0.0
+    ):
         raise ValueError(f"the matrix {R.tolist()} is a reflection, not a rotation")
     return R
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def quaternion_from_rotation(R: ArrayLike) -> np.ndarray:
@@ -98,7 +109,8 @@ def zyx_from_rotation(R: ArrayLike) -> tuple[float, float, float]:
 
 def rotation_angle(R: ArrayLike) -> float:
     """Returns the angle [rad], 0 to pi, by which the rotation R, shape (3, 3), turns."""
-    return float(np.linalg.norm(pin.log3(np.asarray(R, dtype=float))))
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(R, dtype=float).tolist()
+    return math.atan2(math.hypot(h - f, c - g, d - b), a + e + i - 1.0)
 
 
 def scaled_rotation(R: ArrayLike, factor: float) -> np.ndarray:

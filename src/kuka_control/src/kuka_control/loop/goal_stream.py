@@ -6,6 +6,7 @@ does not servo there; else it catches up slowly.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, replace
 
@@ -44,7 +45,9 @@ def is_jump(q_before: np.ndarray, q_now: np.ndarray, dt: float, joint_speeds: np
     Joints before and now: shape (7,) [rad]; limits `joint_speeds`: shape (7,) [rad/s]; for `stall` [s] of that time
     the control loop did not look.
     """
-    return bool(np.any(np.abs(q_now - q_before) > TOLERANCE_RAD + joint_speeds * _cycle(dt, stall)))
+    cycle = _cycle(dt, stall)
+    steps = zip(q_before.tolist(), q_now.tolist(), joint_speeds.tolist())
+    return any([abs(now - before) > TOLERANCE_RAD + speed * cycle for before, now, speed in steps])
 
 
 class FrameSteps:
@@ -69,7 +72,7 @@ class FrameSteps:
         if last is None:
             return
         cycle = _cycle(frame.stamp - last.stamp, stall)
-        distance = float(np.linalg.norm(frame.T_base_tool[:3, 3] - last.T_base_tool[:3, 3]))
+        distance = math.dist(frame.T_base_tool[:3, 3].tolist(), last.T_base_tool[:3, 3].tolist())
         turn = rotation_angle(last.T_base_tool[:3, :3].T @ frame.T_base_tool[:3, :3])
         jump = distance > TOLERANCE_M + self._tool_speed * cycle or turn > TOLERANCE_RAD + self._turn_speed * cycle
         self.jumped = self.jumped or jump
@@ -114,13 +117,13 @@ class TargetMotion:
     """
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray, q: np.ndarray) -> None:
-        self._lower = lower
-        self._upper = upper
+        self._ranges = list(zip(lower.tolist(), upper.tolist()))
         self.q = np.asarray(q, dtype=float)
-        self._v = np.zeros(7)
+        self._q: list[float] = self.q.tolist()
+        self._v = [0.0] * 7
         self._since = 0.0
         self._horizon = CONTINUED_S
-        self._frames: deque[tuple[float, np.ndarray]] = deque(maxlen=COMPARED)
+        self._frames: deque[tuple[float, list[float]]] = deque(maxlen=COMPARED)
         self._delays: deque[float] = deque(maxlen=COMPARED)
 
     def take(self, q: np.ndarray, stamp: float, now: float) -> None:
@@ -133,12 +136,13 @@ class TargetMotion:
         if self._frames:
             self._horizon = min(1.5 * (stamp - self._frames[-1][0]), CONTINUED_S)
         self.q = np.asarray(q, dtype=float)
+        self._q = self.q.tolist()
         self._v = self._speed(stamp)
-        self._frames.append((stamp, self.q))
+        self._frames.append((stamp, self._q))
 
     def hold(self) -> None:
         """Stops the target at the joints of the last frame, because the new frame cannot be reached."""
-        self._v = np.zeros(7)
+        self._v = [0.0] * 7
         self._frames.clear()
 
     def at(self, now: float) -> MovingTarget:
@@ -146,24 +150,25 @@ class TargetMotion:
         age = max(now - self._since, 0.0)
         faded = min(max(age - self._horizon, 0.0), FADE_S)
         duration = min(age, self._horizon) + faded - faded * faded / (2.0 * FADE_S)
-        free = self.q + duration * self._v
-        q = np.clip(free, self._lower, self._upper)
-        return MovingTarget(read_only(q), read_only(np.where(q == free, (1.0 - faded / FADE_S) * self._v, 0.0)))
+        fraction = 1.0 - faded / FADE_S
+        joints, speeds = [], []
+        for angle, v, (lower, upper) in zip(self._q, self._v, self._ranges):
+            free = angle + duration * v
+            joints.append(min(max(free, lower), upper))
+            speeds.append(fraction * v if lower <= free <= upper else 0.0)
+        return MovingTarget(read_only(joints), read_only(speeds))
 
-    def _speed(self, stamp: float) -> np.ndarray:
-        short = self._mean_speed(stamp, SHORT_S)
-        long = self._mean_speed(stamp, LONG_S)
-        return np.where(short * long > 0.0, np.where(np.abs(short) < np.abs(long), short, long), 0.0)
+    def _speed(self, stamp: float) -> list[float]:
+        short, long = self._mean_speed(stamp, SHORT_S), self._mean_speed(stamp, LONG_S)
+        return [(a if abs(a) < abs(b) else b) if a * b > 0.0 else 0.0 for a, b in zip(short, long)]
 
-    def _mean_speed(self, stamp: float, least: float) -> np.ndarray:
+    def _mean_speed(self, stamp: float, least: float) -> list[float]:
         """Returns the mean speed since the newest frame that is `least` seconds old, or since the oldest one."""
-        for time, q in reversed(self._frames):
-            if stamp - time >= least:
-                return (self.q - q) / (stamp - time)
-        if not self._frames or stamp - self._frames[0][0] < SHORT_S:
-            return np.zeros(7)
-        time, q = self._frames[0]
-        return (self.q - q) / (stamp - time)
+        frames = self._frames
+        if not frames or stamp - frames[0][0] < SHORT_S:
+            return [0.0] * 7
+        time, before = next((frame for frame in reversed(frames) if stamp - frame[0] >= least), frames[0])
+        return [(now - angle) / (stamp - time) for now, angle in zip(self._q, before)]
 
 
 class FrameRate:
@@ -304,7 +309,7 @@ class GoalStream:
             return self._for_robot(stopped, measured, dt)
         if self._settled:
             return None
-        near = float(np.max(np.abs(stopped.q - measured))) < SETTLED_RAD
+        near = max(abs(stopped.q - measured).tolist()) < SETTLED_RAD
         self._settled = near or now - self._stands_at > SETTLING_S
         return stopped if self._settled else self._for_robot(stopped, measured, dt)
 

@@ -8,6 +8,7 @@ distances vanish ever more slowly. A goal of measured joint + f^-1(wanted step) 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,14 +35,18 @@ def lts(error: np.ndarray) -> np.ndarray:
     return np.copysign(-REACH_RAD * np.expm1(-((error / WIDTH_RAD) ** 2)), error)
 
 
-def lts_inverse(step: np.ndarray) -> np.ndarray:
+def lts_inverse(step: float) -> float:
     """Returns the distance e [rad] for which the LTS law makes a step [rad].
 
     Steps beyond STEP_RAD count as STEP_RAD, those below NOISE_RAD give a proportional distance.
     """
-    size = np.minimum(np.abs(step), STEP_RAD)
-    distance = WIDTH_RAD * np.sqrt(-np.log1p(-np.maximum(size, NOISE_RAD) / REACH_RAD))
-    return np.copysign(distance * np.minimum(size / NOISE_RAD, 1.0), step)
+    size = min(abs(step), STEP_RAD)
+    if size < NOISE_RAD:
+        return AT_NOISE_RAD / NOISE_RAD * step
+    return math.copysign(WIDTH_RAD * math.sqrt(-math.log1p(-size / REACH_RAD)), step)
+
+
+AT_NOISE_RAD = WIDTH_RAD * math.sqrt(-math.log1p(-NOISE_RAD / REACH_RAD))  # the distance for a step of NOISE_RAD [rad]
 
 
 class LtsGoals:
@@ -55,11 +60,10 @@ class LtsGoals:
     """
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray) -> None:
-        self._lower = lower
-        self._upper = upper
+        self._ranges = list(zip(lower.tolist(), upper.tolist()))
         self._measured: np.ndarray | None = None
         self._age = 0.0
-        self._speed = np.zeros(7)
+        self._speed = [0.0] * 7
 
     def step(self, wanted: np.ndarray, speed: np.ndarray, measured: np.ndarray, dt: float) -> np.ndarray:
         """Returns the goal to send, shape (7,) [rad], for the wanted joints [rad] and their speed [rad/s].
@@ -70,9 +74,13 @@ class LtsGoals:
         if measured is not self._measured:
             self._measured, self._age = measured, 0.0
         self._age = min(self._age + max(dt, 0.0), EXTRAPOLATED_S)
-        self._speed = self._speed + (speed - self._speed) * min(max(dt, 0.0) / ARM_S, 1.0)
-        present = measured + np.clip(self._age * self._speed, -STEP_RAD, STEP_RAD)
-        return read_only(np.clip(present + lts_inverse(wanted - present), self._lower, self._upper))
+        part = min(max(dt, 0.0) / ARM_S, 1.0)
+        self._speed = [before + (v - before) * part for before, v in zip(self._speed, speed.tolist())]
+        goals = []
+        for q, v, goal, (lower, upper) in zip(measured.tolist(), self._speed, wanted.tolist(), self._ranges):
+            present = q + min(max(self._age * v, -STEP_RAD), STEP_RAD)
+            goals.append(min(max(present + lts_inverse(goal - present), lower), upper))
+        return read_only(goals)
 
 
 @dataclass(frozen=True)

@@ -24,32 +24,30 @@ class TrackingMonitor:
     """
 
     def __init__(self) -> None:
-        self._reference: np.ndarray | None = None
+        self._reference: list[float] | None = None
         self._still_since = self._far_since = 0.0
         self._still_samples = self._far_samples = 0
 
     def step(self, goal: np.ndarray, measured: np.ndarray, now: float) -> str | None:
         """Returns None while the arm follows, else what is wrong, as a part of a sentence."""
-        error = np.abs(goal - measured)
-        joint = int(np.argmax(error))
-        worst = float(error[joint])
+        joints = measured.tolist()
+        errors = [abs(a - b) for a, b in zip(goal.tolist(), joints)]
+        worst = max(errors)
 
         reference = self._reference
-        first = reference is None
-        moved = reference is None or float(np.max(np.abs(measured - reference))) > STILL_RAD
-        if moved or worst <= AWAY_RAD:
-            self._reference = measured
+        if reference is None or worst <= AWAY_RAD or max([abs(a - b) for a, b in zip(joints, reference)]) > STILL_RAD:
+            self._reference = joints
             self._still_since, self._still_samples = now, 0
         self._still_samples += 1
-        if first or worst <= FAR_RAD:
+        if reference is None or worst <= FAR_RAD:
             self._far_since, self._far_samples = now, 0
         self._far_samples += 1
 
-        degrees = np.degrees(worst)
         if now - self._still_since > STILL_S and self._still_samples > SAMPLES:
-            return f"the arm stands still although joint {joint + 1} is {degrees:.1f} deg away from its goal"
+            joint = 1 + errors.index(worst)
+            return f"the arm stands still although joint {joint} is {np.degrees(worst):.1f} deg away from its goal"
         if now - self._far_since > FAR_S and self._far_samples > SAMPLES:
-            return f"joint {joint + 1} is {degrees:.1f} deg behind its goal"
+            return f"joint {1 + errors.index(worst)} is {np.degrees(worst):.1f} deg behind its goal"
         return None
 
 

@@ -6,6 +6,7 @@ look like a time-out.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +39,7 @@ def rejection_reason(T_base_tool: np.ndarray) -> str | None:
         T_base_tool = check_pose(T_base_tool)
     except ValueError as error:
         return f"{error}."
-    distance = np.linalg.norm(T_base_tool[:3, 3])
+    distance = math.hypot(*T_base_tool[:3, 3].tolist())
     return f"it is {distance:.4g} m from the base; is it in metres?" if distance > MAX_DISTANCE_M else None
 
 

@@ -99,7 +99,8 @@ class TargetChain:
             q_seed: joints to continue from, shape (7,) [rad].
             before: the target that an arm in motion follows, `dt` [s] older; None for an arm at rest.
         """
-        T_base_scaled = pose(T_base_desired[:3, :3], scaled(T_base_desired[:3, 3], self._centre, scale))
+        T_base_scaled = T_base_desired.copy()
+        T_base_scaled[:3, 3] = scaled(T_base_desired[:3, 3], self._centre, scale)
         target = self.reach(T_base_scaled, q_seed, before is not None)
         if before is None or isinstance(target, Infeasible) or target.q is None:
             return target
@@ -114,7 +115,9 @@ class TargetChain:
         constrained = self._workspace.constrain(T_base_scaled[:3, 3])
         if isinstance(constrained, Infeasible):
             return constrained
-        T_base_tool = read_only(pose(T_base_scaled[:3, :3], constrained.position))
+        if constrained.bounds:
+            T_base_scaled = pose(T_base_scaled[:3, :3], constrained.position)
+        T_base_tool = read_only(T_base_scaled)
         bounds = tuple(bound.value for bound in constrained.bounds)
         result = self._kinematics.inverse(T_base_tool, q_seed=q_seed, keep_branch=follows)
         q, T_reached = result.q, T_base_tool
@@ -125,7 +128,7 @@ class TargetChain:
                 q = self._kinematics.inverse(T_tilted, q_seed=q_seed, keep_branch=follows).q
         if q is None:
             return Target(None, T_base_tool, bounds, str(result.failure))
-        if not follows and np.max(np.abs(q - q_seed)) > HALF_TURN_RAD:
+        if not follows and max(abs(q - q_seed).tolist()) > HALF_TURN_RAD:
             return Target(None, T_base_tool, bounds, _refused_turn(np.abs(q - q_seed)))
         if T_reached is T_base_tool:
             return Target(q, T_base_tool, bounds)

@@ -186,7 +186,7 @@ class Workspace:
             ValueError: the position is not three finite numbers.
         """
         position = read_only(position)
-        if position.shape != (3,) or not np.all(np.isfinite(position)):
+        if position.shape != (3,) or not all(map(math.isfinite, position.tolist())):
             raise ValueError(f"a position needs three finite numbers, not {position.tolist()}")
         x, y, z = position.tolist()
         # Along center_line and, horizontally, to its left.
