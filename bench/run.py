@@ -18,7 +18,19 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-NAMES = ("kinematics", "control", "leap", "client", "shaping", "stopping", "grasping", "demo", "load", "growth")
+NAMES = (
+    "kinematics",
+    "control",
+    "leap",
+    "filter",
+    "client",
+    "shaping",
+    "stopping",
+    "grasping",
+    "demo",
+    "load",
+    "growth",
+)
 
 
 def main(argv: list[str] | None = None) -> int:

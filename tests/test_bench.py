@@ -13,7 +13,8 @@ from bench.measure import HEAD, Goal, Peer, Row, aligned, cells
 
 
 @pytest.mark.parametrize(
-    "name", ["kinematics", "control", "client", "shaping", "stopping", pytest.param("leap", marks=pytest.mark.ros)]
+    "name",
+    ["kinematics", "control", "filter", "client", "shaping", "stopping", pytest.param("leap", marks=pytest.mark.ros)],
 )
 def test_a_quick_run_gives_numbers(name):
     rows = importlib.import_module(f"bench.bench_{name}").rows(quick=True)

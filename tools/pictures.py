@@ -162,9 +162,29 @@ def curves() -> None:
         plot(list(csv.DictReader(file)), CURVES, PICTURES / "ggcnn2_curves.png")
 
 
+def filters() -> None:
+    """The filters of the hand: lag against tremor."""
+    from bench.bench_filter import plot
+
+    plot(PICTURES / "hand-filter.png")
+
+
 MAKERS = {
     maker.__name__: maker
-    for maker in (workspace, panel, rig, film, pick_cup, assisted_grasp, grasping, tag_pose, parts, vision, curves)
+    for maker in (
+        workspace,
+        panel,
+        rig,
+        film,
+        pick_cup,
+        assisted_grasp,
+        grasping,
+        tag_pose,
+        parts,
+        vision,
+        curves,
+        filters,
+    )
 }
 
 

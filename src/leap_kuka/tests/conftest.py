@@ -17,6 +17,7 @@ LEAP = {
     "z_clearance": 0.15,
     "box_dimensions": np.array([0.2, 0.2, 0.2]),
     "buffer_size": 10,
+    "filter": "mean",
     "start_tol_pitch": 20.0,
     "start_tol_roll": 20.0,
     "run_tol_yaw": 25.0,

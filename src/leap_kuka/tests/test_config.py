@@ -17,8 +17,12 @@ SHIPPED = yaml.safe_load((Path(__file__).parents[1] / "config" / "leap_params.ya
 def test_the_shipped_parameters_are_those_of_the_reference(leap):
     config = parse(LeapConfig, SHIPPED, "leap/")
     np.testing.assert_array_equal(config.box_dimensions, [0.2, 0.2, 0.2])
+    assert (
+        config.filter == "kalman"
+        and parse(LeapConfig, {k: v for k, v in SHIPPED.items() if k != "filter"}).filter == "mean"
+    )
     assert {k: v for k, v in vars(config).items() if k != "box_dimensions"} == {
-        k: v for k, v in vars(leap()).items() if k != "box_dimensions"
+        k: v for k, v in vars(leap(filter="kalman")).items() if k != "box_dimensions"
     }
 
 

@@ -425,10 +425,11 @@ def streams(results):
     return changes
 
 
+@pytest.mark.parametrize("filter_name", ["mean", "kalman"])
 @pytest.mark.parametrize("name", LIFT)
-def test_on_recordings_the_tool_moves_smoothly_and_within_its_limits(recording, leap, arm, name):
+def test_on_recordings_the_tool_moves_smoothly_and_within_its_limits(recording, leap, arm, name, filter_name):
     """Between two frames of one stream: less than a tenth of the window's longest way, 2 m/s for 10 samples."""
-    results = run(ArmTeleop(leap(), arm()), recording(name, LIFT[name]))
+    results = run(ArmTeleop(leap(filter=filter_name), arm()), recording(name, LIFT[name]))
     assert any(r.state == StreamState.RUNNING for _, r in results)
     for (t0, before), (t1, after) in zip(results, results[1:]):
         if after.state == StreamState.RUNNING:

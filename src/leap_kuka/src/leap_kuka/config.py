@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.config import integer, number, vector
+from common.config import choice, integer, number, vector
 from common.mounting import EVEN, MountingFrame, ToolConfig, mounting_field, mounting_frame
+from leap_kuka.hand_filter import FILTERS
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,13 @@ class LeapConfig:
         3, "m", above=0.0, high=1.0, doc="size of the interaction box along the Leap's axes"
     )
     buffer_size: int = integer(
-        "samples", low=1, high=1000, doc="samples averaged, or as many as come in buffer_size / 110 s"
+        "samples",
+        low=1,
+        high=1000,
+        doc="samples averaged, or as many as come in buffer_size / 110 s",
+    )
+    filter: str = choice(
+        "mean", *FILTERS, absent="mean", doc="filter of palm and orientation; mean: of buffer_size samples, as in 2019"
     )
     start_tol_pitch: float = number("deg", above=0.0, below=90.0, doc="largest pitch at which a stream starts")
     start_tol_roll: float = number("deg", above=0.0, below=90.0, doc="largest roll at which a stream starts")

@@ -1,28 +1,31 @@
-"""The mean of the newest samples of one hand, without outliers, as the hand frame.
+"""The hand frame of one hand over its newest samples, without outliers, filtered against tremor.
 
 The hand frame has x along the hand, z out of the palm, and y completes it; the same for left and right hands. All
 vectors are in the Leap frame: x to the user's right, y up, z towards the user; metres.
 
 The window is in seconds, so that a slow tracker does not add delay: `size` samples at the nominal rate. It holds `size`
-samples at most, and two at least.
+samples at most, and two at least. Its mean is the confidence of the hand, and its frame unless there is a filter
+(hand_filter.py); a hand that turns too fast for this mean has no frame with a filter either.
 
 An outlier is a palm that moves more than 20 mm from one frame to the next, and faster than 2 m/s over a longer gap, or
 0.3 m/s over one of more than 0.1 s, or a hand with invalid numbers (docs/handbook/wire-protocols.md, "Tracker: Leap
-service"). The mean does not change while outliers come in. After MAX_LEFT_OUT of them in a row the hand counts as lost.
+service"). The frame does not change while outliers come in. After MAX_LEFT_OUT of them in a row the hand counts as
+lost.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from common.hand_tracking import plausible_step
-from common.poses import pose, read_only
-from common.rotations import UNIT_TOLERANCE, unit
+from common.hand_tracking import LONG_GAP_S, plausible_step
+from common.rotations import UNIT_TOLERANCE
+from leap_kuka.hand_filter import FILTERS
 from leap_motion.frames import TrackedHand
 
 MAX_LEFT_OUT = 5
@@ -31,8 +34,9 @@ NOMINAL_RATE_HZ = 110.0  # of the tracker
 SPEED_WINDOW_S = 10.0 / NOMINAL_RATE_HZ  # time over which the speed of the palm is computed, whatever the mean's size
 SPEED_SAMPLES = 4  # fewest samples that have a speed
 MIN_MEAN_LENGTH = 0.8
-"""Shortest mean of unit vectors that counts as a direction. Above 1/sqrt(2) the means of direction and normal cannot
-be parallel: the samples are orthogonal, so the cosine between the means is at most (1 - l^2) / l^2."""
+MAX_COSINE = 0.7
+"""Shortest mean of unit vectors that counts as a direction, and largest cosine between direction and normal. The
+samples are orthogonal, so the cosine between two means of length l is at most (1 - l^2) / l^2 = 0.56."""
 
 ORTHOGONAL_TOLERANCE = 0.01  # largest cosine between direction and normal; the tracker prints them to six digits
 MAX_DISTANCE_M = 2.0  # largest distance of a palm from the Leap; the tracker's documented range is 0.6 m
@@ -40,7 +44,7 @@ MAX_DISTANCE_M = 2.0  # largest distance of a palm from the Leap; the tracker's 
 
 @dataclass(frozen=True)
 class MeanHand:
-    """The averaged hand."""
+    """The averaged or filtered hand."""
 
     T_leap_hand: np.ndarray  # pose of the hand frame in the Leap frame, shape (4, 4) [m]
     confidence: float  # 0 to 1
@@ -55,15 +59,18 @@ class MeanHand:
 class HandAverage:
     """First-in, first-out mean over `size` samples of one hand, or `window` [s] if that holds fewer.
 
-    `left_out` counts the newest outliers in a row.
+    A filter of FILTERS replaces the mean of the frame, unless it is "mean". `left_out` counts the newest outliers in a
+    row.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, filter: str = "mean") -> None:
         if size < 1:
             raise ValueError(f"the mean needs at least one sample, not {size}")
         self.size, self.window = size, size / NOMINAL_RATE_HZ
-        self._samples: deque[tuple[float, np.ndarray]] = deque(maxlen=size)
-        self._newest: deque[tuple[float, np.ndarray]] = deque()
+        self._filter = None if filter == "mean" else FILTERS[filter]()
+        self._filtered: Sequence[float] = ()
+        self._samples: deque[tuple[float, list[float]]] = deque(maxlen=size)
+        self._newest: deque[tuple[float, list[float]]] = deque()  # palms
         self._first: float | None = None
         self.left_out = 0
 
@@ -93,14 +100,17 @@ class HandAverage:
 
     def add(self, hand: TrackedHand, now: float) -> str | None:
         """Adds the sample of a frame whose stamp is at `now` [s]; returns why it was left out, or None."""
-        fault = hand_fault(hand) or self._outlier(hand.palm, now)
+        numbers = _numbers(hand)
+        fault = _fault(numbers) or self._outlier(numbers[:3], now)
         if fault:
             self.left_out += 1
             return fault
         self.left_out = 0
+        if self._filter is not None:
+            self._filtered = self._after(numbers[:9], now)
         self._first = now if self._first is None else self._first
-        self._newest.append((now, hand.palm))
-        self._samples.append((now, _numbers(hand)))
+        self._newest.append((now, numbers[:3]))
+        self._samples.append((now, numbers))
         _forget(self._newest, now - SPEED_WINDOW_S, SPEED_SAMPLES)
         _forget(self._samples, now - self.window, 2)
         return None
@@ -109,10 +119,30 @@ class HandAverage:
         """Returns the mean hand, or None while the window fills or the hand turns too fast for a mean."""
         if not self.full:
             return None
-        mean = np.mean([sample for _, sample in self._samples], axis=0)
-        if min(np.linalg.norm(mean[3:6]), np.linalg.norm(mean[6:9])) < MIN_MEAN_LENGTH:
+        *vectors, confidence = (sum(column) / self.count for column in zip(*(numbers for _, numbers in self._samples)))
+        if not _is_frame(vectors):
             return None
-        return MeanHand(read_only(pose(hand_rotation(mean[3:6], mean[6:9]), mean[:3])), float(mean[9]), self._speed())
+        if self._filter is not None:
+            vectors = list(self._filtered)
+            if not _is_frame(vectors):
+                return None
+        T_leap_hand = np.eye(4)
+        T_leap_hand[:3, :3] = hand_rotation(vectors[3:6], vectors[6:9])
+        T_leap_hand[:3, 3] = vectors[:3]
+        T_leap_hand.setflags(write=False)
+        return MeanHand(T_leap_hand, confidence, self._speed())
+
+    def _after(self, sample: list[float], now: float) -> Sequence[float]:
+        """Returns the filtered sample, nine numbers.
+
+        A filter begins anew after a gap in which nobody saw where the hand was. The first result is half-way then, as
+        the mean's is, so that the tool makes two smaller steps.
+        """
+        gap = bool(self._samples) and now - self._samples[-1][0] > LONG_GAP_S
+        if gap or not self._samples:
+            self._filter.reset()
+        filtered = self._filter.step(sample, now)
+        return [0.5 * (a + b) for a, b in zip(self._filtered, filtered)] if gap else filtered
 
     def _speed(self) -> float:
         """Returns the larger speed of the lines through the older and through the newer half of the samples [m/s].
@@ -122,14 +152,14 @@ class HandAverage:
         """
         if len(self._newest) < SPEED_SAMPLES:
             return math.inf
-        times, palms = (np.array(column) for column in zip(*self._newest))
-        half = (len(times) + 1) // 2
-        return max(_slope(times[:half], palms[:half]), _slope(times[-half:], palms[-half:]))
+        samples = list(self._newest)
+        half = (len(samples) + 1) // 2
+        return max(_slope(samples[:half]), _slope(samples[-half:]))
 
-    def _outlier(self, palm: np.ndarray, now: float) -> str | None:
+    def _outlier(self, palm: list[float], now: float) -> str | None:
         if not self._newest:
             return None
-        step = float(np.linalg.norm(palm - self._newest[-1][1]))
+        step = math.dist(palm, self._newest[-1][1])
         elapsed = now - self._newest[-1][0]
         if step <= plausible_step(elapsed):
             return None
@@ -138,20 +168,25 @@ class HandAverage:
 
 def hand_fault(hand: TrackedHand) -> str | None:
     """Returns why the numbers of a hand are invalid, or None."""
-    numbers = _numbers(hand)
-    if not np.all(np.isfinite(numbers)):
-        return f"not all numbers of the hand are finite: {numbers.tolist()}"
-    if np.linalg.norm(hand.palm) > MAX_DISTANCE_M:
-        return f"the palm is {np.linalg.norm(hand.palm):.1f} m away from the Leap"
-    for name in ("direction", "normal"):
-        norm = np.linalg.norm(getattr(hand, name))
+    return _fault(_numbers(hand))
+
+
+def _fault(numbers: list[float]) -> str | None:
+    if not all(map(math.isfinite, numbers)):
+        return f"not all numbers of the hand are finite: {numbers}"
+    palm, direction, normal, confidence = numbers[:3], numbers[3:6], numbers[6:9], numbers[9]
+    if math.hypot(*palm) > MAX_DISTANCE_M:
+        return f"the palm is {math.hypot(*palm):.1f} m away from the Leap"
+    for name, vector in (("direction", direction), ("normal", normal)):
+        norm = math.hypot(*vector)
         if abs(norm - 1.0) > UNIT_TOLERANCE:
             return f"the {name} of the hand has length {norm:.4g} instead of 1"
-    if abs(hand.direction @ hand.normal) > ORTHOGONAL_TOLERANCE:
-        angle = math.degrees(math.acos(np.clip(hand.direction @ hand.normal, -1.0, 1.0)))
+    cosine = _dot(direction, normal)
+    if abs(cosine) > ORTHOGONAL_TOLERANCE:
+        angle = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
         return f"direction and normal of the hand enclose {angle:.1f} deg instead of 90"
-    if not 0.0 <= hand.confidence <= 1.0:
-        return f"the confidence is {hand.confidence:g} and not within 0 and 1"
+    if not 0.0 <= confidence <= 1.0:
+        return f"the confidence is {confidence:g} and not within 0 and 1"
     return None
 
 
@@ -161,23 +196,48 @@ def hand_rotation(direction: ArrayLike, normal: ArrayLike) -> np.ndarray:
     Raises:
         ValueError: a vector has no direction, or both have the same.
     """
-    x, normal = unit(direction), unit(normal)
-    z = unit(normal - (normal @ x) * x)
-    return np.column_stack([x, np.cross(z, x), z])
+    x, normal = _unit(direction), _unit(normal)
+    along = _dot(normal, x)
+    z = _unit([n - along * component for n, component in zip(normal, x)])
+    y = (z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0])
+    return np.array([x, y, z]).T
 
 
-def _forget(samples: deque[tuple[float, np.ndarray]], until: float, least: int) -> None:
+def _is_frame(vectors: Sequence[float]) -> bool:
+    """Returns whether direction and normal of nine numbers are long enough, and far enough from parallel."""
+    direction, normal = vectors[3:6], vectors[6:9]
+    lengths = math.hypot(*direction), math.hypot(*normal)
+    return min(lengths) >= MIN_MEAN_LENGTH and abs(_dot(direction, normal)) <= MAX_COSINE * lengths[0] * lengths[1]
+
+
+def _unit(vector: ArrayLike) -> list[float]:
+    x, y, z = vector
+    norm = math.hypot(x, y, z)
+    if not 1e-12 <= norm < math.inf:
+        raise ValueError(f"the vector {[x, y, z]} has no direction")
+    return [x / norm, y / norm, z / norm]
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _forget(samples: deque[tuple[float, list[float]]], until: float, least: int) -> None:
     """Removes the samples that are not after `until` [s], but keeps `least` of them."""
     while len(samples) > least and samples[0][0] <= until:
         samples.popleft()
 
 
-def _slope(times: np.ndarray, points: np.ndarray) -> float:
-    """Returns the speed of the line that fits points, shape (n, 3) [m], at times, shape (n,) [s], best [m/s]."""
-    centred = times - times.mean()
-    square = float(centred @ centred)
-    return float(np.linalg.norm(centred @ points)) / square if square > 0.0 else math.inf
+def _slope(samples: list[tuple[float, list[float]]]) -> float:
+    """Returns the speed of the line that fits points [m] at times [s] best [m/s]."""
+    middle = sum(time for time, _ in samples) / len(samples)
+    square = x = y = z = 0.0
+    for time, point in samples:
+        centred = time - middle
+        square += centred * centred
+        x, y, z = x + centred * point[0], y + centred * point[1], z + centred * point[2]
+    return math.hypot(x, y, z) / square if square > 0.0 else math.inf
 
 
-def _numbers(hand: TrackedHand) -> np.ndarray:
-    return np.concatenate([hand.palm, hand.direction, hand.normal, [hand.confidence]])
+def _numbers(hand: TrackedHand) -> list[float]:
+    return [*hand.palm.tolist(), *hand.direction.tolist(), *hand.normal.tolist(), float(hand.confidence)]

@@ -1,4 +1,4 @@
-"""From tracking frames to the desired tool frame of the arm: lock on a hand, mean, start gate, virtual Leap, tool.
+"""From tracking frames to the desired tool frame of the arm: lock on a hand, filter, start gate, virtual Leap, tool.
 
 One object composes the steps. A stream is one engagement of one hand (common.hand_tracking.HandLock). While that hand
 is missing, or the tracker is slower than MIN_RATE_HZ, the stream runs on and the tool stays. Poses are in the frame of
@@ -102,7 +102,7 @@ class ArmTeleop:
         self._lock: HandLock[TrackedHand] = HandLock(
             MAX_SILENCE_S, self.box.outside, TURN_S + leap.buffer_size / NOMINAL_RATE_HZ
         )
-        self._average = HandAverage(leap.buffer_size)
+        self._average = HandAverage(leap.buffer_size, leap.filter)
         self._gate = StartGate(leap, self.box)
         self._control_known = False
         self._attitude = SteadyAttitude(np.eye(3), 0.0, self._limits)
