@@ -725,6 +725,15 @@ def test_the_speed_limit_falls_with_the_rate_of_the_frames(rate, fraction):
     assert reached(world, away(9.0)) and world.mode == "servo"
 
 
+def test_frames_that_come_22_times_a_second_are_followed_again():
+    world = at_rate(World().following(), 15.0, lambda t: shifted(0.0, 0.0, 0.0), 1.0)
+    assert "frame rate" in world.steps[-1].limited_by
+    at_rate(world, 22.0, lambda t: shifted(0.0, 0.0, 0.0), 1.0)
+    assert "frame rate" not in world.steps[-1].limited_by and world.mode == "servo"
+    at_rate(world, 20.5, lambda t: shifted(0.0, 0.0, 0.0), 1.0)
+    assert "frame rate" not in world.steps[-1].limited_by
+
+
 def test_frames_below_20_a_second_are_not_followed_until_they_come_faster():
     world = at_rate(World().following(), 15.0, lambda t: shifted(0.0, 0.0, 0.0), 0.5)
     first = len(world.arm.goals)

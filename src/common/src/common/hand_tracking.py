@@ -7,16 +7,16 @@ time of a frame's stamp is its arrival less its age.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from common.frame_rate import FrameRate
+
 MAX_SKEW_S = 0.5  # how far a frame's stamp may be from the present time [s]
 RATE_WINDOW_S = 0.5  # time over which the frame rate is measured [s]
-RATE_FRAMES = 3  # fewest frames that have a rate
 
 MAX_STEP_M = 0.02  # farthest that a palm moves between two frames; the largest true step in recordings was 15 mm
 MAX_SPEED_M_S = 2.0  # fastest palm
@@ -43,7 +43,7 @@ class FrameWatch:
         self._max_silence = max_silence
         self._last_id: int | None = None
         self._last_time: float | None = None
-        self._stamps: deque[float] = deque()
+        self._rate = FrameRate(RATE_WINDOW_S)
         self._refusal: tuple[str, float] | None = None
 
     def arrived(self, frame_id: int, age: float, now: float) -> FrameArrival:
@@ -64,20 +64,17 @@ class FrameWatch:
             broken = f"no tracking frame came for {now - self._last_time:.1f} s"
         self._last_id, self._last_time = frame_id, now
         if broken:
-            self._stamps.clear()
+            self._rate.clear()
         # Age and arrival are read one after the other, so the stamps jitter by what a busy processor does between them.
-        stamp = max(now - age, self._stamps[-1]) if self._stamps else now - age
-        self._stamps.append(stamp)
-        while stamp - self._stamps[0] > RATE_WINDOW_S:
-            self._stamps.popleft()
+        last = self._rate.last
+        stamp = now - age if last is None else max(now - age, last)
+        self._rate.take(stamp)
         return FrameArrival(True, broken, restarted, stamp)
 
     @property
     def rate(self) -> float | None:
-        """Usable frames per second by their stamps, over RATE_WINDOW_S [Hz]; None while there are too few."""
-        if len(self._stamps) < RATE_FRAMES or self._stamps[-1] == self._stamps[0]:
-            return None
-        return (len(self._stamps) - 1) / (self._stamps[-1] - self._stamps[0])
+        """Usable frames per second by their stamps, over RATE_WINDOW_S at least [Hz]; None while there are too few."""
+        return self._rate.value
 
     def silence(self, now: float) -> str | None:
         """Returns why no usable frame came for longer than `max_silence`, or None where one came."""

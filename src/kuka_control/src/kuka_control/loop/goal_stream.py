@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.frame_rate import FrameRate
 from common.poses import read_only
 from common.rotations import rotation_angle
 from kuka_control.limits.motion_limits import GAP_S, LimitedGoal, MotionLimits, Unlimited
@@ -34,6 +35,7 @@ FULL_SPEED_HZ = 60.0  # the tool moves at most 11 mm from one frame to the next 
 HOLD_HZ = 20.0  # frames that come less often than this are not followed
 RATE_WINDOW_S = 0.3  # time over which frames are counted [s]
 RESUME_HZ = 22.0  # until they come this often
+ROUNDING_HZ = 1e-3  # of a rate by stamps in seconds since 1970 [Hz]
 SETTLED_RAD = 1e-3  # an arm this close to its goal has come to rest with it [rad]
 SETTLING_S = 0.3  # it is waited for this long [s]
 CATCH_UP_RAD = float(np.radians(60.0))  # joints that differ by more are caught up with by a pick-up motion
@@ -171,24 +173,21 @@ class TargetMotion:
         return [(now - angle) / (stamp - time) for now, angle in zip(self._q, before)]
 
 
-class FrameRate:
+class RateLimit:
     """How fast the arm may follow frames that come at a rate: less often seen, a hand is followed more slowly."""
 
     def __init__(self) -> None:
-        self._since: float | None = None
-        self._stamps: deque[float] = deque()
+        self._rate = FrameRate(RATE_WINDOW_S)
         self.holds = False
 
     def take(self, stamp: float, stall: float) -> None:
         """Takes the stamp of a new frame [s]; a stall of the control loop says nothing about the rate."""
-        if self._since is None or stall > 0.0 or stamp <= self._stamps[-1]:
-            self._since = stamp
-            self._stamps.clear()
-        self._stamps.append(stamp)
-        while stamp - self._stamps[0] > RATE_WINDOW_S:
-            self._stamps.popleft()
-        if stamp - self._since >= RATE_WINDOW_S:
-            self.holds = self._rate() < (RESUME_HZ if self.holds else HOLD_HZ)
+        last = self._rate.last
+        if last is None or stall > 0.0 or stamp <= last:
+            self._rate.clear()
+        self._rate.take(stamp)
+        if self._rate.span >= RATE_WINDOW_S:
+            self.holds = (self._rate.value or 0.0) < (RESUME_HZ if self.holds else HOLD_HZ) - ROUNDING_HZ
 
     @property
     def cap(self) -> float:
@@ -198,12 +197,9 @@ class FrameRate:
         """
         if self.holds:
             return 0.0
-        if self._since is None or self._stamps[-1] - self._since < RATE_WINDOW_S:
+        if self._rate.span < RATE_WINDOW_S:
             return CATCH_UP_SCALE
-        return min(self._rate() / FULL_SPEED_HZ, 1.0)
-
-    def _rate(self) -> float:
-        return (len(self._stamps) - 1) / RATE_WINDOW_S
+        return min((self._rate.value or 0.0) / FULL_SPEED_HZ, 1.0)
 
 
 CATCH_UP_SCALE = 1.0 / 3.0
@@ -238,7 +234,7 @@ class GoalStream:
         self._motion = TargetMotion(settings.lower, settings.upper, q)
         self._frames = FrameSteps(settings.tool_speed, float(np.max(settings.joint_speeds)))
         self._lts = LtsGoals(settings.lower, settings.upper) if lts else None
-        self._rate = FrameRate()
+        self._rate = RateLimit()
         self._stamp: float | None = None
         self._catching_up = True
         self._time = self._looked = now
