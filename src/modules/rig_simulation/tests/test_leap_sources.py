@@ -157,7 +157,7 @@ def test_a_recording_is_served_byte_for_byte_but_for_ids_and_time_stamps(shared_
 
 def test_an_offset_moves_positions_only(write):
     frames = Recording(write(two_frames()), offset=(100, -50, 0.25)).frames(np.random.default_rng(0), 1)
-    _, frame = next(frames)
+    frame = json.loads(next(frames)[1].text(1, 1))
     original = two_frames()[0]
     assert frame["hands"][0] == {**original["hands"][0], "palmPosition": [110.5, 150, -2.75]}
     assert frame["pointables"][0] == {**original["pointables"][0], "tipPosition": [101, -48, 3.25]}

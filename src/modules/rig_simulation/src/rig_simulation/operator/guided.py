@@ -99,7 +99,7 @@ class GuidedOperator:
             curl = float(self._state[motion.CURL])
             return {"in_view": True, "moving": moving, "right": right, "up": up, "back": back, "curl": curl}
 
-    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields frames without end, empty ones while no hand is in view."""
         model = HandModel(self._scripted.side, self._scripted.scale, ends_at_tip=self._scripted.fields == "new")
         tracker, shown, age = None, 0, 0.0

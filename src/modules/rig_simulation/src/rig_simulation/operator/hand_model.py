@@ -7,6 +7,7 @@ serves both hands; so are the bases of its bones, as on the wire of the service.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +35,7 @@ KNUCKLES_MM = np.array(
     [[-19.34, -6.00, 53.17], [-23.18, 2.00, -23.15], [-2.79, 4.00, -23.25], [17.45, 4.00, -17.28], [35.34, 0.00, -9.73]]
 )
 WRIST_MM = np.array([7.06, 4.0, 50.0])
-THUMB_TWIST = np.radians(45.0)  # turn of the thumb's hinges about its bones: it bends across the palm, not down
+R_THUMB = rotation_about(2, np.radians(45.0))  # of its hinges about its bones: it bends across the palm, not down
 FLEXION_SUM_EXTENDED = np.radians(85.0)
 OPEN = np.radians([[-5, 4, 4], [2, 5, 4], [1, 5, 4], [2, 5, 4], [3, 6, 5]])
 FIST = np.radians([[25, 40, 50], [85, 85, 62], [87, 86, 62], [87, 86, 62], [86, 85, 62]])
@@ -98,18 +99,19 @@ class HandModel:
     def place(self, pose: HandPose) -> HandGeometry:
         """Returns the geometry of the bones in a pose of the hand."""
         # Yaw, pitch and roll of the service are projections of these two orthogonal vectors.
-        direction = unit(np.array([np.tan(pose.yaw), np.tan(pose.pitch), -1.0]))
-        tilt = -(direction[0] * np.sin(pose.roll) - direction[1] * np.cos(pose.roll)) / direction[2]
-        normal = unit(np.array([np.sin(pose.roll), -np.cos(pose.roll), tilt]))
+        dx, dy, dz = _unit(math.tan(pose.yaw), math.tan(pose.pitch), -1.0)
+        sine, cosine = math.sin(pose.roll), math.cos(pose.roll)
+        nx, ny, nz = _unit(sine, -cosine, -(dx * sine - dy * cosine) / dz)
+        direction, normal = np.array([dx, dy, dz]), np.array([nx, ny, nz])
+        side = -1.0 if self.side == "left" else 1.0
+        across = side * (ny * dz - nz * dy), side * (nz * dx - nx * dz), side * (nx * dy - ny * dx)
         # Columns: palm axes in Leap axes.
-        axes = np.stack([np.cross(normal, direction), -normal, -direction], axis=1)
-        if self.side == "left":
-            axes[:, 0] *= -1.0
+        axes = np.array([[across[0], -nx, -dx], [across[1], -ny, -dy], [across[2], -nz, -dz]])
         orientations = self._orientations(pose)
         joints = np.empty((5, 5, 3))
         joints[:, 0], joints[:, 1] = self._carps, self._knuckles
-        for bone in (1, 2, 3):
-            joints[:, bone + 1] = joints[:, bone] - self.lengths[:, bone, None] * orientations[:, bone, :, 2]
+        bones = self.lengths[:, 1:, None] * orientations[:, 1:, :, 2]
+        joints[:, 2:] = self._knuckles[:, None] - bones.cumsum(axis=1)
         tip = 1.0 if self.ends_at_tip else TIP_ON_DISTAL
         tips = joints[:, 3] + tip * (joints[:, 4] - joints[:, 3])
         palm = np.asarray(pose.palm, dtype=float)
@@ -128,33 +130,44 @@ class HandModel:
 
     def _orientations(self, pose: HandPose) -> np.ndarray:
         """Returns the orientations of the bones in palm axes, axes as columns, shape (5, 4, 3, 3)."""
+        cosine, sine = np.cos(pose.spread), np.sin(pose.spread)
+        knuckles = np.zeros((5, 3, 3))  # axes after the spread, a turn about y
+        knuckles[:, 0, 0] = knuckles[:, 2, 2] = cosine
+        knuckles[:, 0, 2], knuckles[:, 2, 0] = -sine, sine
+        knuckles[:, 1, 1] = 1.0
+        knuckles[0] = knuckles[0] @ R_THUMB
+        bent = pose.flexion.cumsum(axis=1)[:, :, None]
+        cosine, sine = np.cos(bent), np.sin(bent)
+        x, y, z = knuckles[:, None, :, 0], knuckles[:, None, :, 1], knuckles[:, None, :, 2]
         orientations = np.empty((5, 4, 3, 3))
         orientations[:, 0] = self._metacarpals
-        for finger in range(5):
-            orientation = rotation_about(1, -pose.spread[finger])
-            if finger == 0:
-                orientation = orientation @ rotation_about(2, THUMB_TWIST)
-            for hinge in range(3):
-                orientation = orientation @ rotation_about(0, -pose.flexion[finger, hinge])
-                orientations[finger, hinge + 1] = orientation
+        orientations[:, 1:, :, 0] = x
+        orientations[:, 1:, :, 1] = cosine * y - sine * z
+        orientations[:, 1:, :, 2] = sine * y + cosine * z
         return orientations
 
 
 def grab_strength(flexion: np.ndarray) -> float:
     """Returns the grab strength from 0 to 1 (fist), from the flexion of the hinges, shape (5, 3) [rad]."""
-    mean = np.degrees(flexion[1:].sum(axis=1).mean())
-    return float(np.clip((mean - 60.0) / 95.0, 0.0, 1.0))
+    mean = math.degrees(flexion[1:].sum(axis=1).mean())
+    return min(max((mean - 60.0) / 95.0, 0.0), 1.0)
 
 
 def pinch_strength(tips: np.ndarray) -> float:
     """Returns the pinch strength from 0 to 1, from the finger tips, shape (5, 3) [mm]."""
-    distance = np.linalg.norm(tips[1:] - tips[0], axis=1).min()
-    return float(np.clip((65.5 - distance) / 43.7, 0.0, 1.0))
+    away = tips[1:] - tips[0]
+    distance = math.sqrt((away * away).sum(axis=1).min())
+    return min(max((65.5 - distance) / 43.7, 0.0), 1.0)
 
 
 def extended(flexion: np.ndarray) -> list[bool]:
     """Returns for each finger whether it is extended, from the flexion of the hinges, shape (5, 3) [rad]."""
     return (flexion.sum(axis=1) < FLEXION_SUM_EXTENDED).tolist()
+
+
+def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
+    length = math.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
 
 
 def _across(back: np.ndarray) -> np.ndarray:

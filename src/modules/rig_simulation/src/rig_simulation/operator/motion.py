@@ -7,6 +7,7 @@ the workspace, pitch, yaw, roll [rad], and curl (0 open, 1 fist).
 
 from __future__ import annotations
 
+import bisect
 from dataclasses import dataclass
 from typing import Callable, Mapping
 
@@ -55,17 +56,17 @@ class Visit:
         self._here = np.array([*entry, *np.radians([6.0, rng.uniform(-8, 8), 3.0]), 0.0])
         rest = np.array([*rng.uniform(-8, 8, 3), *np.radians(rng.uniform([2, -6, -4], [7, 6, 4])), 0.0])
         self._compose(rest)
-        self._ends = np.cumsum([duration for duration, _ in self._segments])
-        self.duration = float(self._ends[-1])
-        times = np.arange(0.0, self.duration, 0.005)
-        visible = times[[self.state(t)[Z] < EDGE_MM for t in times]]
-        self.appears, self.vanishes = float(visible[0]), float(visible[-1])
+        self._ends = np.cumsum([duration for duration, _ in self._segments]).tolist()
+        self.duration = self._ends[-1]
+        times = np.arange(0.0, self.duration, 0.005).tolist()
+        self.appears = next(t for t in times if self.state(t)[Z] < EDGE_MM)
+        self.vanishes = next(t for t in reversed(times) if self.state(t)[Z] < EDGE_MM)
 
     def state(self, t: float) -> np.ndarray:
         """Returns the state at `t` seconds after the start of the visit, shape (7,)."""
-        i = min(int(np.searchsorted(self._ends, t)), len(self._segments) - 1)
+        i = min(bisect.bisect_left(self._ends, t), len(self._segments) - 1)
         duration, state = self._segments[i]
-        return state(float(np.clip((t - (self._ends[i] - duration)) / duration, 0.0, 1.0)))
+        return state(min(max((t - (self._ends[i] - duration)) / duration, 0.0), 1.0))
 
     def visible(self, t: float) -> bool:
         """Returns whether the hand is in view."""

@@ -1,7 +1,7 @@
 """Sources of frames: no hand, an operator who follows a script, or a recording; and their playback with ids and times.
 
-A source yields (interval, frame): the time since the last frame [s], and a frame without the `id` and `timestamp` of
-the service. The service counts hand ids, so a source gets the first free one.
+A source yields (interval, frame): the time since the last frame [s], and a frame that waits for the `id` and
+`timestamp` of the service. The service counts hand ids, so a source gets the first free one.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ class RecordingError(RigError):
         super().__init__(f"The recording {path} {problem}. Record it again, or choose another file.")
 
 
-def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float, dict]]:
+def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float, wire.Frame]]:
     """Yields frames without hands and without end, at the rate of the device with its jitter."""
+    empty = wire.frame([], 1.0 / PERIOD_S, fields)
     while True:
-        yield next_interval(rng), wire.frame([], 1.0 / PERIOD_S, fields)
+        yield next_interval(rng), empty
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class ScriptedOperator:
     centre: tuple[float, float, float] = (0.0, 350.0, 0.0)  # of the workspace, in Leap axes [mm]
     fields: str = "2.x"  # field set of the frames
 
-    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields visits without end, each with its own hand id and a pause after it."""
         model = HandModel(self.side, self.scale, ends_at_tip=self.fields == "new")
         hand_id = first_id
@@ -62,7 +63,7 @@ class ScriptedOperator:
 
     def _visit(
         self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator
-    ) -> Iterator[tuple[float, dict]]:
+    ) -> Iterator[tuple[float, wire.Frame]]:
         tracker, order = Tracker(model, hand_id, rng), rng.permutation(5).tolist()
         t, interval = visit.appears, next_interval(rng)
         while t < visit.vanishes + self.script.away:
@@ -93,26 +94,29 @@ class Recording:
     """
 
     def __init__(self, path: Path, rate: float = 1.0, offset: Sequence[float] = (0, 0, 0), loop: bool = False) -> None:
-        self._lines = _read(path)
-        self._rate, self._offset, self._loop = rate, tuple(offset), loop
-        frames = [self._check(path, number, line) for number, line in enumerate(self._lines, 1)]
-        self._times = [frame["timestamp"] for frame in frames]
+        self._rate, self._loop = rate, loop
+        self._times: list[int] = []
+        self._frames: list[wire.Frame] = []
+        for number, line in enumerate(_read(path), 1):
+            stamp, frame = self._check(path, number, line, offset)
+            self._times.append(stamp)
+            self._frames.append(frame)
         if any(b < a for a, b in zip(self._times, self._times[1:])):
             raise RecordingError(path, "has decreasing time stamps")
-        self._highest_hand = max((hand["id"] for frame in frames for hand in frame["hands"]), default=0)
+        self._highest_hand = max(frame.hand_id for frame in self._frames)
 
     def __len__(self) -> int:
-        return len(self._lines)
+        return len(self._frames)
 
-    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields the recorded frames, then empty ones until it repeats, or without end."""
         shift = 0 if first_id <= 1 else first_id
         while True:
             interval = PERIOD_S
-            for i, line in enumerate(self._lines):
+            for i, frame in enumerate(self._frames):
                 if i:
                     interval = (self._times[i] - self._times[i - 1]) * 1e-6 / self._rate
-                yield interval, self._frame(line, shift)
+                yield interval, frame.with_ids(shift) if shift else frame
             shift += self._highest_hand + 1
             pause = 0.0
             for interval, empty in empty_frames(rng, "2.x"):
@@ -121,19 +125,13 @@ class Recording:
                 pause += interval
                 yield interval, empty
 
-    def _frame(self, line: str, shift: int) -> dict:
-        frame = json.loads(line)
-        if any(self._offset):
-            frame = wire.shifted(frame, self._offset)
-        return wire.with_ids(frame, shift) if shift else frame
-
     @staticmethod
-    def _check(path: Path, number: int, line: str) -> dict:
+    def _check(path: Path, number: int, line: str, offset: Sequence[float]) -> tuple[int, wire.Frame]:
         try:
             frame = json.loads(line)
             if all(isinstance(hand["id"], int) for hand in frame["hands"]) and isinstance(frame["timestamp"], int):
-                wire.shifted(frame, (0, 0, 0))
-                return frame
+                moved = wire.shifted(frame, offset)
+                return frame["timestamp"], wire.frame_from(moved if any(offset) else frame)
         except (ValueError, KeyError, TypeError):
             pass
         raise RecordingError(path, f"has no frame of the Leap service in line {number}")
@@ -154,7 +152,7 @@ def _read(path: Path) -> list[str]:
 def next_interval(rng: np.random.Generator) -> float:
     """Returns the time to the next frame [s]: the period of the device with its jitter, doubled for a lost frame."""
     frames = 2 if rng.random() < LOST_FRAME else 1
-    return frames * PERIOD_S + JITTER_S * float(np.clip(rng.standard_normal(), -3.0, 3.0))
+    return frames * PERIOD_S + JITTER_S * min(max(float(rng.standard_normal()), -3.0), 3.0)
 
 
 START_US = 1_000_000
@@ -163,7 +161,7 @@ START_US = 1_000_000
 class Source(Protocol):
     """A source of frames: see operator/sources.py."""
 
-    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields (interval, frame)."""
 
 
@@ -209,11 +207,9 @@ class Playback:
 
     def next(self) -> PlayedFrame:
         """Returns the next frame."""
-        interval, message = next(self._frames)
+        interval, frame = next(self._frames)
         self._time += interval
         self._id += 1
         self.position += self.playing
-        for hand in message["hands"]:
-            self._next_hand = max(self._next_hand, hand["id"] + 1)
-        stamp = START_US + round(self._time * 1e6)
-        return PlayedFrame(self._time, wire.text({**message, "id": self._id, "timestamp": stamp}))
+        self._next_hand = max(self._next_hand, frame.hand_id + 1)
+        return PlayedFrame(self._time, frame.text(self._id, START_US + round(self._time * 1e6)))

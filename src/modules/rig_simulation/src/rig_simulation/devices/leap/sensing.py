@@ -88,10 +88,12 @@ class Tracker:
         """
         confidence = self._confidence(curl, age, left)
         measured = self._measured(pose, (1.0 + speed / NOISE_SPEED_MM_S) * (4.0 - 3.0 * confidence))
-        hand = ReportedHand.at_rest(self._id, self._model, measured, confidence, age)
-        hand = replace(hand, flexion=pose.flexion)
-        if self._last is not None:
-            hand = _filtered(hand, self._last, age - self._last.time_visible)
+        if self._last is None:
+            hand = replace(ReportedHand.at_rest(self._id, self._model, measured, confidence, age), flexion=pose.flexion)
+        else:
+            geometry = self._model.place(measured)
+            filtered = _filtered(geometry, self._last, age - self._last.time_visible)
+            hand = ReportedHand(self._id, self._model, geometry, pose.flexion, confidence, age, *filtered)
         self._last = hand
         return hand
 
@@ -109,24 +111,25 @@ class Tracker:
 
     def _confidence(self, curl: float, age: float, left: float) -> float:
         settled = 0.98 - (0.98 - FIST_CONFIDENCE) * curl
-        rising = [self._entry_confidence, self._entry_confidence - 0.1, settled]
-        entered = float(np.interp(age, [0.0, 0.1, SETTLE_S], rising))
-        leaving = np.interp(left, [0.0, SETTLE_S], [0.1, 1.0])
+        entered = settled
+        if age < SETTLE_S:
+            rising = [self._entry_confidence, self._entry_confidence - 0.1, settled]
+            entered = min(settled, float(np.interp(age, [0.0, 0.1, SETTLE_S], rising)))
+        leaving = float(np.interp(left, [0.0, SETTLE_S], [0.1, 1.0])) if left < SETTLE_S else 1.0
         noise = 0.02 * (1.0 + 2.0 * curl) * self._confidence_noise.step()[0]
-        return float(np.clip(min(entered, settled) * leaving + noise, 0.02, 1.0))
+        return min(max(float(entered * leaving + noise), 0.02), 1.0)
 
 
-def _filtered(hand: ReportedHand, last: ReportedHand, dt: float) -> ReportedHand:
-    """Returns the hand with its velocities and stabilised positions, which lag behind the measured ones."""
-    geometry, before = hand.geometry, last.geometry
+def _filtered(geometry: HandGeometry, last: ReportedHand, dt: float) -> tuple[np.ndarray, ...]:
+    """Returns velocities of palm and tips, and their stabilised positions, which lag behind the measured ones."""
+    before = last.geometry
 
     def velocity(now: np.ndarray, then: np.ndarray, filtered: np.ndarray) -> np.ndarray:
         return VELOCITY_MEMORY * filtered + (1.0 - VELOCITY_MEMORY) * (now - then) / dt
 
-    return replace(
-        hand,
-        velocity=velocity(geometry.palm, before.palm, last.velocity),
-        tip_velocities=velocity(geometry.tips, before.tips, last.tip_velocities),
-        stable_palm=STABLE_MEMORY * last.stable_palm + (1.0 - STABLE_MEMORY) * geometry.palm,
-        stable_tips=STABLE_MEMORY * last.stable_tips + (1.0 - STABLE_MEMORY) * geometry.tips,
+    return (
+        velocity(geometry.palm, before.palm, last.velocity),
+        velocity(geometry.tips, before.tips, last.tip_velocities),
+        STABLE_MEMORY * last.stable_palm + (1.0 - STABLE_MEMORY) * geometry.palm,
+        STABLE_MEMORY * last.stable_tips + (1.0 - STABLE_MEMORY) * geometry.tips,
     )

@@ -182,9 +182,12 @@ class LeapService:
             await asyncio.sleep(POLL_S)
 
     async def _sleep_until(self, due: float) -> None:
-        await asyncio.sleep(0)
-        while not self._stopping and time.monotonic() < due:
-            await asyncio.sleep(min(due - time.monotonic(), LONGEST_SLEEP_S))
+        left = due - time.monotonic()
+        if left <= 0.0:
+            await asyncio.sleep(0)  # the clients have their turn also where frames are late
+        while not self._stopping and left > 0.0:
+            await asyncio.sleep(min(left, LONGEST_SLEEP_S))
+            left = due - time.monotonic()
 
     async def _converse(self, connection: ServerConnection) -> None:
         assert connection.request is not None  # the handshake is over

@@ -6,9 +6,10 @@ Field set "2.x" is that of services 2.0 to 2.3.1, "new" that of later services a
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,7 @@ POSITIONS = (
     *("pipPosition", "dipPosition", "btipPosition", "tipPosition", "stabilizedTipPosition"),
 )
 """Fields that a shift of the whole scene changes."""
+_ID, _TIMESTAMP = r'"\u0000"', r'"\u0001"'  # JSON texts in their places
 
 
 def version_of(path: str) -> int | None:
@@ -57,18 +59,37 @@ def device_event(version: int, attached: bool, streaming: bool) -> dict | None:
     return {"event": {"state": state, "type": "deviceEvent"}}
 
 
-def frame(hands: Sequence[ReportedHand], rate: float, fields: str, order: Sequence[int] = range(5)) -> dict:
-    """Returns a frame without `id` and `timestamp`, which the playback adds. `rate`: the service's estimate of the
-    frame rate [Hz]; `fields`: one of FIELD_SETS; `order`: of the fingers of a hand, which the service does not sort.
+class Frame(NamedTuple):
+    """A frame as text with places for its `id` and `timestamp`, which the playback adds."""
+
+    marked: str
+    hand_id: int  # the highest of its hands; 0 without a hand
+
+    def text(self, frame_id: int, timestamp: int) -> str:
+        """Returns the frame as the service writes it; `timestamp` [us]."""
+        return self.marked.replace(_ID, str(frame_id), 1).replace(_TIMESTAMP, str(timestamp), 1)
+
+    def with_ids(self, added: int) -> Frame:
+        """Returns the frame with the ids of hands, and accordingly of fingers, raised."""
+        return frame_from(with_ids(json.loads(self.marked), added))
+
+
+def frame(hands: Sequence[ReportedHand], rate: float, fields: str, order: Sequence[int] = range(5)) -> Frame:
+    """Returns a frame. `rate`: the service's estimate of the frame rate [Hz]; `fields`: one of FIELD_SETS; `order`: of
+    the fingers of a hand, which the service does not sort. Raises ValueError for a number that is not finite.
     """
-    message = {
-        "currentFrameRate": six(rate),
-        "hands": [_hand(hand, fields) for hand in hands],
-        "pointables": [_finger(hand, i, fields) for hand in hands for i in order],
-    }
-    if fields == "new":
-        return {**message, "devices": []}
-    return {**message, **MOTION_FACTORS, "gestures": [], "interactionBox": BOX}
+    hand_texts = [_hand(hand, fields) for hand in hands]
+    fingers = [finger for hand in hands for finger in _fingers(hand, fields, order)]
+    listed = f'"hands":[{",".join(hand_texts)}],"pointables":[{",".join(fingers)}]'
+    ids = f'"id":{_ID},"timestamp":{_TIMESTAMP}'
+    marked = f'{{"currentFrameRate":{rate:.6g},{listed},{_FRAME_ENDS[fields]},{ids}}}'
+    return Frame(marked, max((hand.id for hand in hands), default=0))
+
+
+def frame_from(message: dict) -> Frame:
+    """Returns the frame of a decoded message; raises ValueError for a number that is not finite."""
+    marked = text({**message, "id": json.loads(_ID), "timestamp": json.loads(_TIMESTAMP)})
+    return Frame(marked, max((hand["id"] for hand in message["hands"]), default=0))
 
 
 def shifted(message: dict, offset: Sequence[float]) -> dict:
@@ -103,65 +124,66 @@ def six(values: float | np.ndarray | list[Any]) -> Any:
     return int(value) if value.is_integer() else value
 
 
-def _hand(hand: ReportedHand, fields: str) -> dict:
-    g = hand.geometry
-    message = {
-        "armBasis": six(g.arm_basis),
-        "armWidth": six(hand.model.arm_width),
-        "confidence": six(hand.confidence),
-        "direction": six(g.direction),
-        "elbow": six(g.elbow),
-        "grabStrength": six(hand.grab),
-        "id": hand.id,
-        "palmNormal": six(g.normal),
-        "palmPosition": six(g.palm),
-        "palmVelocity": six(hand.velocity),
-        "palmWidth": six(hand.model.palm_width),
-        "pinchStrength": six(pinch_strength(g.tips)),
-        "timeVisible": six(hand.time_visible),
-        "type": hand.model.side,
-        "wrist": six(g.wrist),
-    }
-    if fields == "new":
-        pinch = float(np.linalg.norm(g.tips[0] - g.tips[1]))
-        return {
-            **message,
-            "grabAngle": six(min(float(hand.flexion[1:].sum(axis=1).mean()), np.pi)),
-            "pinchDistance": six(pinch),
-        }
-    radius = 60.0 - 25.0 * hand.grab
-    sphere = {"sphereCenter": six(g.palm + radius * g.normal), "sphereRadius": six(radius)}
-    return {**message, **MOTION_FACTORS, **sphere, "stabilizedPalmPosition": six(hand.stable_palm)}
+def _slots(*shape: int) -> str:
+    """Returns the text of an array with places for its numbers, in the six digits that the service prints."""
+    return "[" + ",".join([_slots(*shape[1:]) if shape[1:] else "%.6g"] * shape[0]) + "]"
 
 
-def _finger(hand: ReportedHand, i: int, fields: str) -> dict:
-    g = hand.geometry
-    carp, mcp, pip, dip, btip = six(g.joints[i])
-    bases = six(g.bases[i])
-    message = {
-        "bases": bases,
-        "btipPosition": btip,
-        "carpPosition": carp,
-        "dipPosition": dip,
-        "direction": [-v for v in bases[2][2]],
-        "extended": extended(hand.flexion)[i],
-        "handId": hand.id,
-        "id": 10 * hand.id + i,
-        "length": six(hand.model.finger_lengths[i]),
-        "mcpPosition": mcp,
-        "pipPosition": pip,
-        "timeVisible": six(hand.time_visible),
-        "tipPosition": six(g.tips[i]),
-        "type": i,
-        "width": six(hand.model.finger_widths[i]),
-    }
+_VECTOR, _BASIS = _slots(3), _slots(3, 3)
+_MOTION = text(MOTION_FACTORS)[1:-1]
+_FRAME_ENDS = {"2.x": f'{_MOTION},"gestures":[],"interactionBox":{text(BOX)}', "new": '"devices":[]'}
+_HAND = (
+    f'{{"armBasis":{_BASIS},"armWidth":%.6g,"confidence":%.6g,"direction":{_VECTOR},"elbow":{_VECTOR},'
+    f'"grabStrength":%.6g,"id":%d,"palmNormal":{_VECTOR},"palmPosition":{_VECTOR},"palmVelocity":{_VECTOR},'
+    f'"palmWidth":%.6g,"pinchStrength":%.6g,"timeVisible":%.6g,"type":"%s","wrist":{_VECTOR},'
+)
+_HAND_ENDS = {
+    "2.x": f'{_MOTION},"sphereCenter":{_VECTOR},"sphereRadius":%.6g,"stabilizedPalmPosition":{_VECTOR}}}',
+    "new": '"grabAngle":%.6g,"pinchDistance":%.6g}',
+}
+_FINGER = (
+    f'{{"bases":{_slots(4, 3, 3)},"btipPosition":{_VECTOR},"carpPosition":{_VECTOR},"dipPosition":{_VECTOR},'
+    f'"direction":{_VECTOR},"extended":%s,"handId":%d,"id":%d,"length":%.6g,"mcpPosition":{_VECTOR},'
+    f'"pipPosition":{_VECTOR},"timeVisible":%.6g,"tipPosition":{_VECTOR},"type":%d,"width":%.6g'
+)
+_FINGER_ENDS = {
+    "2.x": f',"stabilizedTipPosition":{_VECTOR},"tipVelocity":{_VECTOR},"tool":false,"touchDistance":1,'
+    '"touchZone":"none"}',
+    "new": "}",
+}
+
+
+def _hand(hand: ReportedHand, fields: str) -> str:
+    g, model, grab = hand.geometry, hand.model, hand.grab
     if fields == "new":
-        return message
-    return {
-        **message,
-        "stabilizedTipPosition": six(hand.stable_tips[i]),
-        "tipVelocity": six(hand.tip_velocities[i]),
-        "tool": False,
-        "touchDistance": 1,
-        "touchZone": "none",
-    }
+        more = [min(float(hand.flexion[1:].sum(axis=1).mean()), np.pi), float(np.linalg.norm(g.tips[0] - g.tips[1]))]
+    else:
+        radius = 60.0 - 25.0 * grab
+        more = [*(g.palm + radius * g.normal).tolist(), radius, *hand.stable_palm.tolist()]
+    basis, direction, elbow = g.arm_basis.ravel().tolist(), g.direction.tolist(), g.elbow.tolist()
+    first = [*basis, model.arm_width, hand.confidence, *direction, *elbow, grab]
+    palm = [*g.normal.tolist(), *g.palm.tolist(), *hand.velocity.tolist(), model.palm_width]
+    numbers = [*first, *palm, pinch_strength(g.tips), hand.time_visible, *g.wrist.tolist(), *more]
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("A number of the hand is not finite.")
+    numbers = [number + 0.0 for number in numbers]  # no negative zeros
+    return (_HAND + _HAND_ENDS[fields]) % (*numbers[:18], hand.id, *numbers[18:30], model.side, *numbers[30:])
+
+
+def _fingers(hand: ReportedHand, fields: str, order: Sequence[int]) -> list[str]:
+    g, model, template = hand.geometry, hand.model, _FINGER + _FINGER_ENDS[fields]
+    carp, mcp, pip, dip, btip = g.joints.swapaxes(0, 1)
+    times = np.full((5, 1), hand.time_visible)
+    columns = [g.bases.reshape(5, 36), btip, carp, dip, -g.bases[:, 2, 2], model.finger_lengths[:, None], mcp, pip]
+    columns += [times, g.tips, model.finger_widths[:, None], hand.stable_tips, hand.tip_velocities]
+    rows = np.concatenate(columns, axis=1) + 0.0  # no negative zeros
+    if not np.isfinite(rows).all():
+        raise ValueError("A number of a finger is not finite.")
+    texts = ["true" if finger else "false" for finger in extended(hand.flexion)]
+    fingers = []
+    for i in order:
+        row = rows[i].tolist()
+        ids = texts[i], hand.id, 10 * hand.id + i
+        rest = row[60:] if fields == "2.x" else row[60:60]
+        fingers.append(template % (*row[:48], *ids, *row[48:59], i, row[59], *rest))
+    return fingers
