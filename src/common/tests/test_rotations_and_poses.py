@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -38,6 +39,20 @@ def test_quaternion_round_trip(a, b, c):
     assert q[3] >= 0.0
     np.testing.assert_allclose(np.linalg.norm(q), 1.0, atol=1e-12)
     np.testing.assert_allclose(rot.rotation_from_quaternion(q), R, atol=1e-12)
+
+
+@given(st.lists(st.tuples(angles, angles, angles), min_size=1, max_size=5))
+def test_quaternions_of_many_rotations_at_once(triples):
+    R = np.array([rot.rotation_from_zyx(*triple) for triple in triples])
+    expected = [rot.quaternion_from_rotation(one) for one in R]
+    np.testing.assert_allclose(rot.quaternions_from_rotations(R), expected, atol=1e-15)
+
+
+@given(angles, angles, angles)
+def test_quaternions_are_those_of_pinocchio(a, b, c):
+    R = rot.rotation_from_zyx(a, b, c)
+    q = pin.Quaternion(R).normalized().coeffs()
+    np.testing.assert_allclose(rot.quaternion_from_rotation(R), -q if q[3] < 0.0 else q, atol=1e-15)
 
 
 @given(angles, angles, angles, st.floats(0.0, 1.0))

@@ -115,7 +115,7 @@ def test_the_tool_never_turns_faster_than_a_multiple_of_the_hand(seed, rate, psi
             steady = SteadyAttitude(R, psi, LIMITS)
         steady.follow(R)
         tool = tool_rotation(steady.clipped, psi, turned=True)
-        assert np.all(np.abs(steady.clipped.array) <= LIMITS.array + 1e-12)
+        assert np.all(np.abs(steady.clipped.angles) <= np.array(LIMITS.angles) + 1e-12)
         if before is not None:
             assert rotation_angle(before[1].T @ tool) <= 3.0 * rotation_angle(before[0].T @ R) + 1e-6
         before = R, tool
@@ -149,7 +149,7 @@ def test_wherever_the_hand_was_its_way_back_is_free(seed, yaw, pitch, roll):
     for s in np.linspace(0.0, 1.0, 60):
         steady.follow(hand(0.5 * math.sin(6.0 * s) + s * yaw, s * pitch, s * roll))
     steady.follow(hand(yaw, pitch, roll))
-    np.testing.assert_allclose(steady.clipped.array, Attitude(yaw, pitch, roll).clipped(LIMITS).array, atol=1e-9)
+    np.testing.assert_allclose(steady.clipped.angles, Attitude(yaw, pitch, roll).clipped(LIMITS).angles, atol=1e-9)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -160,7 +160,7 @@ def test_an_angle_that_passes_180_deg_stays_at_its_limit(axis):
     for angle in np.radians([*np.arange(0.0, 180.0, 2.0), *(180.0 + rng.normal(0.0, 4.0, 500))]):
         angles[axis] = angle
         steady.follow(hand(*angles))
-        assert steady.clipped.array[axis] == pytest.approx(min(angle, LIMITS.array[axis]), abs=1e-9)
+        assert steady.clipped.angles[axis] == pytest.approx(min(angle, LIMITS.angles[axis]), abs=1e-9)
     assert steady.limited == [("yaw", "pitch", "roll")[axis]]
 
 
@@ -170,9 +170,9 @@ def test_an_ordinary_hand_is_clipped_as_ever(yaw, pitch, roll):
     steady = SteadyAttitude(hand(0.0, 0.0, 0.0), 0.0, LIMITS)
     for s in np.linspace(0.0, 1.0, 50):
         goal = Attitude(*(s * np.array([yaw, 0.75 * pitch, roll])).tolist())
-        assert np.all(np.abs(goal.array) <= UPRIGHT)
-        steady.follow(hand(*goal.array))
-        np.testing.assert_allclose(steady.clipped.array, goal.clipped(LIMITS).array, atol=1e-9)
+        assert np.all(np.abs(goal.angles) <= UPRIGHT)
+        steady.follow(hand(*goal.angles))
+        np.testing.assert_allclose(steady.clipped.angles, goal.clipped(LIMITS).angles, atol=1e-9)
 
 
 def test_the_signs_of_the_angles():

@@ -1,7 +1,7 @@
 """Rotations as 3x3 matrices and unit quaternions (x, y, z, w), refused when they are not rotations.
 
-Pinocchio does the arithmetic; this module adds the conventions of the rig and the checks of its inputs. `R_a_b` is the
-orientation of b in a: its columns are the axes of b written in a.
+Pinocchio does most of the arithmetic; this module adds the conventions of the rig and the checks of its inputs.
+`R_a_b` is the orientation of b in a: its columns are the axes of b written in a.
 """
 
 from __future__ import annotations
@@ -71,8 +71,17 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 def quaternion_from_rotation(R: ArrayLike) -> np.ndarray:
     """Returns the quaternion x, y, z, w with w >= 0, shape (4,), of the rotation R, shape (3, 3)."""
-    q = pin.Quaternion(np.asarray(R, dtype=float)).normalized().coeffs()
-    return -q if q[3] < 0.0 else np.array(q)
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(R, dtype=float).tolist()
+    if a + e + i > 0.0:
+        x, y, z, w = h - f, c - g, d - b, 1.0 + a + e + i
+    elif a >= e and a >= i:
+        x, y, z, w = 1.0 + a - e - i, b + d, c + g, h - f
+    elif e >= i:
+        x, y, z, w = b + d, 1.0 - a + e - i, f + h, c - g
+    else:
+        x, y, z, w = c + g, f + h, 1.0 - a - e + i, d - b
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    return np.array([x, y, z, w]) / (-norm if w < 0.0 else norm)
 
 
 def quaternions_from_rotations(R: np.ndarray) -> np.ndarray:

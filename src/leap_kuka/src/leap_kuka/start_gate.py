@@ -32,7 +32,9 @@ class InteractionBox:
 
     def outside(self, palm: np.ndarray) -> float:
         """Returns how far a palm, shape (3,) [m], is outside of the box along one of its axes, negative inside [m]."""
-        return float(np.max(np.abs(palm - self.center) - self.size / 2.0))
+        center, size = self.center.tolist(), self.size.tolist()
+        distances = [abs(p - c) - s / 2.0 for p, c, s in zip(palm.tolist(), center, size)]
+        return math.nan if math.isnan(sum(distances)) else max(distances)
 
 
 def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -314,17 +314,13 @@ class ArmTeleop:
             self._out_of_reach = self._can_reach(self._T_base_virtual @ self._newest, False) or ""
         if self._out_of_reach and self._obstacle is None:
             self._reason = self._obstacle = f"{self._name} is followed, but {self._out_of_reach}"
-        result = TeleopResult(StreamState.RUNNING, self._reason, usable, self._T_base_virtual, hold=hold)
-        result = replace(result, owner=self._lock.owner, obstacle=self._obstacle)
+        stream = {"hold": hold, "owner": self._lock.owner, "obstacle": self._obstacle}
         if mean is None:
-            return result
+            return TeleopResult(StreamState.RUNNING, self._reason, usable, self._T_base_virtual, **stream)
         self._newest = read_only(self._tool(mean, now)) if self._stays is None else self._stays
         angles, limited = self._attitude, self._attitude.limited
-        return replace(
-            result,
-            reason=self._reason + (f"; {' and '.join(limited)} at the limit" if limited else ""),
-            T_virtual_hand=T_virtual_hand,
-            T_virtual_tool=self._newest,
-            measured=angles.measured,
-            clipped=angles.clipped,
+        reason = self._reason + (f"; {' and '.join(limited)} at the limit" if limited else "")
+        poses = (self._T_base_virtual, T_virtual_hand, self._newest)
+        return TeleopResult(
+            StreamState.RUNNING, reason, usable, *poses, measured=angles.measured, clipped=angles.clipped, **stream
         )

@@ -32,12 +32,16 @@ from common.mounting import MountingFrame
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx, zyx_from_rotation
 
-UPRIGHT = np.radians([90.0, 60.0, 90.0])  # largest yaw, pitch and roll of a hand whose angles are beyond doubt [rad]
+FULL_TURN = 2.0 * math.pi
+UPRIGHT = tuple(
+    map(math.radians, (90.0, 60.0, 90.0))
+)  # largest yaw, pitch and roll of a hand whose angles are beyond doubt [rad]
 MAX_GAIN = 3.0  # turn of the tool per turn of the hand; up to 45 deg of pitch the angles alone need less than that
 STANDS, SURE = 0.2, 0.5
 """Below the one cosine of the pitch the clipped yaw and roll stay; from the other one on they follow fully. In between
 they follow by a share, so that they are continuous."""
 
+TURNED = rotation_about(2, math.pi)
 R_LEAP_REFERENCE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
 
@@ -52,15 +56,15 @@ class Attitude:
     def clipped(self, limits: Attitude) -> Attitude:
         """Returns the attitude with each angle within plus and minus its limit."""
         yaw, pitch, roll = (
-            float(np.clip(angle, -limit, limit))
+            min(max(angle, -limit), limit)
             for angle, limit in zip((self.yaw, self.pitch, self.roll), (limits.yaw, limits.pitch, limits.roll))
         )
         return Attitude(yaw, pitch, roll)
 
     @property
-    def array(self) -> np.ndarray:
-        """Yaw, pitch and roll, shape (3,) [rad]."""
-        return np.array([self.yaw, self.pitch, self.roll])
+    def angles(self) -> tuple[float, float, float]:
+        """Yaw, pitch and roll [rad]."""
+        return self.yaw, self.pitch, self.roll
 
 
 class SteadyAttitude:
@@ -86,13 +90,14 @@ class SteadyAttitude:
         turn = rotation_angle(self._R_leap_hand.T @ R_leap_hand)
         self._R_leap_hand = R_leap_hand
         self.measured = attitude(R_leap_hand, self._heading, self.measured)
-        now, goal = self.clipped.array, self.measured.clipped(self._limits).array
+        now, goal = self.clipped.angles, self.measured.clipped(self._limits).angles
         sure = (abs(math.cos(self.measured.pitch)) - STANDS) / (SURE - STANDS)
-        goal[[0, 2]] = (now + min(max(sure, 0.0), 1.0) ** 2 * (goal - now))[[0, 2]]
-        way = float(np.sum(np.abs(goal - now)))  # no less than the turn of the tool
+        share = min(max(sure, 0.0), 1.0) ** 2
+        steps = [f * (g - n) for f, g, n in zip((share, 1.0, share), goal, now)]
+        way = sum(map(abs, steps))  # no less than the turn of the tool
         if way > MAX_GAIN * turn:
-            goal = now + MAX_GAIN * turn / way * (goal - now)
-        self.clipped = Attitude(*goal.tolist())
+            steps = [MAX_GAIN * turn / way * step for step in steps]
+        self.clipped = Attitude(*(n + step for n, step in zip(now, steps)))
 
 
 def heading(direction: np.ndarray) -> float:
@@ -119,16 +124,16 @@ def attitude(R_leap_hand: np.ndarray, heading: float, before: Attitude | None = 
     pitch above 90 deg, and its yaw does not flip by 180 deg from one limit to the other.
     """
     yaw, pitch, roll = zyx_from_rotation(R_LEAP_REFERENCE.T @ R_leap_hand)
-    triples = np.array([[yaw - heading, pitch, roll], [yaw - heading + math.pi, math.pi - pitch, roll + math.pi]])
+    triples = (yaw - heading, pitch, roll), (yaw - heading + math.pi, math.pi - pitch, roll + math.pi)
 
-    def nearest(centre: np.ndarray) -> np.ndarray:
-        turned = triples - 2.0 * math.pi * np.round((triples - centre) / (2.0 * math.pi))
-        return turned[np.argmin(np.abs(turned - centre).sum(axis=1))]
+    def nearest(centre: tuple[float, float, float]) -> Attitude:
+        turned = [[a - FULL_TURN * round((a - c) / FULL_TURN) for a, c in zip(triple, centre)] for triple in triples]
+        return Attitude(*min(turned, key=lambda triple: sum(abs(a - c) for a, c in zip(triple, centre))))
 
-    smallest = nearest(np.zeros(3))
-    if before is not None and np.any(np.abs(smallest) > UPRIGHT):
-        return Attitude(*nearest(before.array).tolist())
-    return Attitude(*smallest.tolist())
+    smallest = nearest((0.0, 0.0, 0.0))
+    if before is not None and any(abs(angle) > most for angle, most in zip(smallest.angles, UPRIGHT)):
+        return nearest(before.angles)
+    return smallest
 
 
 def tool_rotation(angles: Attitude, heading: float, turned: bool) -> np.ndarray:
@@ -137,4 +142,4 @@ def tool_rotation(angles: Attitude, heading: float, turned: bool) -> np.ndarray:
     A tool that is `turned` is turned by 180 deg about the tool's z axis, as the home pose has it (see common.mounting).
     """
     R_virtual_tool = R_LEAP_REFERENCE @ rotation_from_zyx(angles.yaw + heading, angles.pitch, angles.roll)
-    return R_virtual_tool @ rotation_about(2, math.pi) if turned else R_virtual_tool
+    return R_virtual_tool @ TURNED if turned else R_virtual_tool

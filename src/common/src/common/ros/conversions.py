@@ -13,8 +13,12 @@ from common.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 def stamped_transform(T: np.ndarray, parent: str, child: str, stamp: rospy.Time) -> TransformStamped:
     """Returns the tf message of the pose T, shape (4, 4), of `child` in `parent`."""
-    transform = Transform(Vector3(*T[:3, 3]), Quaternion(*quaternion_from_rotation(T[:3, :3])))
-    return TransformStamped(Header(0, stamp, parent), child, transform)
+    return TransformStamped(Header(0, stamp, parent), child, transform_message(T))
+
+
+def transform_message(T: np.ndarray) -> Transform:
+    """Returns the message of the pose T, shape (4, 4), without frames."""
+    return Transform(Vector3(*T[:3, 3].tolist()), Quaternion(*quaternion_from_rotation(T[:3, :3]).tolist()))
 
 
 def pose_from_transform(transform: Transform) -> np.ndarray:
@@ -31,7 +35,7 @@ def pose_from_message(message: Pose) -> np.ndarray:
 
 def message_from_pose(T: np.ndarray) -> Pose:
     """Returns the message of the pose T, shape (4, 4)."""
-    return Pose(Point(*T[:3, 3]), Quaternion(*quaternion_from_rotation(T[:3, :3])))
+    return Pose(Point(*T[:3, 3].tolist()), Quaternion(*quaternion_from_rotation(T[:3, :3]).tolist()))
 
 
 def stamped_pose(T: np.ndarray, frame: str, stamp: rospy.Time) -> PoseStamped:

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import TimeReference
+from std_msgs.msg import Header
+
+from common.ros.node import while_running
+from common.ros.publishing import DirectPublisher
 
 PERIOD_S = 0.5
 STAGE_TIMES = "rig/stage_times"
+BURST_S = 0.1
 
 
 class Diagnostics:
@@ -22,9 +28,7 @@ class Diagnostics:
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]]) -> None:
         self._name, self._read = name, read
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
-        self._stop = threading.Event()
-        threading.Thread(target=self._loop, name="diagnostics", daemon=True).start()
-        rospy.on_shutdown(self._stop.set)
+        _repeat(self.publish, PERIOD_S, "diagnostics")
 
     def publish(self) -> None:
         """Publishes the present state."""
@@ -35,28 +39,40 @@ class Diagnostics:
         array.header.stamp = rospy.Time.now()
         self._publisher.publish(array)
 
-    def _loop(self) -> None:
-        while not self._stop.wait(PERIOD_S):
-            try:
-                self.publish()
-            except rospy.ROSException:
-                if not rospy.core.is_shutdown_requested():  # then the topic closes under this thread
-                    raise
-
 
 class StageTimes:
     """Publishes when a stage from hand to wire has finished with a frame, so that delays can be measured from outside.
 
     Every stage publishes on one topic: `header.stamp` is the stamp of the tracking frame (its time of receipt),
-    `time_ref` the time at which the stage passed its result on, `source` the name of the stage.
+    `time_ref` the time at which the stage passed its result on, `source` the name of the stage. The messages come up to
+    BURST_S later, several at once: to write and to read each of them alone would delay the frames.
     """
 
     def __init__(self, stage: str) -> None:
         self._stage = stage
-        self._publisher = rospy.Publisher(STAGE_TIMES, TimeReference, queue_size=100)
+        self._publisher = DirectPublisher(STAGE_TIMES, TimeReference, queue_size=100)
+        self._done: deque[tuple[rospy.Time, rospy.Time]] = deque()
+        _repeat(self._publish, BURST_S, "stage times")
 
     def done(self, frame_stamp: rospy.Time) -> None:
-        """Publishes that the stage has just passed on its result for the frame with this stamp."""
-        message = TimeReference(time_ref=rospy.Time.now(), source=self._stage)
-        message.header.stamp = frame_stamp
-        self._publisher.publish(message)
+        """Notes that the stage has just passed on its result for the frame with this stamp."""
+        if self._publisher.get_num_connections():
+            self._done.append((frame_stamp, rospy.Time.now()))
+
+    def _publish(self) -> None:
+        while self._done:
+            stamp, now = self._done.popleft()
+            self._publisher.publish(TimeReference(Header(0, stamp, ""), now, self._stage))
+
+
+def _repeat(publish: Callable[[], None], period: float, name: str) -> None:
+    """Calls `publish` every `period` [s] in a thread of its own, until ROS shuts down."""
+    stop = threading.Event()
+    rospy.on_shutdown(stop.set)
+
+    def loop() -> None:
+        while not stop.wait(period):
+            with while_running():
+                publish()
+
+    threading.Thread(target=loop, name=name, daemon=True).start()

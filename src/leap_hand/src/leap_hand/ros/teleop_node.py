@@ -16,6 +16,7 @@ from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_config
+from common.ros.publishing import DirectPublisher
 from common.ros.service_calls import call
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
@@ -42,9 +43,7 @@ class HandTeleopNode:
         self._lock = threading.Lock()
         self._result = GripperResult(GripperState.WAITING, "no tracking frames came yet", None)
         self._commands_sent = 0
-        self._commands = rospy.Publisher(
-            "reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1, tcp_nodelay=True
-        )
+        self._commands = DirectPublisher("reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1)
         self._stage_times = StageTimes("leap_hand")
         Diagnostics("leap_hand", self._diagnostics)
         self._state_received = threading.Event()

@@ -9,15 +9,19 @@ import dataclasses
 import threading
 import time
 
+import numpy as np
 import rospy
+from geometry_msgs.msg import Transform, TransformStamped
+from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from common.config import required
 from common.frames import BASE, FLANGE_DESIRED, HAND, TOOL_DESIRED, VIRTUAL_LEAP
-from common.ros.conversions import pose_in, stamped_transform
+from common.ros.conversions import pose_in, transform_message
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import wait_for_config, wait_for_param
+from common.ros.publishing import DirectPublisher
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.ros.reach import ReachCheck
 from leap_kuka.ros.stream_status import StreamStatus
@@ -37,7 +41,8 @@ class ArmTeleopNode:
     def __init__(self, teleop: ArmTeleop, reach: ReachCheck) -> None:
         self._teleop, self._reach = teleop, reach
         self._lock = threading.Lock()
-        self._tf = rospy.Publisher("/tf", TFMessage, queue_size=10, tcp_nodelay=True)
+        self._tf = DirectPublisher("/tf", TFMessage, queue_size=10)
+        self._sent: dict[str, tuple[np.ndarray, Transform]] = {}  # poses of the newest message, by frame; read-only
         self._stage_times = StageTimes("leap_kuka")
         self._status = StreamStatus(teleop.box, VIRTUAL_LEAP)
         rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
@@ -85,13 +90,19 @@ class ArmTeleopNode:
 
     def _transforms(self, result: TeleopResult, stamp: rospy.Time) -> TFMessage:
         """Returns all tf frames of one tracking frame in one message, so that a listener gets all of them or none."""
-        transforms = [stamped_transform(result.T_base_virtual, BASE, VIRTUAL_LEAP, stamp)]
+        poses = [(result.T_base_virtual, BASE, VIRTUAL_LEAP)]
         if result.T_virtual_hand is not None:
-            transforms.append(stamped_transform(result.T_virtual_hand, VIRTUAL_LEAP, HAND, stamp))
+            poses.append((result.T_virtual_hand, VIRTUAL_LEAP, HAND))
         if result.T_virtual_tool is not None:
-            transforms.append(stamped_transform(result.T_virtual_tool, VIRTUAL_LEAP, TOOL_DESIRED, stamp))
-            transforms.append(stamped_transform(self._teleop.T_tool_flange, TOOL_DESIRED, FLANGE_DESIRED, stamp))
-        return TFMessage(transforms)
+            poses.append((result.T_virtual_tool, VIRTUAL_LEAP, TOOL_DESIRED))
+            poses.append((self._teleop.T_tool_flange, TOOL_DESIRED, FLANGE_DESIRED))
+        before, self._sent = self._sent, {}
+        for T, _, child in poses:
+            T_before, message = before.get(child, (None, None))
+            self._sent[child] = T, message if T is T_before else transform_message(T)
+        return TFMessage([
+            TransformStamped(Header(0, stamp, parent), child, self._sent[child][1]) for _, parent, child in poses
+        ])  # fmt: skip
 
     def _diagnostics(self):
         level, reason, state = self._status.text

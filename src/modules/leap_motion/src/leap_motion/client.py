@@ -16,15 +16,13 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from websockets.exceptions import ConnectionClosed, WebSocketException
-from websockets.sync.client import ClientConnection, connect
 
 from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, LeapProtocolError, read_header, read_message
 from leap_motion.frames import LeapFrame
+from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, LeapSocket
 
 SILENCE_S = 0.1
 HEADER_TIMEOUT_S = 2.0
-OPEN_TIMEOUT_S = 2.0
-CLOSE_TIMEOUT_S = 0.5
 PING_S = 2.0
 RETRY_S = 0.5
 RETRY_FACTOR = 1.6
@@ -79,7 +77,7 @@ class LeapClient:
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 6437, clock: Callable[[], object] = time.time) -> None:
-        self._address = f"{host}:{port}"
+        self._host, self._port, self._address = host, port, f"{host}:{port}"
         self._clock = clock
         self._closing = threading.Event()
         self._changed = threading.Condition()
@@ -155,9 +153,8 @@ class LeapClient:
 
     def _converse(self) -> None:
         """Opens one connection and reads it to its end; a _LinkFault says why it ended."""
-        url = f"ws://{self._address}/v6.json"
         try:
-            connection = connect(url, compression=None, open_timeout=OPEN_TIMEOUT_S, close_timeout=CLOSE_TIMEOUT_S)
+            connection = LeapSocket(self._host, self._port)
         except (OSError, EOFError, UnicodeError, WebSocketException) as error:
             advice = "start it with `sudo leapd` or `sudo systemctl start leapd`. Trying again."
             sentence = f"No Leap service answers on {self._address} ({_reason(error)}); {advice}"
@@ -174,7 +171,7 @@ class LeapClient:
                 sentence = f"The Leap service on {self._address} is lost: {_reason(error)}."
                 raise _LinkFault(LeapLink.NO_SERVICE, sentence) from error
 
-    def _greet(self, connection: ClientConnection) -> None:
+    def _greet(self, connection: LeapSocket) -> None:
         try:
             version = read_header(connection.recv(HEADER_TIMEOUT_S))
         except TimeoutError as error:
@@ -190,8 +187,8 @@ class LeapClient:
         service = f"Leap service {version or 'of unknown version'} on {self._address}"
         self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", version)
 
-    def _read(self, connection: ClientConnection) -> None:
-        next_ping, pong = time.monotonic() + PING_S, None
+    def _read(self, connection: LeapSocket) -> None:
+        next_ping, pinged = time.monotonic() + PING_S, False
         cause = UNKNOWN_CAUSE
         while not self._closing.is_set():
             try:
@@ -199,12 +196,13 @@ class LeapClient:
             except TimeoutError:
                 self._set_status(LeapLink.SILENT, f"The Leap service on {self._address} sends no frames; {cause}")
                 if time.monotonic() >= next_ping:
-                    if pong is not None and not pong.is_set():
+                    if pinged and not connection.ponged:
                         raise OSError(f"no answer to a ping for {PING_S:g} s") from None
-                    next_ping, pong = time.monotonic() + PING_S, connection.ping()
+                    next_ping, pinged = time.monotonic() + PING_S, True
+                    connection.ping()
                 continue
             stamp = self._clock()
-            next_ping, pong = time.monotonic() + PING_S, None
+            next_ping, pinged = time.monotonic() + PING_S, False
             if isinstance(text, str) and '"event"' in text:
                 cause = self._take_event(text)
             else:

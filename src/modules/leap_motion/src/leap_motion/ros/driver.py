@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import private_config
+from common.ros.publishing import DirectPublisher
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
 from leap_motion.msg import Human
 from leap_motion.ros.human import FrameMessage
@@ -66,7 +67,7 @@ def start() -> None:
     """
     config = private_config(DriverConfig)
     rospy.loginfo("Leap service %s:%d, orientation %s.", config.host, config.port, config.orientation)
-    publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=1, tcp_nodelay=True)
+    publisher = DirectPublisher("leap_motion/leap_device", Human, queue_size=1)
     stage = StageTimes("leap_motion")
     client = LeapClient(config.host, config.port, clock=rospy.Time.now)
     report = LinkReport(client)

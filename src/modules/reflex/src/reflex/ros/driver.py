@@ -16,6 +16,7 @@ from common.errors import ConfigError, DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import while_running
 from common.ros.params import wait_for_config
+from common.ros.publishing import DirectPublisher
 from reflex.calibration_files import CalibrationFiles
 from reflex.client import ReflexHand
 from reflex.errors import CalibrationFileError, CommandRefused, ReflexError
@@ -35,8 +36,8 @@ class HandDriver:
     """The hand on its topics and services."""
 
     def __init__(self, config: HandAddresses) -> None:
-        self._hand_state = rospy.Publisher("/reflex_takktile/hand_state", Hand, queue_size=10)
-        self._joint_states = rospy.Publisher("joint_states", JointState, queue_size=10)
+        self._hand_state = DirectPublisher("/reflex_takktile/hand_state", Hand, queue_size=10)
+        self._joint_states = DirectPublisher("joint_states", JointState, queue_size=10)
         shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
         files = CalibrationFiles(config.calibration_folder, shipped)
         interface, port = config.network_interface, config.port
