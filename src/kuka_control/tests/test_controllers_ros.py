@@ -228,6 +228,7 @@ def test_the_life_of_the_real_time_controller(ros, robot, start, hand, wait_unti
     from geometry_msgs.msg import Vector3Stamped
     from sensor_msgs.msg import JointState, TimeReference
     from std_msgs.msg import Bool
+    from tf2_msgs.msg import TFMessage
     from visualization_msgs.msg import MarkerArray
 
     from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
@@ -246,6 +247,7 @@ def test_the_life_of_the_real_time_controller(ros, robot, start, hand, wait_unti
         "kuka/status": KukaStatus,
         "kuka/workspace": MarkerArray,
         "rig/stage_times": TimeReference,
+        "/tf": TFMessage,
     }
     heard = {name: ros.record(name, kind) for name, kind in topics.items()}
     buffer = tf2_ros.Buffer()
@@ -284,6 +286,8 @@ def test_the_life_of_the_real_time_controller(ros, robot, start, hand, wait_unti
         time.sleep(0.01)
     wait_until(lambda: at(robot, shifted(T_home, 0.05, 0.0, 0.0)), 20.0, "the tool where the hand is")
     assert [m.data for m in node.modes].count("servo") == 1
+    frames = [t.child_frame_id for m in heard["/tf"] for t in m.transforms]
+    assert frames.count("kuka/flange_frame/measured") > 0.7 * len(heard["joint_states"]), "with the joints in motion"
     for name in ("joint_states", "kuka/joint_positions", "kuka/joint_torques_external", "kuka/joint_torques_measured"):
         heard[name].wait(10)
     heard["kuka/flange_force"].wait(10)

@@ -10,7 +10,6 @@ import numpy as np
 from common.config import parse
 from common.errors import ConfigError
 from common.mounting import MountingFrame, mounting_frame
-from common.poses import inverse
 from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, ptp_velocity, robot_model
 from kuka_control.model.config import ControllerConfig, DhDeviations, neighbours
 from kuka_control.model.home_pose import Home, HomeError, custom_home, home_pose
@@ -72,7 +71,7 @@ class Rig:
 
     def T_base_flange(self, T_base_tool: np.ndarray) -> np.ndarray:
         """Returns the flange, shape (4, 4) [m], of a tool frame."""
-        return T_base_tool @ inverse(self.T_flange_tool)
+        return T_base_tool @ self.kinematics.T_tool_flange
 
 
 def checked_rig(

@@ -15,11 +15,13 @@ import rospy
 import tf2_ros
 from geometry_msgs.msg import Point, Vector3, Vector3Stamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, ColorRGBA, String
+from std_msgs.msg import Bool, ColorRGBA, Header, String
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, TOOL_COMMANDED, TOOL_HOME
 from common.ros.conversions import stamped_transform
+from common.ros.publishing import DirectPublisher
 from kuka_control.loop.arm import ArmState
 from kuka_control.loop.commands import Step
 from kuka_control.model.rig import Rig
@@ -58,14 +60,15 @@ class StatePublisher:
         self._published = ArmState()
         self._target = None
         self._mode = None
-        self._broadcaster = tf2_ros.TransformBroadcaster()
+        self._host, self._pid = socket.gethostname(), os.getpid()
+        self._tf = DirectPublisher("/tf", TFMessage, queue_size=100)
         self._static = tf2_ros.StaticTransformBroadcaster()
-        self._joint_states = rospy.Publisher("joint_states", JointState, queue_size=10)
-        self._joints = rospy.Publisher("kuka/joint_positions", jointPositions, queue_size=10)
-        self._torques_external = rospy.Publisher("kuka/joint_torques_external", jointTorquesExternal, queue_size=10)
-        self._torques_measured = rospy.Publisher("kuka/joint_torques_measured", jointTorquesMeasured, queue_size=10)
-        self._force = rospy.Publisher("kuka/flange_force", Vector3Stamped, queue_size=10)
-        self._torque = rospy.Publisher("kuka/flange_torque", Vector3Stamped, queue_size=10)
+        self._joint_states = DirectPublisher("joint_states", JointState, queue_size=10)
+        self._joints = DirectPublisher("kuka/joint_positions", jointPositions, queue_size=10)
+        self._torques_external = DirectPublisher("kuka/joint_torques_external", jointTorquesExternal, queue_size=10)
+        self._torques_measured = DirectPublisher("kuka/joint_torques_measured", jointTorquesMeasured, queue_size=10)
+        self._force = DirectPublisher("kuka/flange_force", Vector3Stamped, queue_size=10)
+        self._torque = DirectPublisher("kuka/flange_torque", Vector3Stamped, queue_size=10)
         self._gripper = rospy.Publisher("kuka/gripper_control", Bool, queue_size=10, latch=True)
         self._moving_rt = rospy.Publisher("kuka/moving_rt", Bool, queue_size=10, latch=True)
         self._moving_ptp = rospy.Publisher("kuka/moving_ptp", Bool, queue_size=10, latch=True)
@@ -125,64 +128,53 @@ class StatePublisher:
     def _publish_positions(self, joints: np.ndarray) -> None:
         if joints is not self._published_joints:
             self._published_joints = joints
-            self._joints.publish(_joints_message(jointPositions, joints, rospy.Time.now()))
+            if self._joints.get_num_connections():
+                self._joints.publish(jointPositions(Header(0, rospy.Time.now(), BASE), *joints.tolist()))
 
     def _publish_readings(self, snapshot: Snapshot) -> None:
-        """Publishes joints, frames, torques and forces, each only after a new reading."""
-        arm, now, transforms = snapshot.arm, rospy.Time.now(), []
-        # The robot's controller cannot always report the pose, and it does not know the calibration.
-        calculated = arm.T_base_tool is None or self._rig.kinematics.calibrated
-        if arm.joints is not self._published.joints:
-            message = JointState(name=JOINT_NAMES, position=arm.joints.tolist())
-            message.header.stamp = now
-            self._joint_states.publish(message)
-            if calculated:
-                T_base_tool = self._rig.kinematics.forward(arm.joints)
-                transforms.append(stamped_transform(self._rig.T_base_flange(T_base_tool), BASE, FLANGE_MEASURED, now))
-        if arm.T_base_tool is not self._published.T_base_tool and not calculated:
-            T_base_flange = self._rig.T_base_flange(arm.T_base_tool)
-            transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
-        target = snapshot.step.target
-        if target is not None and target is not self._target:
-            self._target = target
-            transforms.append(stamped_transform(target.T_base_tool, BASE, TOOL_COMMANDED, now))
-        if transforms:
-            self._broadcaster.sendTransform(transforms)
-        for publisher, kind, new, old in (
-            (self._torques_external, jointTorquesExternal, arm.torques_external, self._published.torques_external),
-            (self._torques_measured, jointTorquesMeasured, arm.torques_measured, self._published.torques_measured),
-        ):
-            if new is not None and new is not old:
-                publisher.publish(_joints_message(kind, new, now))
-        R_flange_tool = self._rig.T_flange_tool[:3, :3]  # the toolbox reports both in the tool's axes
-        for publisher, new, old in (
-            (self._force, arm.force, self._published.force),
-            (self._torque, arm.moment, self._published.moment),
-        ):
-            if new is not None and new is not old:
-                message = Vector3Stamped(vector=Vector3(*(R_flange_tool @ new)))
-                message.header.stamp = now
-                message.header.frame_id = FLANGE_MEASURED
-                publisher.publish(message)
+        """Publishes joints, frames, torques and forces, each only after a new reading and to a subscriber."""
+        arm, before, now, transforms = snapshot.arm, self._published, rospy.Time.now(), []
         self._published = arm
+        if arm.joints is not before.joints and self._joint_states.get_num_connections():
+            self._joint_states.publish(JointState(Header(0, now, ""), JOINT_NAMES, arm.joints.tolist(), [], []))
+        if self._tf.get_num_connections():
+            # In motion the robot's controller reports the pose rarely or not, and it does not know the calibration.
+            moving = snapshot.moving_rt or snapshot.moving_ptp
+            if arm.T_base_tool is None or moving or self._rig.kinematics.calibrated:
+                if arm.joints is not before.joints:
+                    T_base_flange = self._rig.T_base_flange(self._rig.kinematics.forward(arm.joints))
+                    transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
+            elif arm.T_base_tool is not before.T_base_tool:
+                T_base_flange = self._rig.T_base_flange(arm.T_base_tool)
+                transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
+            target = snapshot.step.target
+            if target is not None and target is not self._target:
+                self._target = target
+                transforms.append(stamped_transform(target.T_base_tool, BASE, TOOL_COMMANDED, now))
+            if transforms:
+                self._tf.publish(TFMessage(transforms))
+        for publisher, kind, new, old in (
+            (self._torques_external, jointTorquesExternal, arm.torques_external, before.torques_external),
+            (self._torques_measured, jointTorquesMeasured, arm.torques_measured, before.torques_measured),
+        ):
+            if new is not None and new is not old and publisher.get_num_connections():
+                publisher.publish(kind(Header(0, now, BASE), *new.tolist()))
+        for publisher, new, old in ((self._force, arm.force, before.force), (self._torque, arm.moment, before.moment)):
+            if new is not None and new is not old and publisher.get_num_connections():
+                vector = self._rig.T_flange_tool[:3, :3] @ new  # the toolbox reports both in the tool's axes
+                publisher.publish(Vector3Stamped(Header(0, now, FLANGE_MEASURED), Vector3(*vector.tolist())))
 
     def _publish_state(self, snapshot: Snapshot) -> None:
         switched, step = snapshot.switched, snapshot.step
         self._gripper.publish(switched.gripper_on)
         self._moving_rt.publish(snapshot.moving_rt)
         self._moving_ptp.publish(snapshot.moving_ptp)
-        status = KukaStatus(host=socket.gethostname(), pid=os.getpid(), control_on=switched.control_on)
+        status = KukaStatus(host=self._host, pid=self._pid, control_on=switched.control_on)
         status.gripper_on, status.scaling_factor = switched.gripper_on, switched.scale
         status.mode, status.reason, status.limited_by = step.mode.value, step.reason, list(step.limited_by)
         status.round_trip = snapshot.round_trip or 0.0
         status.header.stamp = rospy.Time.now()
         self._status.publish(status)
-
-
-def _joints_message(kind, values: np.ndarray, stamp: rospy.Time):
-    message = kind(None, *values.tolist())
-    message.header = type(kind().header)(stamp=stamp, frame_id=BASE)
-    return message
 
 
 def publish_workspace(workspace: Workspace, centre) -> rospy.Publisher:
