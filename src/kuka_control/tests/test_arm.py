@@ -22,14 +22,39 @@ class FakeClient:
         self.asked = Counter()
         self.silent = False
         self.fails = {}
-        self.arrived = False
-        self.round_trip = 0.001
+        self.arrived = self.slow = False
+        self.pending = []
 
     def __getattr__(self, name):
         def ask(*arguments):
             return self._answer(arguments[1] if name == "servo" else name)
 
         return ask
+
+    def stream(self, q, feedback):
+        self.pending.append(feedback)
+        return feedback
+
+    def stream_joints(self):
+        self.pending.append("joints")
+
+    @property
+    def open_goals(self):
+        return len(self.pending)
+
+    def answers(self, wait=0.0):
+        found = []
+        while self.pending and not (self.slow and wait > 0.0):
+            asked = self.pending.pop(0)
+            try:
+                value = self._answer(asked)
+            except UnexpectedReply as error:
+                value = error
+            found.append((Feedback.JOINTS if asked == "joints" else asked, value))
+        return found
+
+    def silence(self, wait):
+        return 0.0
 
     def _answer(self, asked):
         self.asked[asked] += 1
@@ -65,9 +90,10 @@ def test_in_servo_mode_every_goal_brings_joints_and_each_tenth_every_other_kind(
 def test_on_a_slow_link_no_goal_waits_for_a_second_question():
     client = FakeClient()
     arm = in_servo(client)
-    client.round_trip = 0.0015
+    client.slow = True
     for _ in range(100):
         arm.servo(np.zeros(7))
+        assert arm.silence() == 0.0
     assert client.asked[Feedback.JOINTS] == 60 and client.asked["joints"] == 0
 
 

@@ -105,12 +105,7 @@ class Bench:
 
     def run(self, until, mode=None):
         while self.wire.now < until:
-            wire = self.wire
-            T = shifted(0.0, 0.03 * np.sin(0.8 * wire.now), 0.0)
-            # The operator brings the hand in when the arm is at home, as the status asks for.
-            shown = self.mode in ("home", "pick_up", "servo")
-            desired = DesiredFrame(T, CLOCK + round(wire.now, 2)) if shown else None
-            inputs = Inputs(desired, CLOCK + wire.now, SwitchState(self.control_on, self.enable_count))
+            wire, inputs = self.wire, self.inputs()
             before, silent = len(wire.sent), not self.client._session.in_step
             try:
                 step = self.controller.cycle(inputs, wire.now)
@@ -123,6 +118,14 @@ class Bench:
                 self._stand_by(error)
             wire.pause(0.004)
         assert mode is None, f"{mode} was not reached: {step.mode}, {step.reason}"
+
+    def inputs(self):
+        now = self.wire.now
+        T = shifted(0.0, 0.03 * np.sin(0.8 * now), 0.0)
+        # The operator brings the hand in when the arm is at home, as the status asks for.
+        shown = self.mode in ("home", "pick_up", "servo")
+        desired = DesiredFrame(T, CLOCK + round(now, 2)) if shown else None
+        return Inputs(desired, CLOCK + now, SwitchState(self.control_on, self.enable_count))
 
     def _stand_by(self, error):
         self.lost += 1

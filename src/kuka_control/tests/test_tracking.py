@@ -19,7 +19,7 @@ def run(goals, arm, dt=DT):
         fault = monitor.step(goal, measured, i * dt)
         if fault:
             return i * dt, fault
-        measured = arm(measured, goal)
+        measured = np.array(arm(measured, goal))  # a new reading
     return None
 
 
@@ -43,6 +43,12 @@ def test_a_frozen_arm_is_found_within_half_a_second_of_moving_away(speed):
     time, fault = run(sweep(speed, 3.0), lambda q, goal: q)
     assert time - np.radians(0.5) / speed < 0.5
     assert "stands still" in fault
+
+
+def test_an_arm_of_which_nothing_new_is_known_is_not_blamed():
+    monitor, measured = TrackingMonitor(), np.zeros(7)
+    for i in range(200):
+        assert monitor.step(np.full(7, 0.05), measured, i * DT) is None
 
 
 def test_an_arm_far_behind_is_found():

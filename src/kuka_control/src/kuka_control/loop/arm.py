@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from common.poses import read_only
-from kst import Feedback, KstClient, ReplyTimeout, UnexpectedReply
+from kst import Feedback, KstClient, KstError, ReplyTimeout, UnexpectedReply
 
 NO_READING = (ReplyTimeout, UnexpectedReply)  # errors of one missing or unusable answer on a link that may be sound
 
@@ -33,7 +33,7 @@ class ArmState:
 
 
 WAIT_S = 0.02  # a cycle waits this long for a missing answer, so that the state is published meanwhile [s]
-QUICK_S = 1e-3  # after an answer that took longer than this, no further question delays the next goal [s]
+QUICK_S = 1e-3  # a cycle waits this long for the answer to its goal; one that comes later is read in the next one [s]
 
 FIELD = {
     Feedback.JOINTS: "joints",
@@ -128,8 +128,9 @@ def _second_try(call: Callable[[], _T]) -> _T:
 class KstArm(Arm):
     """The arm behind the toolbox's server.
 
-    Each servo goal brings joints. Four out of ten bring another quantity as their own answer, one each, so at 250 goals
-    a second those come at 25 Hz; then the joints are requested after it, unless the link is slow.
+    Servo goals are streamed: the next one does not wait for the answer to the one before. Each of them brings joints.
+    Four out of ten bring another quantity as their own answer, one each, so at 250 goals a second those come at 25 Hz;
+    then the joints are requested after it, unless the link is slow.
 
     A server in a safety stop answers requests for joints only; then `read` requests nothing else until the server has
     accepted the next motion.
@@ -156,6 +157,7 @@ class KstArm(Arm):
         self._lacking: tuple[Feedback, ...] = ()
         self._remarks: list[str] = []
         self._turn = 0
+        self._unusable: KstError | None = None  # an answer to a streamed goal that `servo` is still to report
         self._at_rest = True
         self._rest_turn = (
             ("torques_external", client.external_torques),
@@ -179,7 +181,9 @@ class KstArm(Arm):
         return remarks
 
     def silence(self) -> float:
-        return self._client.silence(WAIT_S)
+        silent = self._client.silence(WAIT_S)
+        self._take_answers()
+        return silent
 
     def read(self) -> None:
         self._take("joints", self._client.joints())
@@ -216,17 +220,15 @@ class KstArm(Arm):
         feedback = self._next(self.SERVO_TURN)
         if feedback in self._lacking:
             feedback = Feedback.JOINTS
-        value = self._client.servo(q, feedback)
-        assert value is not None, "each feedback of the turn has a value"
-        self._take(FIELD[feedback], value)
-        if feedback is Feedback.EXTERNAL_TORQUES:
-            force, moment = self._wrench(self.measured_joints, value)
-            self._take("moment", moment)
-            if Feedback.FORCE in self._lacking:
-                self._take("force", force)
-        round_trip = self._client.round_trip
-        if feedback is not Feedback.JOINTS and round_trip is not None and round_trip <= QUICK_S:
-            self._take("joints", self._client.joints())
+        if self._client.stream(q, feedback) is not feedback:
+            self._turn -= 1
+        self._take_answers(QUICK_S)
+        if feedback is not Feedback.JOINTS and not self._client.open_goals:
+            self._client.stream_joints()
+            self._take_answers(QUICK_S)
+        error, self._unusable = self._unusable, None
+        if error is not None:
+            raise error
 
     def stop_servo(self) -> None:
         _second_try(self._client.stop_joint_servo)
@@ -248,6 +250,19 @@ class KstArm(Arm):
                     f"{substitute}."
                 )
         self._probed = True
+
+    def _take_answers(self, wait: float = 0.0) -> None:
+        """Takes the answers to streamed goals; waits up to `wait` seconds until all have come."""
+        for feedback, value in self._client.answers(wait):
+            if isinstance(value, KstError):
+                self._unusable = value
+            elif value is not None:
+                self._take(FIELD[feedback], value)
+                if feedback is Feedback.EXTERNAL_TORQUES:
+                    force, moment = self._wrench(self.measured_joints, value)
+                    self._take("moment", moment)
+                    if Feedback.FORCE in self._lacking:
+                        self._take("force", force)
 
     def _next(self, turn: tuple[_T, ...]) -> _T:
         self._turn = (self._turn + 1) % len(turn)

@@ -39,7 +39,9 @@ BACK = (
     "and follows the desired tool frame."
 )
 WAITING = "Control is off, nothing is sent, and the same connection is probed for up to 10 s."
-NAMED_S = 0.12  # a robot that has not answered for this long is reported, with a cycle's wait within 0.2 s [s]
+NAMED_S = 0.12
+"""A robot that has not answered for this long, beyond the link's usual delay, is reported; with a cycle's wait within
+0.2 s [s]."""
 OFF_S = 1.0
 """A longer silence in servo mode switches control off [s]: TCP repeats a lost packet after 0.2 s, and after 0.4 s more.
 Outside of servo mode it is twice as long: one answer is waited for that long, and no goals depend on it."""

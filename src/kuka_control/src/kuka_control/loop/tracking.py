@@ -25,11 +25,16 @@ class TrackingMonitor:
 
     def __init__(self) -> None:
         self._reference: list[float] | None = None
+        self._measured: np.ndarray | None = None
         self._still_since = self._far_since = 0.0
         self._still_samples = self._far_samples = 0
 
     def step(self, goal: np.ndarray, measured: np.ndarray, now: float) -> str | None:
-        """Returns None while the arm follows, else what is wrong, as a part of a sentence."""
+        """Returns None while the arm follows, else what is wrong, as a part of a sentence.
+
+        `measured` are the newest joints, the same object until newer ones come.
+        """
+        fresh, self._measured = measured is not self._measured, measured
         joints = measured.tolist()
         errors = [abs(a - b) for a, b in zip(goal.tolist(), joints)]
         worst = max(errors)
@@ -38,10 +43,10 @@ class TrackingMonitor:
         if reference is None or worst <= AWAY_RAD or max([abs(a - b) for a, b in zip(joints, reference)]) > STILL_RAD:
             self._reference = joints
             self._still_since, self._still_samples = now, 0
-        self._still_samples += 1
+        self._still_samples += fresh
         if reference is None or worst <= FAR_RAD:
             self._far_since, self._far_samples = now, 0
-        self._far_samples += 1
+        self._far_samples += fresh
 
         if now - self._still_since > STILL_S and self._still_samples > SAMPLES:
             joint = 1 + errors.index(worst)

@@ -35,6 +35,9 @@ from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
 from kst.session import KstSession, KstTiming, LinkCounts
 from kst.transport import KstTransport
 
+OVERDUE_S = 0.002  # an answer is overdue once it takes this much longer than twice the usual time [s]
+_FEEDBACK = {**{feedback.value[0]: feedback for feedback in Feedback}, codec.JOINTS.word: Feedback.JOINTS}
+
 
 class KstMode(enum.Enum):
     """What the server's main thread is busy with."""
@@ -145,12 +148,17 @@ class KstClient:
     def silence(self, wait: float) -> float:
         """Returns for how long an answer has been missing [s], 0 if none is; waits up to `wait` seconds for it.
 
-        While one is missing nothing but probes is sent. The server may be frozen, with its connection alive.
+        While one is missing nothing but probes is sent. The server may be frozen, with its connection alive. An answer
+        to a streamed goal counts as missing as soon as the window is full, from the delay on that is usual on the link.
         """
         session = self._session
-        if session.in_step or session.settle(time.monotonic() + wait):
+        if session.in_step and not session.open:
             return 0.0
-        return session.silent
+        deadline = time.monotonic() + wait
+        session.collect(deadline)
+        if session.in_step:
+            return 0.0 if session.has_room else max(time.monotonic() - session.open[0].sent_at - session.usual, 1e-3)
+        return 0.0 if session.settle(deadline) else session.silent
 
     def joints(self) -> np.ndarray:
         """Returns the measured joint angles, shape (7,) [rad]; in every mode."""
@@ -268,6 +276,7 @@ class KstClient:
         """Starts the joint position servo with the present joints, which must be within the limits, as its goal."""
         self._require_idle("the joint servo")
         self._ask(codec.joint_goal(self._limits.check(self.joints())))
+        self._session.arrived.clear()
         try:
             self._accept(codec.START_SERVO)
         except (ReplyTimeout, UnexpectedReply) as error:
@@ -311,6 +320,61 @@ class KstClient:
             return None
         numbers = self._numbers(command, reply)
         return codec.pose_from_fields(numbers) if feedback is Feedback.POSE else numbers
+
+    def stream(self, q: ArrayLike, feedback: Feedback = Feedback.JOINTS) -> Feedback:
+        """Sets the servo's goal to q, shape (7,) [rad], without waiting for its answer, which `answers` returns.
+
+        Waits while the window is full: `KstTiming.servo_window`, or less on a link whose answers come soon. Returns the
+        feedback that was requested: DONE instead of one whose answer could be mistaken for another, if one were lost.
+        """
+        self._require_servo()
+        angles = self._limits.check(q).tolist()
+        if not self._is_unmistakable(feedback):
+            feedback = Feedback.DONE
+        self._session.stream(codec.joint_goal(angles, feedback))
+        self._heed_refusal()
+        return feedback
+
+    def stream_joints(self) -> None:
+        """Asks for the measured joints in servo mode as `stream` does, without a goal."""
+        self._require_servo()
+        self._session.stream(codec.JOINTS)
+
+    @property
+    def open_goals(self) -> int:
+        """The number of streamed goals whose answers have not been read yet."""
+        return len(self._session.open)
+
+    def answers(self, wait: float = 0.0) -> list[tuple[Feedback, np.ndarray | UnexpectedReply | None]]:
+        """Returns the answers to streamed goals that have come since the last call, the oldest first.
+
+        Waits up to `wait` seconds until none is open. A value is what `servo` returns, or the error it would raise.
+        """
+        session = self._session
+        session.collect(time.monotonic() + wait, every=wait > 0.0)
+        found = [(_FEEDBACK[goal.command.word], self._value(goal.command, reply)) for goal, reply in session.arrived]
+        session.arrived.clear()
+        return found
+
+    def _value(self, command: KstCommand, reply: KstReply) -> np.ndarray | UnexpectedReply | None:
+        if not command.accepts(reply):
+            return self._session.unexpected(command, reply)
+        if command.answer is ReplyKind.DONE:
+            return None
+        try:
+            numbers = self._numbers(command, reply)
+        except UnexpectedReply as error:
+            return error
+        return codec.pose_from_fields(numbers) if command.answer is ReplyKind.SIX else numbers
+
+    def _is_unmistakable(self, feedback: Feedback) -> bool:
+        """Returns whether the answer to a goal would differ in kind from its neighbours' and none is overdue."""
+        session = self._session
+        if not session.open:
+            return True
+        newest, answer = _FEEDBACK[session.open[-1].command.word], feedback.value[1]
+        overdue = time.monotonic() - session.open[0].sent_at > 2.0 * session.usual + OVERDUE_S
+        return (newest is feedback or newest.value[1] is not answer) and not overdue
 
     def set_blue(self, on: bool) -> None:
         """Switches the blue light of the media flange; in every mode."""

@@ -8,12 +8,18 @@ comes unasked and is not an answer.
 After a missing answer nothing is sent but probes: questions to the reader thread that ask for a reply of another kind
 than the missing one. What comes before the answer to a probe is late. A server that answers no probe for
 `KstTiming.silence` is given up; until then it may have been frozen, while its kernel kept the connection.
+
+Servo goals may be streamed: a further one is sent before the answers to those before it have come. The reader thread
+answers in order, so each answer belongs to the oldest goal that is open. The window bounds the age of that one: what a
+stalled link holds back reaches the arm in one go, and the arm jumps by as much. So it follows the link's usual delay.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,10 +28,14 @@ from kst.codec import KstCommand, KstReply, ReplyKind, ServerThread
 from kst.errors import ReplyTimeout, UnexpectedReply
 from kst.transport import KstTransport
 
+PIN = codec.get_pin(codec.INPUT_PINS[0])  # a probe
 ARRIVED_RAD = float(np.radians(0.1))  # an arm with no joint farther from the goal than this has arrived [rad]
 STILL_RAD = 5e-4  # joints that change less than this between two readings, `KstTiming.quiet` apart, stand still [rad]
 MAX_FOREIGN = 20  # after more foreign lines than this before one answer, the peer is not a toolbox server
 MAX_STRAY = 200  # after more stray lines than this during a search for a missing answer, the link is given up
+MAX_OPEN = 100  # more streamed goals than this are never open
+LEAST_WINDOW_S = 0.024  # a shorter one would keep TCP from noticing at once, by later packets, that one was lost [s]
+FORGOTTEN = 1.0 / 64.0  # of a delay that was longer than the present ones, with each answer
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,7 @@ class KstTiming:
     tool_settle: float = 0.4  # after the tool is attached
     reply: float = 1.0  # longest wait for an answer outside servo mode
     servo_reply: float = 0.16  # longest wait for the answer to a servo goal, which takes a few milliseconds
+    servo_window: float = 0.1  # no goal is streamed while an older one is open than this; 0: one goal at a time
     main_pause: float = 0.005  # after an answer of the main thread, which could wipe a further command
     servo_start: float = 0.3  # after its start, while the server overwrites the goal with the present joints
     servo_stop: float = 0.1  # after the stop of servo mode, until the main thread reads again
@@ -59,12 +70,23 @@ class LinkCounts:
     foreign: int = 0  # lines that were not replies
 
 
+class StreamedGoal(NamedTuple):
+    """A command of the reader thread that was sent without waiting for its answer."""
+
+    command: KstCommand
+    sent_at: float  # monotonic [s]
+
+
 class KstSession:
     """Pairs the lines of one connection. All that talks to the server raises ConnectionLost on a lost link.
 
     Attributes:
         counts: events so far.
         round_trip: time from the sending of the last answered command to its answer [s]; None before the first.
+        open: the streamed goals whose answers have not come, the oldest first.
+        arrived: the streamed goals with their answers, as they came, until somebody takes them. An answer that does not
+            fit its goal is there too; then the pairing is to be restored.
+        usual: the longest time that an answer took lately [s].
         final: the final word of the motion, DONE or NAK; None before it comes.
         refused: an unasked `nak` came: the main thread gave up a motion and dropped the tool.
         doubt: only the joints can tell the state of the motion, because the acknowledgement of its start is missing: it
@@ -76,10 +98,15 @@ class KstSession:
         self.timing = timing
         self.counts = LinkCounts()
         self.round_trip: float | None = None
+        self.open: deque[StreamedGoal] = deque()
+        self.arrived: deque[tuple[StreamedGoal, KstReply]] = deque()
+        self.usual = 0.0
+        self._widened_at = -np.inf
         self.final: ReplyKind | None = None
         self.refused = self.doubt = False
         self._awaits_final = self._unacknowledged = False
         self._unanswered: KstCommand | None = None
+        self._before: deque[KstCommand] = deque()  # further ones, sent before it, whose answers are missing too
         self._late: KstReply | None = None  # its answer, if that came late
         self._probe_lost = False  # whether the missing answer is that to a probe
         self._probe = codec.JOINTS
@@ -90,7 +117,7 @@ class KstSession:
 
     @property
     def in_step(self) -> bool:
-        """Whether every command so far has its answer."""
+        """Whether no answer is missing; those to streamed goals may still come in time."""
         return self._unanswered is None
 
     @property
@@ -114,6 +141,49 @@ class KstSession:
         self.expect_final(False)
         self._search(codec.START_PTP, time.monotonic())
 
+    @property
+    def window(self) -> float:
+        """No goal is streamed while an older one is open than this [s]."""
+        return min(max(2.0 * self.usual, LEAST_WINDOW_S), self.timing.servo_window)
+
+    @property
+    def has_room(self) -> bool:
+        """Whether another goal may be streamed."""
+        if not self.open:
+            return self.in_step
+        return len(self.open) < MAX_OPEN and time.monotonic() - self.open[0].sent_at < self.window
+
+    def stream(self, command: KstCommand) -> None:
+        """Sends a command of the reader thread; its answer will be in `arrived`. Waits while the window is full.
+
+        Raises:
+            ReplyTimeout: an earlier answer is missing, and this command was not sent.
+            ConnectionLost: as in `ask`.
+        """
+        if not self.open:
+            self.poll()
+        elif not self.has_room:
+            self.collect(self.open[0].sent_at + self.timing.servo_reply)
+        if self._unanswered is not None:
+            self._heed(self.resynchronise())
+        self.open.append(StreamedGoal(command, self._send(command)))
+
+    def collect(self, deadline: float, every: bool = False) -> None:
+        """Takes the answers to streamed goals that have come.
+
+        Waits until `deadline`, in seconds of time.monotonic(), for room in the window, or for `every` answer.
+        """
+        self.poll()
+        while self.open and (every or not self.has_room):
+            missing_at = self.open[0].sent_at + self.timing.servo_reply
+            reply = self.transport.receive(min(deadline, missing_at))
+            if reply is not None:
+                self._take(reply)
+            elif time.monotonic() >= missing_at:
+                self._lose_open()
+            elif time.monotonic() >= deadline:
+                return
+
     def post(self, command: KstCommand) -> None:
         """Sends a command that has no answer."""
         self.poll()
@@ -122,7 +192,7 @@ class KstSession:
     def poll(self) -> None:
         """Sorts the lines that have come unasked; does not wait."""
         for reply in self.transport.waiting():
-            self._sort(reply)
+            self._take(reply)
 
     def wait_for_word(self, deadline: float) -> None:
         """Waits until `deadline`, in seconds of time.monotonic(), and for a short while at most, for the next line."""
@@ -141,6 +211,8 @@ class KstSession:
             ConnectionLost: also if the server answers nothing for `KstTiming.silence`.
         """
         timeout = self.timing.reply if timeout is None else timeout
+        if self.open:
+            self.collect(self.open[-1].sent_at + self.timing.servo_reply, every=True)
         if self._unanswered is not None:
             self._heed(self.resynchronise())
         self.poll()
@@ -157,12 +229,7 @@ class KstSession:
                 return reply
             if not self._sort(reply) and reply.kind is not ReplyKind.FOREIGN:
                 self._search(command, sent_at)
-                raise UnexpectedReply(
-                    f"`{command.word}` was answered by `{reply.text}` instead of {command.answer.value}: check the"
-                    " version of the server",
-                    command=command.word,
-                    reply=reply.text,
-                )
+                raise self.unexpected(command, reply)
             foreign += reply.kind is ReplyKind.FOREIGN
             last = reply.text
         self._search(command, sent_at)
@@ -171,6 +238,16 @@ class KstSession:
             " there; check address and port",
             command=command.word,
             reply=last,
+        )
+
+    @staticmethod
+    def unexpected(command: KstCommand, reply: KstReply) -> UnexpectedReply:
+        """Returns the error of a reply that does not fit its command."""
+        return UnexpectedReply(
+            f"`{command.word}` was answered by `{reply.text}` instead of {command.answer.value}: check the"
+            " version of the server",
+            command=command.word,
+            reply=reply.text,
         )
 
     def ask_main(self, command: KstCommand, patience: float | None = None, goal: np.ndarray | None = None) -> KstReply:
@@ -316,6 +393,38 @@ class KstSession:
         if command.thread is ServerThread.MAIN:
             self._main_answered_at = now
 
+    def _take(self, reply: KstReply) -> None:
+        """Handles a line that came while nobody waited for it."""
+        if not self.open:
+            self._sort(reply)
+        elif self.open[0].command.accepts(reply):
+            goal = self.open.popleft()
+            self._note_answer(goal.command, goal.sent_at)
+            self._learn(goal.sent_at)
+            self.arrived.append((goal, reply))
+        elif not self._sort(reply):
+            self.arrived.append((self.open[0], reply))
+            self._lose_open()
+
+    def _learn(self, sent_at: float) -> None:
+        """Adapts the usual delay to the last answer. It grows to the present window at most, once in that time."""
+        assert self.round_trip is not None, "an answer has just come"
+        if self.round_trip <= self.usual:
+            self.usual += FORGOTTEN * (self.round_trip - self.usual)
+        elif sent_at >= self._widened_at:
+            self.usual = min(self.round_trip, self.window)
+            self._widened_at = sent_at + self.round_trip
+
+    def _lose_open(self) -> None:
+        """Begins the search for the answers to all open goals."""
+        self.counts.missed += len(self.open)
+        asked_at = self.open[0].sent_at
+        commands = [goal.command for goal in self.open]
+        self.open.clear()
+        self._search(commands.pop(), asked_at)
+        self._before.extend(commands)
+        self._probe = PIN  # no goal is answered by it
+
     def _heed(self, late: KstReply | None) -> None:
         self.refused |= late is not None and late.kind is ReplyKind.NAK and not self._awaits_final
 
@@ -324,8 +433,8 @@ class KstSession:
         if not probe_lost:
             self._late = None
         self._unanswered, self._asked_at, self._probe_lost = missing, asked_at, probe_lost
-        pin = codec.get_pin(codec.INPUT_PINS[0])
-        self._probe = pin if missing.answer is ReplyKind.SEVEN else codec.JOINTS
+        self._before.clear()
+        self._probe = PIN if missing.answer is ReplyKind.SEVEN else codec.JOINTS
         self._probes = self._strays = 0
         self._probed_at, self._heard_at = asked_at - self.timing.probe, -np.inf  # a probe is due, none is answered
 
@@ -339,10 +448,14 @@ class KstSession:
         now, missing = time.monotonic(), self._unanswered
         if missing is not None and self._probes > 0 and reply.kind is self._probe.answer:
             self._probes -= 1
+            self._before.clear()
             self._heard_at = now
             self._note_answer(self._probe)
             return False
-        if missing is not None and missing.accepts(reply) and self._late is None and not self._probe_lost:
+        awaited = missing is not None and self._late is None and not self._probe_lost and not self._before
+        if self._before and self._before[0].accepts(reply):
+            self._before.popleft()
+        elif missing is not None and awaited and missing.accepts(reply):
             self._late = reply
             if missing is codec.START_PTP and self._awaits_final:
                 self.final = ReplyKind.NAK if reply.kind is ReplyKind.NAK else None
