@@ -22,14 +22,14 @@ GOAL_EVERY = 4
 class Rig:
     """Arm and hand in a world, the arm at home over the table."""
 
-    def __init__(self, scene="empty", mounting=(0.0, 0.0, 0.0), robot="LBR7R800", home=HOME):
+    def __init__(self, scene="empty", mounting=(0.0, 0.0, 0.0), robot="LBR7R800", home=HOME, pairs=True):
         values = read_scene(scene) if isinstance(scene, str) else scene
         self.world = World(WorldDescription(robot, "MF_elektrisch", mounting, values))
         self.hand = HandPart()
         self.world.add(self.hand)
         self.opened = [servo.position for servo in self.hand.simulated.servos]
         model = Robot(read_urdf(robot, "MF_elektrisch"), mounting)
-        self.arm = SimulatedArm(model, ArmSettings(servo_law="none"), ArmJoints(self.world))
+        self.arm = SimulatedArm(model, ArmSettings(servo_law="none"), ArmJoints(self.world, pairs))
         if np.any(home):
             self.go(home)
 
@@ -201,6 +201,32 @@ def test_a_blow_at_full_speed_neither_breaks_the_physics_nor_goes_through_the_ta
     assert np.all(np.abs(rig.arm.external_torques) <= strongest + 1e-6)
 
 
+def test_in_free_space_pairs_of_steps_follow_as_exactly_as_single_steps():
+    single, pairs = Rig(pairs=False), Rig(pairs=True)
+    for rig in (single, pairs):
+        rig.move_tool((0.1, -0.05, 0.08), 0.2)
+        rig.wait(0.5)
+    assert pairs.world.steps == single.world.steps - single.world.steps % 2
+    np.testing.assert_array_equal(pairs.arm.q, single.arm.q)
+    np.testing.assert_allclose(pairs.world.data.qpos, single.world.data.qpos, atol=2e-5)
+    np.testing.assert_allclose(pairs.arm.external_torques, single.arm.external_torques, atol=1e-3)
+
+
+def test_in_contact_every_step_is_a_step_of_the_world():
+    rig, lengths = Rig(), []
+
+    def touched():
+        lengths.append(rig.world.model.opt.timestep)
+        return rig.arm.tool_force[2] < -5.0
+
+    rig.move_tool((0.0, 0.0, -0.5), 0.02, until=touched)
+    assert lengths[:10] == [2 * DT] * 10
+    assert lengths[-1] == DT
+    before = rig.world.steps
+    rig.wait(0.1)
+    assert rig.world.steps == before + 100
+
+
 def test_the_world_takes_no_other_step_than_its_own():
     rig = Rig()
     with pytest.raises(ValueError):
@@ -215,8 +241,9 @@ def close_hand(rig, spool):
     hand.handle(TargetCommand((*(int(o + t) for o, t in zip(rig.opened, ticks)), rig.opened[3])))
 
 
-def test_a_cup_is_grasped_lifted_weighed_and_put_down_again():
-    rig = Rig("cup")
+@pytest.mark.parametrize("pairs", [False, True])
+def test_a_cup_is_grasped_lifted_weighed_and_put_down_again(pairs):
+    rig = Rig("cup", pairs=pairs)
     place = np.array(rig.world.objects()["cup"].position)
     T = rig.arm.robot.flange(rig.arm.q)
     # The grip is in the middle between thumb and fingers, 13 mm beside the flange's axis; 0.15 m beyond the flange.

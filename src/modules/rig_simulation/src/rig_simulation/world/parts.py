@@ -26,33 +26,43 @@ OBSERVER_TIME_S = 0.01  # time constant of the filter by which the controller es
 
 
 class ArmJoints(Part):
-    """The link side of the arm, an ArmEnvironment: steps the world with each step of the arm: both share one time."""
+    """The link side of the arm, an ArmEnvironment: steps the world with the arm.
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    `pairs`: two steps of the arm are one of the world while nothing pushes on the arm, its hand or what that holds; the
+    world then lags by up to one step.
+    """
+
+    def __init__(self, world: World, pairs: bool = False) -> None:
+        self._world, self._pairs = world, pairs
         self._timestep = world.timestep
+        self._waiting = 0  # steps that the world lags
         self._stiffness, self._damping = np.array(ARM_STIFFNESS), np.array(ARM_DAMPING)
         self._q = self._v = self._v_next = np.zeros(7)
         self._torque, self._spring = np.zeros(7), np.zeros(7)  # measured; of the springs at the present angles
-        self._observer_gain = self._timestep / (OBSERVER_TIME_S + self._timestep)
+        self._dt = self._timestep  # of the present step of the world [s]
         world.add(self)
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Steps the world once, to the end angles q and speeds v of the drives; see ArmEnvironment.
+        """Steps the world to the end angles q of the drives at their mean speed; see ArmEnvironment.
 
         Raises ValueError if dt differs from the world's time step.
         """
         if abs(dt - self._timestep) > 1e-9:
             raise ValueError(f"The arm steps by {dt} s, but the world by {self._timestep} s.")
-        self._v_next = v
-        self._world.step()
+        self._waiting += 1
+        if self._pairs and self._waiting == 1 and not self._pushed.any():
+            return self._torque
+        self._dt = self._waiting * self._timestep
+        self._v_next = v = (q - self._q) / self._dt
+        self._world.step(self._waiting)
+        self._waiting = 0
         self._q, self._v = q, v
         self._update_spring()
         torque = v - self._joint_v
         torque *= self._damping
         torque += self._spring
         torque += self._torque
-        torque *= self._observer_gain
+        torque *= self._dt / (OBSERVER_TIME_S + self._dt)
         self._torque = self._torque - torque
         return self._torque
 
@@ -64,6 +74,7 @@ class ArmJoints(Part):
         self._weakest, self._strongest = model.jnt_actfrcrange[[joint.id for joint in joints]].T.copy()
         # Views of the state, to read and write it.
         self._joint_q, self._joint_v = data.qpos[qpos], data.qvel[dofs]
+        self._pushed = data.qfrc_constraint[dofs]  # by contacts of arm, hand and what it holds
         self._bias, self._applied = data.qfrc_bias[dofs], data.qfrc_applied[dofs]
         self._all_a, self._all_efforts = np.zeros(model.nv), np.zeros(model.nv)
         self._a, self._efforts = self._all_a[dofs], self._all_efforts[dofs]
@@ -73,7 +84,7 @@ class ArmJoints(Part):
         """Writes the efforts of the drives; the damping acts in the physics, at the speed after the step."""
         applied = self._applied
         np.subtract(self._v_next, self._v, out=self._a)
-        np.divide(self._a, self._timestep, out=self._a)
+        np.divide(self._a, self._dt, out=self._a)
         mujoco.mj_mulM(self._world.model, self._world.data, self._all_efforts, self._all_a)
         np.multiply(self._damping, self._v_next, out=applied)
         np.add(applied, self._efforts, out=applied)
@@ -194,9 +205,9 @@ class HandPart(Part):
 
     def bind(self, world: World) -> None:
         """Takes model and state of the world."""
-        self._timestep = world.timestep
+        self._options = world.model.opt
         self._mechanics.bind(world.model, world.data)
 
     def before_step(self) -> None:
         """Steps the servos, which pull the tendons."""
-        self.simulated.step(self._timestep)
+        self.simulated.step(self._options.timestep)

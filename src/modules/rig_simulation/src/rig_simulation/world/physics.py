@@ -16,7 +16,7 @@ import numpy as np
 from common.errors import DeviceError
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_about
-from rig_simulation.world.model import WorldDescription, build_model
+from rig_simulation.world.model import TIMESTEP_S, WorldDescription, build_model
 from rig_simulation.world.scene import SceneObject, WorldScene, scene_from, table_pose
 
 DROP_M = 0.0008  # height above the table at which objects start; they settle on it
@@ -68,7 +68,7 @@ class World:
     @property
     def timestep(self) -> float:
         """Length of a step [s]."""
-        return self.model.opt.timestep
+        return TIMESTEP_S
 
     @property
     def time(self) -> float:
@@ -81,8 +81,11 @@ class World:
         part.bind(self)
         mujoco.mj_forward(self.model, self.data)
 
-    def step(self) -> None:
-        """Advances by one time step; raises DeviceError if the physics diverged: the state is unusable then."""
+    def step(self, count: int = 1) -> None:
+        """Advances by so many time steps in one; raises DeviceError if the physics diverged: the state is unusable
+        then.
+        """
+        self.model.opt.timestep = count * TIMESTEP_S
         mujoco.mj_step1(self.model, self.data)
         for part in self._parts:
             part.before_step()
@@ -90,7 +93,7 @@ class World:
         q_bad, v_bad, a_bad = self._diverged
         if q_bad.number or v_bad.number or a_bad.number:
             raise DeviceError(f"The physics diverged after {self.time:.3f} s. Reset it; check the masses in the scene.")
-        self.steps += 1
+        self.steps += count
         for part in self._parts:
             part.after_step()
 

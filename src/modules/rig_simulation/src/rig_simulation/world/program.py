@@ -95,16 +95,16 @@ class HandCycle(Part):
 
     def __init__(self, hand: SimulatedHand, link: reflex.HandLink) -> None:
         self._hand, self._link = hand, link
-        self._steps = 0
+        self._cycles = 0
 
     def bind(self, world: World) -> None:
-        """Computes the world's steps in a cycle."""
-        self._period = round(PERIOD_S / world.timestep)
+        """Takes the world, and computes its steps in a cycle."""
+        self._world, self._period = world, round(PERIOD_S / world.timestep)
 
     def after_step(self) -> None:
         """Exchanges packets once in a cycle."""
-        self._steps += 1
-        if self._steps % self._period == 0:
+        if self._world.steps // self._period > self._cycles:
+            self._cycles += 1
             reflex.exchange(self._hand, self._link)
 
 
@@ -130,7 +130,8 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
     resources.callback(link.close)
     world.add(HandCycle(hand.simulated, link))
     clock = Clock(None if options.stepped else options.speed)
-    server = sunrise.make_server(options, ArmJoints(world), clock, math.inf if options.stepped else AT_ONCE_S)
+    arm = ArmJoints(world, pairs=not options.stepped)
+    server = sunrise.make_server(options, arm, clock, math.inf if options.stepped else AT_ONCE_S)
     resources.callback(server.close)
     switch_all(server.faults, options.fault)
     switch_all(link.faults, options.hand_fault)
