@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 import threading
 import time
 
 import numpy as np
 import rospy
-import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
 
 from common.config import parse
 from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED
@@ -23,6 +24,7 @@ from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates
 
+ENCODED = {name: struct.pack("<I", len(name)) + name.encode() for name in (TOOL_DESIRED, TOOL_COMMANDED)}
 FRESH_S = 0.2
 """An older frame no longer steers the arm."""
 CLEAR_LINE = "\r\033[K"
@@ -39,13 +41,13 @@ class RigListener:
         self._lock = threading.Lock()
         self._T_flange_tool: np.ndarray | None = None
         self._subscribers: list[rospy.Subscriber] = []
-        self._buffer = tf2_ros.Buffer()
-        self._tf = tf2_ros.TransformListener(self._buffer, tcp_nodelay=True)
+        self._frames: dict[str, bytes] = {}  # the newest tf message with each of the tool's frames
         for topic, kind, callback, queue in (
             (STAGE_TIMES, TimeReference, self._stage, 500),
             ("leap_kuka/stream", DiagnosticStatus, self._stream, 50),
             ("/diagnostics", DiagnosticArray, self._diagnostics, 50),
             ("simulation/status", DiagnosticStatus, lambda m: recorder.status("simulation", _values(m)), 10),
+            ("/tf", rospy.AnyMsg, self._transforms, 100),
             ("simulation/flange", PoseStamped, self._flange, 1),
             ("simulation/object_states", ObjectStates, self._objects, 10),
             ("simulation/scenario", DiagnosticStatus, lambda m: recorder.set_scenario(_values(m)), 10),
@@ -96,14 +98,27 @@ class RigListener:
         targets = [self._fresh(frame) if following else None for frame in (TOOL_DESIRED, TOOL_COMMANDED)]
         self.recorder.tool(T_base_tool, *targets)
 
-    def _fresh(self, frame: str):
-        """Returns the pose of the frame in the base, shape (4, 4), or None where it is missing or old."""
-        try:
-            message = self._buffer.lookup_transform(BASE, frame, rospy.Time(0))
-        except tf2_ros.TransformException:
+    def _transforms(self, message: rospy.AnyMsg) -> None:
+        """Keeps the messages that are needed, as bytes: to read all of them costs more than all else here."""
+        for frame in (TOOL_DESIRED, TOOL_COMMANDED):
+            if ENCODED[frame] in message._buff:
+                self._frames[frame] = message._buff
+
+    def _fresh(self, frame: str) -> np.ndarray | None:
+        """Returns the pose of the frame in the base, shape (4, 4), or None where it is missing or old.
+
+        Its publisher sends the frames between the two in the same message.
+        """
+        if frame not in self._frames:
             return None
-        fresh = (rospy.Time.now() - message.header.stamp).to_sec() <= FRESH_S
-        return pose_from_transform(message.transform) if fresh else None
+        transforms = {t.child_frame_id: t for t in TFMessage().deserialize(self._frames[frame]).transforms}
+        T, name, oldest = np.eye(4), frame, rospy.Time.now() - rospy.Duration.from_sec(FRESH_S)
+        while name != BASE:
+            transform = transforms.pop(name, None)
+            if transform is None or transform.header.stamp < oldest:
+                return None
+            T, name = pose_from_transform(transform.transform) @ T, transform.header.frame_id
+        return T
 
 
 def _values(status: DiagnosticStatus) -> dict[str, str]:
