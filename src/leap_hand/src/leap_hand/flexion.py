@@ -38,11 +38,13 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     Raises:
         ValueError: a vector is not finite or shorter than MIN_LENGTH_M.
     """
-    for v in (a, b):
-        length = np.linalg.norm(v)
-        if not np.isfinite(length) or length < MIN_LENGTH_M:
-            raise ValueError(f"the vector {np.asarray(v).tolist()} has no direction")
-    return math.atan2(float(np.linalg.norm(np.cross(a, b))), float(np.dot(a, b)))
+    p, q = np.asarray(a, dtype=float).tolist(), np.asarray(b, dtype=float).tolist()
+    for v in (p, q):
+        if not MIN_LENGTH_M <= math.hypot(*v) < math.inf:
+            raise ValueError(f"the vector {v} has no direction")
+    (px, py, pz), (qx, qy, qz) = p, q
+    sine = math.hypot(py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx)
+    return math.atan2(sine, px * qx + py * qy + pz * qz)
 
 
 def map_angles(angles: ArrayLike, human: np.ndarray, robot: np.ndarray) -> np.ndarray:

@@ -68,8 +68,8 @@ class EffortGuard:
 
     def reset(self) -> None:
         """Removes all bounds."""
-        self._low = np.zeros(4)
-        self._high = np.array(self._settings.travel)
+        self._low = [0.0] * 4
+        self._high = [float(most) for most in self._settings.travel]
         self._overloaded, self._hot = [False] * 4, [False] * 4
 
     @property
@@ -85,18 +85,22 @@ class EffortGuard:
     @property
     def bounded(self) -> tuple[str, ...]:
         """Motors whose goals are bounded."""
-        return tuple(compress(MOTORS, (self._low > 0) | (self._high < self._settings.travel)))
+        limits = zip(MOTORS, self._low, self._high, self._settings.travel)
+        return tuple(name for name, low, high, most in limits if low > 0 or high < most)
 
     def clip(self, goals: Sequence[float]) -> tuple[float, ...]:
         """Returns the goals [rad] within travel and bounds. A goal that turns back from a bound removes it; the bound
         of a hot motor follows instead, so that it only opens.
         """
-        travel = np.array(self._settings.travel)
-        wanted = np.clip(goals, 0.0, travel)
-        back = (wanted < self._high) | (wanted <= 0)
-        self._high = np.where(back, np.where(self._hot, wanted, travel), self._high)
-        self._low = np.where((wanted > self._low) | (wanted >= travel), 0.0, self._low)
-        return tuple(np.clip(wanted, self._low, self._high).tolist())
+        clipped = []
+        for i, (goal, most) in enumerate(zip(goals, self._settings.travel)):
+            wanted = min(max(float(goal), 0.0), float(most))
+            if wanted < self._high[i] or wanted <= 0:
+                self._high[i] = wanted if self._hot[i] else float(most)
+            if wanted > self._low[i] or wanted >= most:
+                self._low[i] = 0.0
+            clipped.append(min(max(wanted, self._low[i]), self._high[i]))
+        return tuple(clipped)
 
     def check(
         self, reading: HandReading, goals: Sequence[float], calibrated: bool

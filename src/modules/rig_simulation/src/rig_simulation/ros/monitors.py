@@ -27,9 +27,10 @@ from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 from common.errors import DeviceError
 from common.frames import BASE, CAMERA_LINK
 from common.poses import inverse, pose
-from common.ros.conversions import stamped_transform
+from common.ros.conversions import message_from_pose, stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.params import private_config
+from common.ros.publishing import DirectPublisher
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_zyx
 from rig_msgs.msg import ObjectState, ObjectStates
 from rig_msgs.srv import (
@@ -90,7 +91,7 @@ class ArmMonitor:
 
     def __init__(self, config: MonitorConfig) -> None:
         self._client = ControlClient(config.host, config.port, 1.0)
-        self._flange = rospy.Publisher("simulation/flange", PoseStamped, queue_size=10)
+        self._flange = DirectPublisher("simulation/flange", PoseStamped, queue_size=10)
         self._status = rospy.Publisher("simulation/status", DiagnosticStatus, queue_size=10)
         self._next_status = 0.0
         self._peak_speed = 0.0
@@ -109,7 +110,7 @@ class ArmMonitor:
         message = PoseStamped()
         message.header.frame_id = BASE
         message.header.stamp = rospy.Time.now() - rospy.Duration.from_sec(state["age"])
-        message.pose = Pose(Point(*flange[:3, 3]), Quaternion(*quaternion_from_rotation(flange[:3, :3])))
+        message.pose = message_from_pose(flange)
         self._flange.publish(message)
         self._peak_speed = max(self._peak_speed, state["tcp_speed"])
         if time.monotonic() >= self._next_status:
