@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from bench.measure import SRC, BenchError, Row, number, row
+from bench import bad_link as bad_link_module
+from bench.measure import SRC, BenchError, Goal, Peer, Row, number, row
 from bench.plain_client import PlainClient
 from common.poses import translation
-from kst import Feedback, KstClient, KstTiming
+from kst import Feedback, KstClient, KstTiming, NoServer
 
 PROGRAM = SRC / "modules" / "rig_simulation" / "scripts" / "sunrise_controller.py"
 READY = re.compile(r"listening on 127\.0\.0\.1:(\d+)")
@@ -25,19 +26,27 @@ PERIOD_S = 1.0 / 250.0
 SWING_RAD = 0.03
 CALLS = {"servo": Feedback.DONE, "servo_joints": Feedback.JOINTS, "servo_unacknowledged": Feedback.NOTHING}
 """Feedback of a call, by the name of its row."""
+PATIENT = KstTiming(servo_reply=10.0, reply=10.0)
+BATCH = 16  # answers are read after so many streamed goals
+PACED_HZ = 240.0
+BAD_LINKS = {"1 % loss": (0.0, 0.0, 0.01), "20 +- 10 ms each way": (0.02, 0.01, 0.0)}
+"""Delay [s], jitter [s] and loss in each direction."""
 
 
 def rows(quick: bool) -> list[Row]:
-    """Returns round trip, jitter of the period and highest rate of each kind of servo goal."""
+    """Returns round trip, jitter and highest rate of each kind of servo goal, and the pace of goals on bad links."""
     paced, fast = (50, 50) if quick else (5000, 5000)
     table = []
     with simulated_controller() as port:
-        timing = KstTiming(servo_reply=10.0, reply=10.0)
-        with KstClient.connect("127.0.0.1", port, TOOL, timeout=10.0, timing=timing) as client:
-            client.start_joint_servo()
+        peers = _peers(port, fast)
+        with _in_servo(port) as client:
             for name, feedback in CALLS.items():
                 table += _call_rows(client, name, feedback, paced, fast)
-        table += _peer_rows(port, fast)
+            for word, (feedback, peer) in peers.items():
+                table.append(_streamed_row(client, word, feedback, peer, fast))
+        for name, link in BAD_LINKS.items():
+            with bad_link(port, *link) as proxy, _in_servo(proxy, KstTiming()) as client:
+                table.append(_paced_stream_row(client, name, 50 if quick else 2500))
     return table
 
 
@@ -88,24 +97,75 @@ def _call_rows(client: KstClient, name: str, feedback: Feedback, paced: int, fas
     ]
 
 
-def _peer_rows(port: int, fast: int) -> list[Row]:
-    """Returns the highest rates of a plain client that checks nothing."""
-    table: list[Row] = []
+def _peers(port: int, fast: int) -> dict[str, tuple[Feedback, Peer]]:
+    """Returns the highest rates of a plain client that checks nothing, by the word of its goals."""
+    found = {}
+    with PlainClient.connected(port) as client:
+        for word, feedback in (("jp", Feedback.DONE), ("jpJP", Feedback.JOINTS)):
+            begin = time.perf_counter()
+            for _ in range(fast):
+                client.goal(word, _goal().tolist())
+            found[word] = feedback, Peer("plain client", fast / (time.perf_counter() - begin))
+    return found
+
+
+@contextlib.contextmanager
+def _in_servo(port: int, timing: KstTiming = PATIENT) -> Iterator[KstClient]:
+    """Connects in servo mode; the simulated server takes a moment to start again after the client before."""
     deadline = time.monotonic() + 10.0
-    while True:  # the simulated server takes a moment to start again
+    while True:
         try:
-            with PlainClient.connected(port) as client:
-                for name, word in (("servo", "jp"), ("servo_joints", "jpJP")):
-                    begin = time.perf_counter()
-                    for _ in range(fast):
-                        client.goal(word, _goal().tolist())
-                    rate = fast / (time.perf_counter() - begin)
-                    table.append(number(f"plain client {name}: highest rate", rate, "1/s", "text, split, float"))
-            return table
-        except OSError as error:
+            client = KstClient.connect("127.0.0.1", port, TOOL, timeout=10.0, timing=timing)
+            break
+        except NoServer as error:
             if time.monotonic() > deadline:
                 raise BenchError(f"The simulated controller serves no second client: {error}.") from error
             time.sleep(0.1)
+    with client:
+        client.start_joint_servo()
+        yield client
+
+
+@contextlib.contextmanager
+def bad_link(port: int, delay: float, jitter: float, loss: float) -> Iterator[int]:
+    """Runs a proxy to the port in a process of its own; yields its port. Times in seconds."""
+    command = (sys.executable, str(bad_link_module.__file__), *map(str, (port, delay, jitter, loss)))
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        yield int(process.stdout.readline())
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def _streamed_row(client: KstClient, word: str, feedback: Feedback, peer: Peer, fast: int) -> Row:
+    """Returns the highest rate of streamed goals, each answer of which is checked."""
+    answered = 0
+    begin = time.perf_counter()
+    for i in range(fast):
+        client.stream(_goal(), feedback)
+        if i % BATCH == 0:
+            answered += len(client.answers())
+    answered += len(client.answers(10.0))
+    rate = answered / (time.perf_counter() - begin)
+    return number(f"kst {word} streamed: highest rate", rate, "1/s", f"{answered} answers to {fast} goals", peer=peer)
+
+
+def _paced_stream_row(client: KstClient, link: str, count: int) -> Row:
+    """Returns how many goals a second leave of those that are due at 250 Hz; none does while an answer is missing."""
+    due = begin = time.perf_counter()
+    sent = 0
+    for _ in range(count):
+        due = max(due + PERIOD_S, time.perf_counter())
+        time.sleep(max(due - time.perf_counter(), 0.0))
+        if client.silence(0.02) == 0.0:
+            client.stream(_goal())
+            sent += 1
+        client.answers()
+    rate = sent / (time.perf_counter() - begin)
+    how = f"{count} goals due at 250 Hz, {client.counts.missed} answers missed"
+    return number(f"kst goals, {link}", rate, "1/s", how, Goal(PACED_HZ, at_least=True))
 
 
 def _paced(call: Callable[[np.ndarray], object], count: int) -> tuple[np.ndarray, np.ndarray]:
