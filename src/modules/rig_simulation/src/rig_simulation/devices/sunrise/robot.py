@@ -118,12 +118,8 @@ Law = Callable[[np.ndarray], np.ndarray]
 
 def lts_law(error: np.ndarray) -> np.ndarray:
     """Returns f(e) = sign(e) a (1 - exp(-(e/b)^2)) [rad], the law of the published server (builds 1.5 to LTS)."""
-    scaled = error * (1.0 / LTS_WIDTH_RAD)
-    scaled *= scaled
-    np.negative(scaled, out=scaled)
-    np.expm1(scaled, out=scaled)
-    scaled *= LTS_REACH_RAD
-    return np.copysign(scaled, error, out=scaled)
+    scaled = [e / LTS_WIDTH_RAD for e in error.tolist()]
+    return np.array([math.copysign(LTS_REACH_RAD * math.expm1(-s * s), s) for s in scaled])
 
 
 def plain_law(error: np.ndarray) -> np.ndarray:
@@ -140,32 +136,34 @@ class Drives:
     """
 
     def __init__(self, speed: np.ndarray, acceleration: np.ndarray, trajectory_time: float) -> None:
-        self._speed = speed
         self._acceleration = acceleration
         self._lag = 2.0 / 3.0 * trajectory_time
-        self._double_braking = 2.0 * BRAKING_FRACTION * acceleration
-        self._linear_range = 0.5 * self._double_braking * self._lag**2
-        self._half_range = 0.5 * self._linear_range
+        double_braking = 2.0 * BRAKING_FRACTION * acceleration
+        linear_range = 0.5 * double_braking * self._lag**2
+        self._limits = [limit.tolist() for limit in (speed, acceleration, double_braking, linear_range)]
 
     def towards(self, distance: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Returns the speed, shape (7,) [rad/s], after a step of dt [s] towards a destination at `distance` from the
         measured joints, shape (7,) [rad]; `v`: present speed, shape (7,) [rad/s].
         """
-        path = np.abs(distance)
-        braking = np.maximum(path, self._linear_range)
-        braking -= self._half_range
-        braking *= self._double_braking
-        np.sqrt(braking, out=braking)
-        path /= self._lag
-        np.minimum(path, braking, out=path)
-        np.minimum(path, self._speed, out=path)
-        change = np.copysign(path, distance, out=path)
-        change -= v
-        most = self._acceleration * dt
-        np.minimum(change, most, out=change)
-        np.maximum(change, -most, out=change)
-        change += v
-        return change
+        after = []
+        for way, now, speed, acceleration, double_braking, linear_range in zip(
+            distance.tolist(), v.tolist(), *self._limits
+        ):
+            path, most = abs(way), acceleration * dt
+            if path <= linear_range:
+                wanted = path / self._lag
+            else:
+                wanted = math.sqrt(double_braking * (path - 0.5 * linear_range))
+            if wanted > speed:
+                wanted = speed
+            change = math.copysign(wanted, way) - now
+            if change > most:
+                change = most
+            elif change < -most:
+                change = -most
+            after.append(now + change)
+        return np.array(after)
 
     def brake(self, v: np.ndarray, dt: float) -> np.ndarray:
         """Returns the speed, shape (7,) [rad/s], after a step of dt [s] of braking."""
