@@ -314,13 +314,22 @@ class ArmTeleop:
             self._out_of_reach = self._can_reach(self._T_base_virtual @ self._newest, False) or ""
         if self._out_of_reach and self._obstacle is None:
             self._reason = self._obstacle = f"{self._name} is followed, but {self._out_of_reach}"
-        stream = {"hold": hold, "owner": self._lock.owner, "obstacle": self._obstacle}
-        if mean is None:
-            return TeleopResult(StreamState.RUNNING, self._reason, usable, self._T_base_virtual, **stream)
-        self._newest = read_only(self._tool(mean, now)) if self._stays is None else self._stays
-        angles, limited = self._attitude, self._attitude.limited
-        reason = self._reason + (f"; {' and '.join(limited)} at the limit" if limited else "")
-        poses = (self._T_base_virtual, T_virtual_hand, self._newest)
+        reason, T_virtual_tool, measured, clipped = self._reason, None, None, None
+        if mean is not None:
+            T_virtual_tool = read_only(self._tool(mean, now)) if self._stays is None else self._stays
+            self._newest, measured, clipped = T_virtual_tool, self._attitude.measured, self._attitude.clipped
+            limited = self._attitude.limited
+            reason += f"; {' and '.join(limited)} at the limit" if limited else ""
         return TeleopResult(
-            StreamState.RUNNING, reason, usable, *poses, measured=angles.measured, clipped=angles.clipped, **stream
+            state=StreamState.RUNNING,
+            reason=reason,
+            usable=usable,
+            T_base_virtual=self._T_base_virtual,
+            T_virtual_hand=T_virtual_hand,
+            T_virtual_tool=T_virtual_tool,
+            measured=measured,
+            clipped=clipped,
+            hold=hold,
+            owner=self._lock.owner,
+            obstacle=self._obstacle,
         )
