@@ -148,6 +148,7 @@ def test_a_lost_link_is_named_within_200_ms_and_so_is_its_return():
     assert said.level == "warn" and int(re.search(r"answered for (\d+) ms", said.sentence)[1]) <= 150
     silent(cycles, 0.0)
     assert "answers again after 0.19 s" in cycles.said[-1].sentence
+    assert cycles.controller.missed == cycles.controller.holds == 1
 
 
 @pytest.mark.parametrize(("in_servo", "off"), [(True, OFF_S), (False, 2.0 * OFF_S)])

@@ -213,6 +213,7 @@ class Controller:
             self._step = Step(Wait(), Mode.STOPPED, "", ())
         reason = f"The robot has not answered for {1000.0 * silent:.0f} ms; {what}."
         named = before <= NAMED_S < silent
+        self.missed += named and self._missed_in_a_row == 0
         events = (Event("warn", f"The link to the robot is lost for the moment. {reason}"),) if named else ()
         return replace(self._step, command=Wait(), reason=reason, events=events, transitions=())
 
