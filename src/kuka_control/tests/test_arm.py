@@ -31,7 +31,7 @@ class FakeClient:
 
         return ask
 
-    def stream(self, q, feedback):
+    def stream(self, q, feedback, wait):
         self.pending.append(feedback)
         return feedback
 

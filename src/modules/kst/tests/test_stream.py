@@ -170,6 +170,18 @@ def test_the_probe_after_joints_is_none_that_joints_answer(server):
     assert server.sent[-1][1] == "getPin3"
 
 
+def test_a_caller_that_looks_for_silence_itself_is_never_held_up(server):
+    client = a_client(server)
+    server.stalled_until = 1002.0
+    client.stream(np.zeros(7))
+    server.now += 0.05
+    client.stream(np.zeros(7), wait=False)
+    assert server.now == 1000.05 and client.open_goals == 2
+    with pytest.raises(ReplyTimeout):
+        client.stream(np.zeros(7))
+    assert server.now < 1000.0 + TIMING.servo_reply + 0.01 and client.silence(0.0) > 0.0
+
+
 def test_the_window_follows_the_usual_delay_up_to_its_bound(server):
     client = a_client(server)
     assert client._session.window == LEAST_WINDOW_S

@@ -220,7 +220,7 @@ class KstArm(Arm):
         feedback = self._next(self.SERVO_TURN)
         if feedback in self._lacking:
             feedback = Feedback.JOINTS
-        if self._client.stream(q, feedback) is not feedback:
+        if self._client.stream(q, feedback, wait=False) is not feedback:
             self._turn -= 1
         self._take_answers(QUICK_S)
         if feedback is not Feedback.JOINTS and not self._client.open_goals:

@@ -321,24 +321,25 @@ class KstClient:
         numbers = self._numbers(command, reply)
         return codec.pose_from_fields(numbers) if feedback is Feedback.POSE else numbers
 
-    def stream(self, q: ArrayLike, feedback: Feedback = Feedback.JOINTS) -> Feedback:
+    def stream(self, q: ArrayLike, feedback: Feedback = Feedback.JOINTS, wait: bool = True) -> Feedback:
         """Sets the servo's goal to q, shape (7,) [rad], without waiting for its answer, which `answers` returns.
 
-        Waits while the window is full: `KstTiming.servo_window`, or less on a link whose answers come soon. Returns the
-        feedback that was requested: DONE instead of one whose answer could be mistaken for another, if one were lost.
+        Waits while the window is full: `KstTiming.servo_window`, or less on a link whose answers come soon. A caller
+        that looks at `silence` before each goal need not `wait`; then no goal becomes old here. Returns the requested
+        feedback: DONE instead of one whose answer could be mistaken for another, if one were lost.
         """
         self._require_servo()
         angles = self._limits.check(q).tolist()
         if not self._is_unmistakable(feedback):
             feedback = Feedback.DONE
-        self._session.stream(codec.joint_goal(angles, feedback))
+        self._session.stream(codec.joint_goal(angles, feedback), wait)
         self._heed_refusal()
         return feedback
 
     def stream_joints(self) -> None:
         """Asks for the measured joints in servo mode as `stream` does, without a goal."""
         self._require_servo()
-        self._session.stream(codec.JOINTS)
+        self._session.stream(codec.JOINTS, wait=False)
 
     @property
     def open_goals(self) -> int:

@@ -153,8 +153,8 @@ class KstSession:
             return self.in_step
         return len(self.open) < MAX_OPEN and time.monotonic() - self.open[0].sent_at < self.window
 
-    def stream(self, command: KstCommand) -> None:
-        """Sends a command of the reader thread; its answer will be in `arrived`. Waits while the window is full.
+    def stream(self, command: KstCommand, wait: bool = True) -> None:
+        """Sends a command of the reader thread; its answer will be in `arrived`. May `wait` while the window is full.
 
         Raises:
             ReplyTimeout: an earlier answer is missing, and this command was not sent.
@@ -162,10 +162,10 @@ class KstSession:
         """
         if not self.open:
             self.poll()
-        elif not self.has_room:
+        elif wait and not self.has_room:
             self.collect(self.open[0].sent_at + self.timing.servo_reply)
         if self._unanswered is not None:
-            self._heed(self.resynchronise())
+            self._heed(self.resynchronise(0.0))
         self.open.append(StreamedGoal(command, self._send(command)))
 
     def collect(self, deadline: float, every: bool = False) -> None:
