@@ -34,6 +34,7 @@ GOALS = {
     "frame received to goal on the arm's wire": ("demo: frame to goal on the wire", Goal(2.5, 8.0)),
     "frame received to command of the hand": ("demo: frame to command of the hand", None),
 }
+HAND_GOAL = Goal(45.0)
 BUSY_GOAL = Goal(None, 25.0)
 CPU_GOALS = {"all processes": Goal(90.0), "world.py": Goal(25.0)}
 LEAST_SHARE = 2.0  # programs that take less of a processor are not listed [%]
@@ -75,6 +76,15 @@ def rows(quick: bool) -> list[Row]:
         Row(what, delays[stage]["p50"], delays[stage]["p99"], "ms", f"{delays[stage]['samples']} frames of {how}", goal)
         for stage, (what, goal) in GOALS.items()
     ]
+    hand = run.report["hand_to_arm_ms"]
+    table.append(
+        Row("demo: palm to tool of the arm", None, None, "ms", "too little moved", HAND_GOAL)
+        if hand is None
+        else Row(
+            "demo: palm to tool of the arm", hand["p50"], hand["p90"], "ms",
+            f"{hand['windows']} windows of 3 s of {how}; the second number is the 90th percentile", HAND_GOAL,
+        )
+    )  # fmt: skip
     shares = {"all processes": sum(run.shares.values()), **dict(sorted(run.shares.items(), key=lambda s: -s[1].mean()))}
     how_cpu = f"{slices} slices of {SLICE_S:g} s, p99 is the largest; 100 % is one of {os.cpu_count()} CPUs"
     table += [

@@ -212,8 +212,10 @@ def test_invalid_numbers_and_jumps_never_enter(name, sample):
     average = HandAverage(10, name)
     for i in range(20):
         average.add(sample(), 0.01 * i)
-    for i, change in enumerate([{"position": (np.nan, 0.35, 0.0)}, {"position": (0.3, 0.35, 0.0)}]):
-        assert average.add(sample(**change), 0.2 + 0.01 * i) is not None
+    faulty = [sample(position=(np.nan, 0.35, 0.0)), sample(position=(0.3, 0.35, 0.0))]
+    faulty += [dataclasses.replace(sample(), **{part: (0.0, np.nan, 0.0)}) for part in ("direction", "normal")]
+    for i, hand in enumerate(faulty):
+        assert average.add(hand, 0.2 + 0.001 * i) is not None
     np.testing.assert_allclose(average.mean().palm, (0.0, 0.35, 0.0), atol=1e-12)
     assert average.add(sample(), 0.22) is None
     np.testing.assert_allclose(average.mean().palm, (0.0, 0.35, 0.0), atol=1e-12)
@@ -241,6 +243,8 @@ def test_a_hand_that_turns_over_has_no_frame_until_its_samples_agree(name, sampl
         average.add(sample(roll=170.0), 0.01 * i)
         means.append(average.mean())
     assert any(mean is None for mean in means)
+    for mean in means:
+        assert mean is None or max(sample(roll=r).normal @ mean.T_leap_hand[:3, 2] for r in (0.0, 170.0)) > 0.9
     np.testing.assert_allclose(means[-1].T_leap_hand[:3, 2], sample(roll=170.0).normal, atol=0.02)
 
 

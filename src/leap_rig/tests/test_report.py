@@ -67,6 +67,18 @@ def test_delays_are_taken_frame_by_frame_and_stage_by_stage():
     assert delays["frame received to command of the hand"] == {"p50": None, "p95": None, "p99": None, "samples": 0}
 
 
+def test_the_delay_from_hand_to_arm_is_stated_where_enough_moved():
+    assert summarise(good_run(), 20.0)["hand_to_arm_ms"] is None
+    recorder = good_run()
+    for i in range(2000):
+        t = 0.01 * i
+        recorder.palms.add(t, (0.1 * np.sin(t), 0.05 * np.sin(1.7 * t), 0.0))
+        recorder.tools.add(t + 0.08, (0.0, 0.1 * np.sin(t), 0.05 * np.sin(1.7 * t)))
+    summary = summarise(recorder, 20.0)
+    assert summary["hand_to_arm_ms"]["p50"] == pytest.approx(80.0, abs=0.5)
+    assert "hand to arm            80 ms" in as_text(summary) and "80 to 80 ms in 80 % of " in as_text(summary)
+
+
 def test_a_frame_that_a_stage_dropped_is_not_counted():
     recorder = Recorder()
     recorder.stage("leap_motion", 1.0, 1.1)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from common.rotations import rotation_angle
+from leap_rig.hand_delay import Track
 
 STAGES = ("leap_motion", "leap_kuka", "kuka_control", "leap_hand")
 """Stages between a received frame and the wires of arm and hand, by the names of their nodes."""
@@ -87,6 +88,7 @@ class Recorder:
         self.streams: list[RecordedStream] = []
         self.desired = TrackingErrors()
         self.commanded = TrackingErrors()
+        self.palms, self.tools = Track(), Track()  # in the Leap frame and in the base, by the stamps
         self.tool_path = 0.0
         self.largest_tcp_speed: float | None = None
         self._hand_range: tuple[np.ndarray, np.ndarray] | None = None

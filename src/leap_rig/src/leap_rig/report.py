@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from leap_rig.hand_delay import hand_delay
 from leap_rig.recorder import ObjectTrack, Recorder, TrackingErrors
 
 ARM_FOLLOWED_M = 0.005
@@ -62,6 +63,7 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
         "tracking_error": {"desired": _errors(recorder.desired), "commanded": _errors(recorder.commanded)},
         "hand_travel_rad": recorder.hand_travel,
         "delay_ms": _delays(recorder.received, recorder.stage_times),
+        "hand_to_arm_ms": _hand_to_arm(recorder),
         "objects": {name: _object(track, since) for name, track in recorder.objects.items()},
         "scenario": recorder.scenario and {key: recorder.scenario[key] for key in ("scenario", "step", "failure")},
         "grasps": [_grasp(values) for values in recorder.grasps.values()],
@@ -224,6 +226,15 @@ def _delays(received: dict[float, float], times: dict[str, dict[float, float]]) 
     return {name: _percentiles([end[s] - begin[s] for s in end if s in begin]) for name, (begin, end) in spans.items()}
 
 
+def _hand_to_arm(recorder: Recorder) -> dict | None:
+    """Returns the delay of the tool behind the palm over windows of three seconds, None where too little moved."""
+    delay = hand_delay(recorder.palms, recorder.tools)
+    if delay is None:
+        return None
+    low, p50, high = np.round(1e3 * np.array([delay.low, delay.median, delay.high]), 1).tolist()
+    return {"p50": p50, "p10": low, "p90": high, "windows": delay.windows}
+
+
 def _percentiles(seconds: list[float]) -> dict:
     if not seconds:
         return {"p50": None, "p95": None, "p99": None, "samples": 0}
@@ -268,6 +279,10 @@ def as_text(summary: dict) -> str:
     for name, d in summary["delay_ms"].items():
         numbers = " ".join(_cell(d[k]) for k in ("p50", "p95", "p99"))
         lines.append(f"    {name:<40} {numbers} {d['samples']:8d}")
+    hand = summary["hand_to_arm_ms"]
+    if hand is not None:
+        interval = f"{hand['p10']:.0f} to {hand['p90']:.0f} ms in 80 % of {hand['windows']} windows"
+        lines.append(f"  hand to arm            {hand['p50']:.0f} ms from the palm's motion to the tool's; {interval}")
     lines += ["", *(f"  WARNING: {warning}" for warning in summary["warnings"])]
     lines += [f"  FAULT: {fault}" for fault in summary["faults"]]
     if not summary["faults"]:

@@ -20,6 +20,8 @@ from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED
 from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.diagnostics import STAGE_TIMES
+from leap_motion.frames import TrackingFrame
+from leap_motion.ros.tracking import LEFT, RIGHT, ReceivedPalms, subscribe
 from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates
@@ -38,6 +40,7 @@ class RigListener:
     def __init__(self, recorder: Recorder) -> None:
         self.recorder = recorder
         self.mode = ""
+        self._owner: tuple[str, str] | None = None  # number and side of the hand that steers
         self._lock = threading.Lock()
         self._T_flange_tool: np.ndarray | None = None
         self._subscribers: list[rospy.Subscriber] = []
@@ -55,6 +58,7 @@ class RigListener:
             ("reflex_takktile/hand_state", Hand, self._hand, 1),
         ):
             self._subscribers.append(rospy.Subscriber(topic, kind, self._locked(callback), queue_size=queue))
+        self._subscribers.append(subscribe(self._palm, ReceivedPalms))
 
     def stop(self) -> None:
         """Stops recording."""
@@ -72,7 +76,18 @@ class RigListener:
         self.recorder.stage(message.source, message.header.stamp.to_sec(), message.time_ref.to_sec())
 
     def _stream(self, message: DiagnosticStatus) -> None:
-        self.recorder.stream(_values(message).get("state") == "running", message.message, time.monotonic())
+        values = _values(message)
+        self._owner = values.get("hand_id", ""), values.get("hand_side", "")
+        self.recorder.stream(values.get("state") == "running", message.message, time.monotonic())
+
+    def _palm(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
+        for hand in frame.hands:
+            if self._following and (str(hand.id), LEFT if hand.is_left else RIGHT) == self._owner:
+                self.recorder.palms.add(stamp.to_sec(), hand.palm.tolist())
+
+    @property
+    def _following(self) -> bool:
+        return self.mode == "servo" and self.recorder.streaming
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -94,8 +109,9 @@ class RigListener:
             kuka = rospy.get_param("kuka")
             self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
         T_base_tool = pose_from_message(message.pose) @ self._T_flange_tool
-        following = self.mode == "servo" and self.recorder.streaming
-        targets = [self._fresh(frame) if following else None for frame in (TOOL_DESIRED, TOOL_COMMANDED)]
+        if self._following:
+            self.recorder.tools.add(message.header.stamp.to_sec(), T_base_tool[:3, 3].tolist())
+        targets = [self._fresh(frame) if self._following else None for frame in (TOOL_DESIRED, TOOL_COMMANDED)]
         self.recorder.tool(T_base_tool, *targets)
 
     def _transforms(self, message: rospy.AnyMsg) -> None:
