@@ -27,6 +27,7 @@ NAMES = (
     "shaping",
     "stopping",
     "grasping",
+    "vision",
     "demo",
     "load",
     "growth",

@@ -68,6 +68,47 @@ def test_the_nearest_of_those_that_meet_stays():
     assert registered[place] == pytest.approx(near, abs=0.02)
 
 
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_it_is_the_projection_of_every_point_and_the_nearest_of_each_pixel(seed):
+    rng = np.random.default_rng(seed)
+    depth = np.kron(rng.uniform(0.3, 4.0, (12, 16)), np.ones((40, 40))).astype(np.float32)
+    odd = rng.random(depth.shape) < 0.1
+    depth[odd] = rng.choice([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-30, 1e30], odd.sum())
+    K, R = REGISTRATION.camera.K, RGB.R @ T_RGB_DEPTH[:3, :3]
+    z = depth[np.isfinite(depth) & (depth > 0.0)].astype(float)
+    points = depth_scene.RAYS[np.isfinite(depth) & (depth > 0.0)] * z[:, None] @ R.T + RGB.R @ T_RGB_DEPTH[:3, 3]
+    points = points[points[:, 2] > 0.0]
+    pixels = (points @ K.T)[:, :2] / points[:, 2:]
+    inside = (np.abs(pixels - (319.5, 239.5)) < (320.0, 240.0)).all(axis=1)
+    expected = np.full((480, 640), np.inf)
+    u, v = np.rint(pixels[inside]).astype(int).T
+    np.minimum.at(expected, (v, u), points[inside, 2])
+    registered = REGISTRATION.register(depth)
+    same = np.isclose(np.where(np.isnan(registered), np.inf, registered), expected, rtol=1e-5)
+    assert same.mean() > 0.9995  # a pixel's border can fall to either side
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_cloud_and_the_millimetres_are_those_of_their_formulas(seed):
+    rng = np.random.default_rng(seed)
+    registered = rng.uniform(-1.0, 70.0, (480, 640)).astype(np.float32)
+    registered[rng.random(registered.shape) < 0.3] = np.nan
+    colour = rng.integers(0, 256, (480, 640, 3), np.uint8)
+    cloud = REGISTRATION.cloud(registered, colour)
+    u, v = np.meshgrid(np.arange(640), np.arange(480))
+    K = REGISTRATION.camera.K
+    np.testing.assert_allclose(cloud["x"], (u - K[0, 2]) / K[0, 0] * registered, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(cloud["y"], (v - K[1, 2]) / K[1, 1] * registered, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(cloud["z"], registered)
+    np.testing.assert_array_equal(cloud["rgb"], colour.astype(np.uint32) @ [1 << 16, 1 << 8, 1])
+    with np.errstate(invalid="ignore"):
+        scaled = registered * np.float32(1000.0)
+        expected = np.where((scaled >= 0.0) & (scaled <= 65535.0), np.rint(scaled), 0.0)
+    np.testing.assert_array_equal(millimetres_from_metres(registered), expected)
+
+
 def test_a_wall_fills_the_image_and_the_cloud_lies_in_it():
     wall = np.full((480, 640), 1.2, np.float32)
     registered = REGISTRATION.register(wall)

@@ -146,6 +146,48 @@ class TestDepth:
                     if 0 <= t < 40:
                         assert found[row, t] == pytest.approx(t - eye * s, abs=1e-4)
 
+    @given(st.integers(0, 2**32 - 1))
+    @settings(max_examples=60, deadline=None)
+    def test_holes_show_what_is_behind_pixel_by_pixel(self, seed):
+        rng = np.random.default_rng(seed)
+        width = 24
+        depth = rng.uniform(0.3, 5.0, (6, width)).astype(np.float32)
+        depth[rng.random(depth.shape) < rng.random()] = np.nan
+        known = np.isfinite(depth)
+        if not known.any():
+            return
+        near = inverse_depth(depth, 0.4, 2.0)
+        for row, column in np.ndindex(depth.shape):
+            beside = [
+                c[-1]
+                for c in (np.flatnonzero(known[row, :column]), np.flatnonzero(known[row, column:])[::-1] + column)
+                if c.size
+            ]
+            far = max((depth[row, c] for c in beside), default=np.nanmax(depth))
+            expected = depth[row, column] if known[row, column] else far
+            assert near[row, column] == pytest.approx(1.0 / max(expected, 0.4), rel=1e-6)
+        shift = 7.0 * near
+        for eye in (LEFT, RIGHT):
+            found = eye_map(shift, eye)
+            for row in range(6):
+                shown = {}
+                for u in range(width):
+                    t = int(np.rint(np.float32(u) + eye * shift[row, u]))
+                    if 0 <= t < width and shift[row, u] >= shown.get(t, (-1.0,))[0]:
+                        shown[t] = shift[row, u], t - eye * shift[row, u]
+                for t in range(width):
+                    left, right = (
+                        max((c for c in shown if c <= t), default=None),
+                        min((c for c in shown if c >= t), default=None),
+                    )
+                    if left is None or right is None:
+                        edge = left if right is None else right
+                        expected = np.nan if edge is None else shown[edge][1] + t - edge
+                    else:
+                        expected = min((shown[left], shown[right]), key=lambda s: s[0])[1]
+                    if not np.isnan(expected):
+                        assert found[row, t] == pytest.approx(expected, abs=1e-4)
+
     def test_the_eyes_are_mirror_images(self):
         shift = np.random.default_rng(3).uniform(0.0, 8.0, (5, 40)).astype(np.float32)
         left, right = eye_map(shift, LEFT), eye_map(shift[:, ::-1].copy(), RIGHT)

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from common.camera_model import pinhole
 from common.config import parse
 from common.errors import ConfigError
-from rig_simulation.devices.camera.sensors import SHADOW_TOLERANCE_PX, CameraLens, DepthSensor, axial_sigma, hidden
+from rig_simulation.devices.camera.sensors import (
+    SHADOW_TOLERANCE_PX,
+    CameraLens,
+    DepthSensor,
+    axial_sigma,
+    hidden,
+    steep_sigma,
+)
 from rig_simulation.node_parameters import ColourConfig, DepthConfig
 
 F, BASELINE = 570.0, 0.075
@@ -154,6 +161,70 @@ def test_registered_depth_also_misses_what_the_infrared_camera_does_not_see(lens
 def test_a_plane_hides_no_part_of_itself(slope, fb):
     w = 1.0 + slope * (np.arange(WIDTH, dtype=np.float32) - 159.5) / F
     assert not hidden(w[None], fb).any()
+
+
+def plain(lens: CameraLens, camera: DepthSensor, config: DepthConfig, inverse_depth, brightness, fbs) -> np.ndarray:
+    """The image by the formulas alone, one whole array an operation; takes the sensor's own random fields."""
+    height, width = lens.camera.height, lens.camera.width
+    smooth = lens.distort(inverse_depth)
+    beside = lens.distort_nearest(inverse_depth, camera._jitter.cut())
+    w = np.where(np.abs(beside - smooth) > 0.01 * smooth, beside, smooth).astype(float)
+    padded = np.pad(w, 1, mode="reflect")
+    wu, wv = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2.0, (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2.0
+    u, v = np.meshgrid(np.arange(width) - 159.5, np.arange(height) - 119.5)
+    length = np.sqrt((w - u * wu - v * wv) ** 2 + (F * wu) ** 2 + (F * wv) ** 2)
+    cosine = w / (length * np.sqrt((u / F) ** 2 + (v / F) ** 2 + 1.0))
+    lost = cosine < np.cos(np.radians(config.max_angle))
+    for fb in fbs:
+        shifted = u - fb * w
+        if fb > 0.0:
+            lost |= shifted > np.minimum.accumulate(shifted[:, ::-1], axis=1)[:, ::-1] + SHADOW_TOLERANCE_PX
+        else:
+            lost |= shifted < np.maximum.accumulate(shifted, axis=1) - SHADOW_TOLERANCE_PX
+    white = (lens.distort(brightness[..., 0]) / 255.0) ** 2.2
+    returned = config.dark_return + (1.0 - config.dark_return) * white
+    lost |= returned * cosine * w**2 * (1.0 + 0.2 * camera._noise.cut()) < config.min_signal
+    level = np.rint(255.0 * cosine) / 255.0
+    sigma = F * BASELINE * (axial_sigma(1.0 / w) * w**2 + steep_sigma(np.arccos(level)) * w**2.5)
+    noise = np.sqrt(np.maximum(sigma**2 - config.quantisation**2 / 12.0, 0.0)) * camera._noise.cut()
+    steps = np.rint((F * BASELINE * w / camera.scale + camera._warp + noise) / config.quantisation)
+    z = F * BASELINE / np.maximum(steps * config.quantisation, 1e-6)
+    return np.where((z < config.min_range) | (z > config.max_range) | lost, 0.0, np.rint(1000.0 * z)).astype(int)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), offset=st.sampled_from([0.0, -0.027]))
+def test_the_image_is_that_of_the_formulas(lens, seed, offset):
+    """Boxes at random places before a slanted wall."""
+    rng = np.random.default_rng(seed)
+    slope = rng.uniform(-0.8, 0.8, 2)
+    w = window_of(lens, lambda x, y: 0.6 + slope[0] * x + slope[1] * y)
+    brightness = white(lens)
+    for _ in range(6):
+        row, column = rng.integers(0, HEIGHT), rng.integers(0, WIDTH)
+        area = slice(row, row + rng.integers(5, 80)), slice(column, column + rng.integers(5, 80))
+        w[area], brightness[area] = rng.uniform(0.1, 2.2), rng.integers(0, 255)
+    everything = {**{key: FILE["depth"][key] for key in IDEAL}, "projector_baseline": BASELINE}
+    config = parse(DepthConfig, everything)
+    first, second = (sensor(lens, 7, offset, **everything) for _ in range(2))
+    fbs = [F * x for x in (offset + BASELINE, offset) if x != 0.0]
+    taken, expected = first.take(w, brightness).astype(int), plain(lens, second, config, w, brightness, fbs)
+    assert np.mean((taken > 0) != (expected > 0)) < 5e-4
+    both = (taken > 0) & (expected > 0)
+    assert np.mean(taken[both] != expected[both]) < 5e-3
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), fb=st.floats(-60.0, 60.0).filter(lambda fb: abs(fb) > 0.1))
+def test_hidden_is_what_a_neighbour_overtakes(seed, fb):
+    rng = np.random.default_rng(seed)
+    w = np.repeat(rng.uniform(0.03, 3.0, (4, 12)), rng.integers(1, 20, 12), axis=1).astype(np.float32)
+    shifted = np.arange(w.shape[1]) - fb * w.astype(float)
+    found = hidden(w, fb)
+    for row, column in np.ndindex(w.shape):
+        s = shifted[row]
+        by = s[column] - s[column:].min() if fb > 0.0 else s[: column + 1].max() - s[column]
+        assert found[row, column] == (by > SHADOW_TOLERANCE_PX) or by == pytest.approx(SHADOW_TOLERANCE_PX, abs=1e-3)
 
 
 def tilted(lens: CameraLens, angle: float) -> np.ndarray:

@@ -172,6 +172,32 @@ def test_exposure_and_noise_of_the_colour_picture():
     assert np.any(pictures[0] != pictures[1])
 
 
+def test_what_is_not_drawn_would_not_be_seen(cameras, monkeypatch):
+    rng = np.random.default_rng(2)
+    kinds = ("sphere", "capsule", "cylinder", "box", "ellipsoid")
+    geoms = "".join(
+        f'<geom type="{rng.choice(kinds)}" size="{" ".join(map(str, rng.uniform(0.02, 0.2, 3)))}" '
+        f'pos="{" ".join(map(str, rng.uniform((-1.5, -1.2, -2.0), (1.5, 1.2, 0.5))))}" '
+        f'euler="{" ".join(map(str, rng.uniform(0, 180, 3)))}" rgba="{rng.random()} 0.7 0.5 1"/>'
+        for _ in range(120)
+    )
+    model = model_of(geoms)
+    data = data_of(model)
+    groups = model.geom_group.copy()
+    seen = cameras(model, rgb=CURVED).take(data, True, True, True)
+    np.testing.assert_array_equal(model.geom_group, groups)
+    hidden = []
+    monkeypatch.setattr(
+        Renderer,
+        "_beyond",
+        lambda r, d, c, beyond=Renderer._beyond: hidden.append(beyond(r, d, c)) or hidden[-1] & False,
+    )
+    whole = cameras(model, rgb=CURVED).take(data, True, True, True)
+    assert 20 < hidden[0].sum() < 100
+    for name in ("colour", "depth", "registered"):
+        np.testing.assert_array_equal(getattr(seen, name), getattr(whole, name))
+
+
 def test_a_machine_that_cannot_render_is_named_in_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)
     with pytest.raises(DeviceError, match="libegl1"):

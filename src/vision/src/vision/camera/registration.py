@@ -56,18 +56,27 @@ class Registration:
         Raises ValueError for another size.
         """
         self._check(depth.shape, self._shape, "depth")
-        z = depth.ravel()
-        valid = np.flatnonzero(np.isfinite(z) & (z > 0.0))
-        u, v, z = self._rays[:, valid] * z[valid] + self._shift[:, None]
+        raw = depth.ravel()
         height, width = self._x.shape
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            u, v = u / z, v / z
-        inside = (z > 0.0) & (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
-        u, v, z = np.rint(u[inside]).astype(np.int32), np.rint(v[inside]).astype(np.int32), z[inside]
-        registered = np.full(height * width, np.inf, np.float32)
-        np.minimum.at(registered, np.clip(v, 0, height - 1) * width + np.clip(u, 0, width - 1), z)
-        registered[np.isinf(registered)] = np.nan
-        return registered.reshape(height, width)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of what is left out below
+            u, v, z = (rays * raw for rays in self._rays)
+            z += self._shift[2]
+            for pixel, shift in ((u, self._shift[0]), (v, self._shift[1])):
+                pixel += shift
+                pixel /= z
+                np.rint(pixel, out=pixel)
+            inside = (raw > 0.0) & (z > 0.0) & (u >= 0.0) & (u < width) & (v >= 0.0) & (v < height)
+            place = v.astype(np.intp)
+            place *= width
+            place += u.astype(np.intp)
+        np.putmask(place, ~inside, height * width)  # a place beside the image
+        registered = np.full(height * width + 1, np.nan, np.float32)
+        registered[place] = z
+        nearer = np.flatnonzero((z < registered[place]) & inside)  # than the one written last
+        while nearer.size:
+            registered[place[nearer]] = z[nearer]
+            nearer = nearer[z[nearer] < registered[place[nearer]]]
+        return registered[:-1].reshape(height, width)
 
     def unrectified(self, registered: np.ndarray) -> np.ndarray:
         """Returns registered depth in the pixels of the raw colour image, same shape and unit."""
@@ -77,11 +86,10 @@ class Registration:
         """Returns the points, shape (height, width), type POINT, in the rectified colour camera's frame, from the
         results of `register` and, in RGB, of `rectify`.
         """
-        points = np.empty(registered.shape, POINT)
-        points["x"], points["y"], points["z"] = self._x * registered, self._y * registered, registered
-        red, green, blue = (rectified[..., i].astype(np.uint32) for i in range(3))
-        points["rgb"] = red << 16 | green << 8 | blue
-        return points
+        rgb = cv2.cvtColor(rectified, cv2.COLOR_RGB2BGRA).view(np.int32)
+        rgb &= 0x00FFFFFF
+        coordinates = (self._x * registered, self._y * registered, registered)
+        return cv2.merge([*(c.view(np.int32) for c in coordinates), rgb]).view(POINT)[..., 0]
 
     @staticmethod
     def _check(shape: tuple[int, ...], wanted: tuple[int, ...], name: str) -> None:
@@ -91,6 +99,6 @@ class Registration:
 
 def millimetres_from_metres(depth: np.ndarray) -> np.ndarray:
     """Returns a depth image in metres as uint16 millimetres; unknown depth and depth beyond uint16 are 0."""
-    millimetres = np.nan_to_num(depth * np.float32(1000.0), nan=0.0, posinf=0.0, neginf=0.0)
-    millimetres[(millimetres < 0.0) | (millimetres > 65535.0)] = 0.0
-    return np.rint(millimetres).astype(np.uint16)
+    millimetres = depth * np.float32(1000.0)
+    np.putmask(millimetres, ~((millimetres >= 0.0) & (millimetres <= 65535.0)), np.float32(0.0))
+    return np.rint(millimetres, out=millimetres).astype(np.uint16)

@@ -9,6 +9,7 @@ than in the right eye's, so that it appears at its true distance (depth-image-ba
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import cv2
@@ -172,17 +173,17 @@ def inverse_depth(depth: np.ndarray, nearest: float, instead: float) -> np.ndarr
     gaps are shadows of near objects. A row without any depth gets the farthest of all depths, and an image without any
     gets `instead` [m]. Depths smaller than `nearest` [m] are replaced by it.
     """
-    known = np.isfinite(depth) & (depth > 0.0)
+    known = (depth > 0.0) & (depth < np.inf)
     if not known.any():
         return np.full(depth.shape, 1.0 / instead, np.float32)
-    near = np.divide(1.0, depth, out=np.full(depth.shape, np.inf, np.float32), where=known, dtype=np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of the holes
+        near = np.float32(1.0) / depth
+    np.putmask(near, ~known, np.float32(np.inf))
     farthest = near.min()
-    rows, holes = np.nonzero(~known)
-    left, right = (columns[rows, holes] for columns in _neighbours(known))
-    from_left = np.where(left >= 0, near[rows, left], np.inf)
-    from_right = np.where(right >= 0, near[rows, right], np.inf)
-    filled = np.minimum(from_left, from_right)
-    near[rows, holes] = np.where(np.isfinite(filled), filled, farthest)
+    pixels, lengths, left, right = _holes(known)
+    values = np.append(near, np.float32(np.inf))  # -1: beyond the edge
+    filled = np.minimum(values[left], values[right])
+    near.reshape(-1)[pixels] = np.where(np.isfinite(filled), filled, farthest).repeat(lengths)
     return np.minimum(near, np.float32(1.0 / nearest), out=near)
 
 
@@ -193,42 +194,56 @@ def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
     are outside the camera's view.
     """
     height, width = shift.shape
+    move = shift if eye == LEFT else -shift
+    target = np.arange(width, dtype=np.float32) + move
+    np.rint(target, out=target)
+    outside = (target < 0.0) | (target >= width)
+    pixel = target.astype(np.int32)
+    pixel += width * np.arange(height, dtype=np.int32)[:, None]
+    np.putmask(pixel, outside, height * width)  # a place beside the image
+    target -= move
+    source = np.full(height * width + 1, NONE, np.float32)
     # A later assignment wins. The left eye's pixels move right: of those that coincide, the nearest began leftmost.
     order = slice(None, None, -1 if eye == LEFT else 1)
-    move = eye * shift[:, order]
-    target = np.rint(np.arange(width, dtype=np.float32)[order] + move)
-    inside = (target >= 0) & (target < width)
-    pixel = width * np.arange(height, dtype=np.int32)[:, None] + target.astype(np.int32)
-    source = np.full(height * width, NONE, np.float32)
-    source[pixel[inside]] = (target - move)[inside]
-    return _without_holes(source.reshape(height, width), eye)
+    source[pixel.reshape(-1)[order]] = target.reshape(-1)[order]
+    return _without_holes(source[:-1].reshape(height, width), eye)
 
 
 def shifted(image: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Returns the image, shape (height, width, 3), read at the columns of `eye_map`; black outside."""
-    rows = np.broadcast_to(np.arange(columns.shape[0], dtype=np.float32)[:, None], columns.shape)
-    return cv2.remap(image, columns, np.ascontiguousarray(rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return cv2.remap(image, columns, _rows(*columns.shape), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+
+
+@functools.lru_cache(maxsize=2)
+def _rows(height: int, width: int) -> np.ndarray:
+    return np.arange(height, dtype=np.float32)[:, None].repeat(width, axis=1)
 
 
 def _without_holes(source: np.ndarray, eye: int) -> np.ndarray:
-    known = source > NONE
-    if known.all():
+    pixels, lengths, left, right = _holes(source > NONE)
+    if not pixels.size:
         return source
-    rows, holes = np.nonzero(~known)
-    left, right = (columns[rows, holes] for columns in _neighbours(known))
+    width = source.shape[1]
+    values = source.reshape(-1)
     # The neighbour that moved less is farther away; at the edge there is only one neighbour.
-    moved_left = np.where(left >= 0, eye * (left - source[rows, left]), np.inf)
-    moved_right = np.where(right >= 0, eye * (right - source[rows, right]), np.inf)
+    moved_left = np.where(left >= 0, eye * (left % width - values[left]), np.inf)
+    moved_right = np.where(right >= 0, eye * (right % width - values[right]), np.inf)
     behind = np.where(moved_left <= moved_right, left, right)
-    at_edge = (left < 0) | (right < 0)
-    source[rows, holes] = source[rows, behind] + np.where(at_edge, holes - behind, 0)
+    shown = values[behind].repeat(lengths)
+    at_edge = ((left < 0) | (right < 0)).repeat(lengths)
+    values[pixels] = shown + np.where(at_edge, pixels - behind.repeat(lengths), 0)
     return source
 
 
-def _neighbours(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the nearest known column at or left of each pixel, and at or right of it; -1 beyond the last one."""
+def _holes(known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the unknown pixels of an image, flat indices, and of each of their runs along a row the length and the
+    known pixels to the left and to the right, -1 beyond the row.
+    """
     width = known.shape[1]
-    columns = np.arange(width, dtype=np.int32)
-    left = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
-    right = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
-    return left, np.where(right < width, right, -1)
+    pixels = np.flatnonzero(~known)
+    column = pixels % width
+    starts = np.flatnonzero((np.diff(pixels, prepend=-2) > 1) | (column == 0))
+    ends = np.flatnonzero((np.diff(pixels, append=known.size + 1) > 1) | (column == width - 1))
+    left = np.where(column[starts] > 0, pixels[starts] - 1, -1)
+    right = np.where(column[ends] < width - 1, pixels[ends] + 1, -1)
+    return pixels, ends - starts + 1, left, right

@@ -9,6 +9,7 @@ import functools
 import time
 from collections.abc import Callable
 
+import cv2
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Image
@@ -124,6 +125,7 @@ class CameraNode:
 
 def main() -> None:
     """Runs the node with its private parameters."""
+    cv2.setNumThreads(1)  # images this small take more processor time when shared
     config = private_config(CameraConfig, others=SECTIONS)
     rgb, depth = (from_calibration(private_values().get(name, {})) for name in ("rgb_calibration", "depth_calibration"))
     effects = private_config(ColourConfig, "colour"), private_config(DepthConfig, "depth")

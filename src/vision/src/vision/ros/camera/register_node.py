@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 from xml.etree import ElementTree
 
+import cv2
 import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -67,14 +68,17 @@ class RegisterNode:
             self._info.publish(camera_info_message(registration.camera, header.frame_id, header.stamp))
         if wants_cloud or self._rectified.get_num_connections():
             rectified = registration.rectify(pair.colour)
-            self._rectified.publish(image_message(rectified, "rgb8", header.frame_id, header.stamp))
+            if self._rectified.get_num_connections():
+                self._rectified.publish(image_message(rectified, "rgb8", header.frame_id, header.stamp))
         if wants_cloud or self._raw.get_num_connections() or self._metric.get_num_connections():
             registered = registration.register(pair.depth)
-            raw = millimetres_from_metres(registered)
-            self._raw.publish(image_message(raw, "16UC1", header.frame_id, header.stamp))
-            self._metric.publish(image_message(registered, "32FC1", header.frame_id, header.stamp))
+            if self._raw.get_num_connections():
+                raw = millimetres_from_metres(registered)
+                self._raw.publish(image_message(raw, "16UC1", header.frame_id, header.stamp))
+            if self._metric.get_num_connections():
+                self._metric.publish(image_message(registered, "32FC1", header.frame_id, header.stamp))
             if wants_cloud:
-                self._points.publish(_cloud_message(registration.cloud(registered, rectified), header))
+                self._points.publish(cloud_message(registration.cloud(registered, rectified), header))
         self._milliseconds = 1e3 * (time.perf_counter() - started)
 
     def _for(self, pair: RgbdPair) -> Registration:
@@ -95,7 +99,7 @@ class RegisterNode:
         return DiagnosticStatus.OK, "Registers.", values
 
 
-def _cloud_message(points, header) -> PointCloud2:
+def cloud_message(points, header) -> PointCloud2:
     """Returns the message of an array of POINT, shape (height, width)."""
     height, width = points.shape
     # Point clouds in ROS store rgb as an integer's bits in a float field.
@@ -106,6 +110,7 @@ def _cloud_message(points, header) -> PointCloud2:
 
 def main() -> None:
     """Runs the node until ROS shuts down."""
+    cv2.setNumThreads(1)  # images this small take more processor time when shared
     run("register_rgbd", lambda: RegisterNode(private_config(PairsConfig)).run())
 
 

@@ -9,6 +9,7 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 import rospy
 from python_qt_binding.QtCore import QRect, QSize, Qt, QTimer, Signal
@@ -110,6 +111,7 @@ class StereoScreen(QWidget):
 
 def main() -> None:
     """Runs the node with its private parameters."""
+    cv2.setNumThreads(1)  # images this small take more processor time when shared
     output = private_config(WindowConfig, others=("view",)).output
     config = private_config(StereoViewConfig, "view")
     if not any(name in os.environ for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")):

@@ -139,6 +139,7 @@ class StereoWeb:
 
 def main() -> None:
     """Runs the node with its private parameters."""
+    cv2.setNumThreads(1)  # images this small take more processor time when shared
     config = private_config(StereoViewConfig, "view")
     web = StereoWeb(private_config(WebConfig, "web"))
     rospy.loginfo("The view is at %s", web.address)

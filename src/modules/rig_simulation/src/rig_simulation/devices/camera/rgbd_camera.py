@@ -6,7 +6,7 @@ Depth has its own viewpoint; registered depth has the pixels of the colour image
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -22,17 +22,19 @@ NEAR_M = 0.05
 FAR_M = 30.0
 MAX_GEOMS = 5000
 EXTRAS_OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_HAZE)
+HIDDEN_GROUP = 5  # of geoms; not drawn by default
 SHOWN = mujoco.mjtCatBit.mjCAT_STATIC | mujoco.mjtCatBit.mjCAT_DYNAMIC
 
 
 class Renderer:
     """Renders one model, whose settings of the off-screen buffer change, through one window, which replaces the field
     of view of the model's cameras, in the thread that made it. Close it. `samples`: per pixel, for anti-aliasing (0, 2,
-    4, ...); `depth_offset`: position of the depth in its pixel, right and up from the centre [px]: a pixel has its
-    samples' mean colour, but the depth of the first. Raises DeviceError if this machine cannot render off-screen.
+    4, ...); `sky`: whether it is drawn where nothing is; `depth_offset`: position of the depth in its pixel, right and
+    up from the centre [px]: a pixel has its samples' mean colour, but the depth of the first. Raises DeviceError if
+    this machine cannot render off-screen.
     """
 
-    def __init__(self, model: mujoco.MjModel, window: PixelWindow, samples: int) -> None:
+    def __init__(self, model: mujoco.MjModel, window: PixelWindow, samples: int, sky: bool = True) -> None:
         try:
             from mujoco.egl import GLContext  # opens the display
         except (ImportError, AttributeError, RuntimeError) as error:
@@ -51,6 +53,7 @@ class Renderer:
         self._scene = mujoco.MjvScene(model, maxgeom=MAX_GEOMS)
         for extra in EXTRAS_OFF:
             self._scene.flags[extra] = 0
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
         self._option = mujoco.MjvOption()
         self._free = mujoco.MjvCamera()
 
@@ -60,7 +63,10 @@ class Renderer:
         """
         window = self._window
         self._gl.make_current()
+        groups = self._model.geom_group.copy()
+        self._model.geom_group[self._beyond(data, camera)] = HIDDEN_GROUP
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._free, SHOWN, self._scene)
+        self._model.geom_group[:] = groups
         axes = data.cam_xmat[camera].reshape(3, 3)
         for view in self._scene.camera:
             view.pos = data.cam_xpos[camera]
@@ -77,6 +83,15 @@ class Renderer:
         inverse_depth *= np.float32(1.0 / NEAR_M - 1.0 / FAR_M)
         inverse_depth += np.float32(1.0 / FAR_M)
         return colour, inverse_depth
+
+    def _beyond(self, data: mujoco.MjData, camera: int) -> np.ndarray:
+        """Returns which geoms lie outside the view, whose vertices need not be transformed, shape (n,), bool."""
+        window, reach = self._window, self._model.geom_rbound
+        x, y, z = ((data.geom_xpos - data.cam_xpos[camera]) @ data.cam_xmat[camera].reshape(3, 3)).T
+        beyond = np.zeros(len(reach), bool)
+        for side, distance in ((window.left, x), (-window.right, -x), (window.bottom, y), (-window.top, -y)):
+            beyond |= distance + side * z < -reach * np.hypot(1.0, side)
+        return beyond & (reach > 0.0)  # a plane has no end
 
     def close(self) -> None:
         """Frees the memory of the display."""
@@ -105,7 +120,8 @@ class RgbdImages:
 class RgbdCamera:
     """Takes images of a model, in one thread only; close it.
 
-    `samples`: of a pixel of the colour image, for anti-aliasing; `seed`: of the unit's errors and of the noise.
+    `samples`: of a pixel of the colour image, for anti-aliasing; `seed`: of the unit's errors and of the noise; `clock`
+    measures the duration of the stages [s].
     """
 
     def __init__(
@@ -116,7 +132,9 @@ class RgbdCamera:
         depth_config: DepthConfig,
         samples: int,
         seed: int,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
+        self._clock = clock
         self._lenses = CameraLens(rgb), CameraLens(depth)
         self._depth_config, self._samples, self._seed = depth_config, samples, seed
         self._colour = ColourSensor(self._lenses[0], colour_config, np.random.default_rng(seed))
@@ -132,7 +150,7 @@ class RgbdCamera:
         except KeyError:
             raise DeviceError(f"The world lacks the cameras {RGB_OPTICAL} and {DEPTH_OPTICAL}.") from None
         self._renderers.append(Renderer(model, self._lenses[0].window, self._samples))
-        self._renderers.append(Renderer(model, self._lenses[1].window, 0))
+        self._renderers.append(Renderer(model, self._lenses[1].window, 0, sky=False))
         if self._registered is None:
             lens = CameraLens(self._lenses[0].camera, self._renderers[0].depth_offset)
             # The same unit: the same random draws.
@@ -142,11 +160,11 @@ class RgbdCamera:
     def take(self, data: mujoco.MjData, colour: bool, depth: bool, registered: bool) -> RgbdImages:
         """Returns the requested images of a state of the attached model, with computed kinematics and cameras."""
         seconds: dict[str, float] = {}
-        started = time.perf_counter()
+        started = self._clock()
 
         def finished(stage: str) -> None:
             nonlocal started
-            now = time.perf_counter()
+            now = self._clock()
             seconds[stage], started = now - started, now
 
         colour_image = depth_image = registered_image = None

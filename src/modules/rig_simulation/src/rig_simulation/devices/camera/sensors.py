@@ -152,13 +152,19 @@ def hidden(w: np.ndarray, fb: float) -> np.ndarray:
     `u - fb w`, and pixels that overtake their neighbour in that order are hidden. `fb`: focal length times the point's
     distance to the right of the camera, negative to the left [px m].
     """
-    u = np.arange(w.shape[1], dtype=np.float32)
-    shifted = u - np.float32(fb) * w
-    if fb > 0.0:
-        nearest = np.minimum.accumulate(shifted[:, ::-1], axis=1)[:, ::-1]
-        return shifted > nearest + SHADOW_TOLERANCE_PX
-    nearest = np.maximum.accumulate(shifted, axis=1)
-    return shifted < nearest - SHADOW_TOLERANCE_PX
+    if fb < 0.0:
+        return hidden(w[:, ::-1], -fb)[:, ::-1]
+    shifted = np.multiply(w.T, np.float32(-fb), order="C")  # whole rows of it are compared
+    shifted += np.arange(len(shifted), dtype=np.float32)[:, None]
+    low, high, *_ = cv2.minMaxLoc(np.ascontiguousarray(w))
+    # The least of all pixels to the right that can reach so far
+    least, step = shifted, 1
+    while step <= min(fb * (high - low) + 1.0, len(shifted) - 1.0):
+        before, least = least, np.empty_like(shifted)
+        cv2.min(before[:-step], before[step:], dst=least[:-step])
+        least[-step:] = before[-step:]
+        step *= 2
+    return (shifted - least > SHADOW_TOLERANCE_PX).T
 
 
 class DepthSensor:
@@ -186,11 +192,13 @@ class DepthSensor:
         if config.edge_jitter > 0.0:
             jitter = NoiseField(camera.height, camera.width, 2, config.correlation, rng)
             self._jitter = jitter.scaled(config.edge_jitter, np.int16)
-        self._u = (np.arange(camera.width) - camera.K[0, 2]).astype(np.float32)
-        self._v = (np.arange(camera.height) - camera.K[1, 2]).astype(np.float32)[:, None]
-        self._sight = (self._u / camera.K[0, 0]) ** 2 + (self._v / camera.K[1, 1]) ** 2 + 1.0
+        self._x = ((np.arange(camera.width) - camera.K[0, 2]) / camera.K[0, 0]).astype(np.float32)
+        self._y = ((np.arange(camera.height) - camera.K[1, 2]) / camera.K[1, 1]).astype(np.float32)[:, None]
+        self._sight = self._x**2 + self._y**2 + np.float32(1.0)
         angles = np.arccos(np.linspace(0.0, 1.0, ANGLE_STEPS + 1))
         self._steep = (self._fb * steep_sigma(angles)).astype(np.float32)
+        dark = config.dark_return
+        self._returned = (dark + (1.0 - dark) * np.linspace(0.0, 1.0, 256) ** 2.2).astype(np.float32)
         self._millimetres = None
         if config.quantisation > 0.0:
             # The depth of each disparity step [mm]; 0 for the first and last, which include all beyond
@@ -205,18 +213,19 @@ class DepthSensor:
         config = self._config
         w = self._with_edges(inverse_depth)
         cosine = self._cosine(w)
-        lost = cosine < np.cos(np.radians(config.max_angle))
+        lost = cosine < np.float32(np.cos(np.radians(config.max_angle)))
         if config.shadows:
             for fb in self._blockers:
                 lost |= hidden(w, fb)
+        square = w * w
         if config.min_signal > 0.0:
-            lost |= self._signal(w, cosine, brightness) < config.min_signal
-        depth = self._disparity(w, cosine)
+            lost |= self._signal(square, cosine, brightness) < np.float32(config.min_signal)
+        depth = self._disparity(w, square, cosine)
         if self._millimetres is None:
             depth = self._depth(depth)
         else:
-            steps = np.rint(depth * np.float32(1.0 / config.quantisation)).astype(np.int32)
-            depth = self._millimetres.take(steps, mode="clip")
+            depth *= np.float32(1.0 / config.quantisation)
+            depth = self._millimetres.take(np.rint(depth, out=depth).astype(np.int32), mode="clip")
         depth[lost] = 0
         return depth
 
@@ -225,37 +234,59 @@ class DepthSensor:
         smooth = self._lens.distort(inverse_depth)
         shift = np.int16(0) if self._jitter is None else self._jitter.cut()
         beside = self._lens.distort_nearest(inverse_depth, shift)
-        return np.where(np.abs(beside - smooth) > EDGE * smooth, beside, smooth)
+        edges = cv2.absdiff(beside, smooth) > np.float32(EDGE) * smooth
+        return cv2.copyTo(beside, edges.view(np.uint8), smooth)
 
     def _cosine(self, w: np.ndarray) -> np.ndarray:
         """Returns the cosine of the angle between normal and line of sight: for a plane n.p = 1, w = n.ray."""
-        wu = cv2.Sobel(w, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
-        wv = cv2.Sobel(w, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
         K = self._lens.camera.K
-        n_squared = (w - self._u * wu - self._v * wv) ** 2 + (np.float32(K[0, 0]) * wu) ** 2
-        n_squared += (np.float32(K[1, 1]) * wv) ** 2
-        return w / np.sqrt(n_squared * self._sight)
+        nx = cv2.Sobel(w, cv2.CV_32F, 1, 0, ksize=1, scale=0.5 * K[0, 0])
+        ny = cv2.Sobel(w, cv2.CV_32F, 0, 1, ksize=1, scale=0.5 * K[1, 1])
+        nz = self._x * nx
+        np.subtract(w, nz, out=nz)
+        product = self._y * ny
+        nz -= product
+        squares = np.multiply(nz, nz, out=nz)
+        for n in (nx, ny):
+            n *= n
+            squares += n
+        squares *= self._sight
+        return np.divide(w, np.sqrt(squares, out=squares), out=squares)
 
-    def _signal(self, w: np.ndarray, cosine: np.ndarray, brightness: np.ndarray) -> np.ndarray:
-        """Returns the reflected light of the projector; 1 for a white surface, head-on, 1 m away."""
+    def _signal(self, square: np.ndarray, cosine: np.ndarray, brightness: np.ndarray) -> np.ndarray:
+        """Returns the reflected light of the projector, 1 for a white surface, head-on, 1 m away, from the `square` of
+        the inverse depth.
+        """
         grey = self._lens.distort(cv2.cvtColor(brightness, cv2.COLOR_RGB2GRAY))
-        dark = self._config.dark_return
-        returned = (dark + (1.0 - dark) * np.linspace(0.0, 1.0, 256) ** 2.2).astype(np.float32)
         assert self._noise is not None  # the configuration created it
-        ragged = 1.0 + SIGNAL_SPREAD * self._noise.cut()
-        return cv2.LUT(grey, returned) * cosine * w * w * ragged
+        signal = self._noise.cut() * np.float32(SIGNAL_SPREAD)
+        signal += np.float32(1.0)
+        for factor in (cv2.LUT(grey, self._returned), cosine, square):
+            signal *= factor
+        return signal
 
-    def _disparity(self, w: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    def _disparity(self, w: np.ndarray, square: np.ndarray, cosine: np.ndarray) -> np.ndarray:
         disparity = np.float32(self._fb / self.scale) * w
         if self._warp is not None:
             disparity += self._warp
         if self._config.noise:
-            per_metre = 0.0012 * w * w + 0.0019 * (1.0 - 0.4 * w) ** 2  # axial_sigma(1 / w) * w^2
+            # fb axial_sigma(1 / w) w^2, with 0.0012 + 0.0019 (1 / w - 0.4)^2 multiplied out
+            a, b, c = np.float32(self._fb) * np.array([0.001504, -0.00152, 0.0019], np.float32)
+            sigma = a * square
+            sigma += b * w
+            sigma += c
             level = cv2.convertScaleAbs(cosine, alpha=ANGLE_STEPS)
-            sigma = self._fb * per_metre + cv2.LUT(level, self._steep) * w * w * np.sqrt(w)
-            rounding = self._config.quantisation**2 / 12.0
+            steep = cv2.LUT(level, self._steep)
+            steep *= square
+            steep *= np.sqrt(w)
+            sigma += steep
+            sigma *= sigma
+            sigma -= np.float32(self._config.quantisation**2 / 12.0)
+            cv2.threshold(sigma, 0.0, 0.0, cv2.THRESH_TOZERO, dst=sigma)
+            np.sqrt(sigma, out=sigma)
             assert self._noise is not None  # the configuration created it
-            disparity += np.sqrt(np.maximum(sigma * sigma - rounding, 0.0)) * self._noise.cut()
+            sigma *= self._noise.cut()
+            disparity += sigma
         return disparity
 
     def _depth(self, disparity: np.ndarray) -> np.ndarray:
