@@ -58,6 +58,62 @@ def test_between_the_two_the_answer_is_unclear():
     assert result.law is None and "0.1" in result.evidence
 
 
+def bad_luck(seed):
+    """An arm on a busy machine: drives, speed limit, noise, late and frozen readings, short stalls, all at random."""
+    random = np.random.default_rng(seed)
+    return {
+        "arm_s": random.uniform(0.01, 0.08),
+        "slowed": random.choice([1.0, 1.0, random.uniform(0.03, 1.0)]),
+        "fastest": random.choice([np.inf, np.inf, random.uniform(0.005, 0.3)]),
+        "noise": random.choice([0.0, random.uniform(0.0, 2e-4)]),
+        "late": int(random.choice([0.0, 1.0, random.uniform(0.0, 50.0)])),
+        "freezes": random.choice([0.0, random.uniform(0.0, 0.2)]),
+        "stalls": random.choice([0.0, random.uniform(0.0, 0.5)]),
+        "random": random,
+    }
+
+
+def run_badly(law, arm_s, slowed, fastest, noise, late, freezes, stalls, random):
+    """The result for an arm whose drives are `slowed` by the speed override, with readings that stay for a while."""
+    identification, q, readings = ServoLawIdentification(HOME), HOME, [HOME] * (late + 1)
+    now, shown, until = 0.0, HOME, 0.0
+    while now < 10.0:
+        if now >= until:
+            shown = readings[-1 - late]
+            until = now + random.exponential(0.1) if random.uniform() < freezes else now
+        goal, result = identification.step(shown, now)
+        if result is not None:
+            return result
+        cycles = 4 + (int(random.integers(1, 4)) * 6 if random.uniform() < stalls else 0)  # GAP_S is 30 cycles
+        for _ in range(cycles):
+            q = q + np.clip(slowed * 0.001 / arm_s * law(goal - q), -0.001 * fastest, 0.001 * fastest)
+        now += 0.001 * cycles
+        readings.append(q + noise * random.uniform(-1.0, 1.0, 7))
+    raise AssertionError("the identification does not end")
+
+
+@pytest.mark.parametrize("seed", range(300))
+def test_however_bad_the_conditions_a_straight_arm_is_never_taken_for_the_lts_law(seed):
+    result = run_badly(lambda e: e, **bad_luck(seed))
+    assert result.law in ("none", None) and not verdict(result, "auto").lts
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_lts_law_is_seldom_missed_and_never_taken_for_the_other_one(seed):
+    luck = {**bad_luck(seed), "slowed": 1.0, "fastest": np.inf}
+    assert run_badly(lts, **luck).law in ("lts", None)
+    quiet = {**luck, "noise": 2e-5, "freezes": 0.0, "stalls": 0.0, "arm_s": 0.02 + 0.02 * luck["random"].uniform()}
+    assert run_badly(lts, **quiet).law == "lts"
+
+
+@pytest.mark.parametrize("law", ["lts", "none", None])
+def test_with_auto_the_law_is_used_that_was_identified_and_none_where_it_is_unclear(law):
+    follows = verdict(ServoLawResult(law, "as measured"), "auto")
+    assert follows.lts == (law == "lts") and not follows.refused
+    assert follows.level == ("warn" if law is None else "info") and "as measured" in follows.sentence
+    assert ("Goals are sent as for servo_law none." in follows.sentence) == (law is None)
+
+
 @pytest.mark.parametrize("law", ["lts", "none", None])
 @pytest.mark.parametrize("servo_law", ["lts", "none"])
 def test_goals_for_the_lts_law_need_both_the_parameter_and_the_robot(law, servo_law):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bench.simulated import SimulatedRig
+from rig_simulation.devices.sunrise.arm import ArmSettings
+from rig_simulation.devices.sunrise.arm import SimulatedArm as Joints
 
 DT = 0.004
 STOP = 0.8
@@ -222,14 +225,49 @@ def test_a_wrong_servo_law_is_refused_before_anything_is_followed():
 
 @pytest.mark.parametrize(("server", "servo_law", "said"), [
     ("lts", "lts", "is lts, as set"), ("none", "none", "is none, as set"), ("lts", "none", "would follow closer"),
+    ("lts", "auto", "is lts:"), ("none", "auto", "is none:"),
 ])  # fmt: skip
 def test_the_law_is_said_at_the_start(server, servo_law, said):
     r = rig(server, servo_law=servo_law)
     assert r.step.mode == "home" and any(said in event for event in r.events)
 
 
-def test_a_held_arm_leaves_the_law_unclear_and_goals_as_for_none():
-    r = SimulatedRig("lts", servo_law="lts")
+@pytest.mark.parametrize("server", ["lts", "none"])
+@pytest.mark.parametrize(("drives", "noise", "stall"), [
+    (0.04, 0.0, 0.0), (0.02, 5e-5, 0.0), (0.08, 5e-5, 0.0), (0.4, 0.0, 0.0), (0.04, 0.0, 0.05), (0.04, 0.0, 0.3),
+])  # fmt: skip
+def test_auto_makes_goals_for_the_lts_law_where_the_arm_shows_it_without_doubt(server, drives, noise, stall):
+    """`drives`: minimum trajectory time [s], longer under a reduced override; a `stall` of the control loop [s],
+    again and again if it is long: after a single one the test motion is repeated."""
+    r, random = SimulatedRig(server, servo_law="auto"), np.random.default_rng(1)
+    r.joints = r.arm.joints = Joints(r.joints.robot, ArmSettings(servo_law=server, trajectory_time=drives))
+    read, cycle, begun = r.arm.read, r._cycle, []
+
+    def noisy():
+        read()
+        r.arm.state = replace(r.arm.state, joints=r.arm.state.joints + noise * random.uniform(-1.0, 1.0, 7))
+
+    def stalling(control_on):
+        cycle(control_on)
+        if stall and r.step.command.__class__.__name__ == "Servo":
+            begun.append(r.now)
+            if len(begun) % 40 == 20 and (stall > 0.1 or len(begun) == 20):
+                r.now += stall
+                for _ in range(round(1e3 * stall)):
+                    r.joints.step(0.001)
+
+    r.arm.read, r._cycle = noisy, stalling
+    r.at_home()
+    assert r.step.mode == "home"
+    sure = server == "lts" and drives < 0.1 and stall < 0.1
+    assert any("is lts:" in event for event in r.events) == sure
+    assert (r.loop._law is not None and r.loop._law.lts) == sure
+    assert any("unclear" in event for event in r.events) == (stall > 0.1 or drives > 0.1)
+
+
+@pytest.mark.parametrize("servo_law", ["lts", "auto"])
+def test_a_held_arm_leaves_the_law_unclear_and_goals_as_for_none(servo_law):
+    r = SimulatedRig("lts", servo_law=servo_law)
     r.joints.safety_stop = "held"
     r.at_home()
     assert r.step.mode == "home" and any("unclear" in event and "as for servo_law none" in event for event in r.events)

@@ -24,12 +24,15 @@ RETURNS = (
 )  # ends of the stream after which the arm goes home
 COUNTED_AS = {Trigger.JUMPED: "jumps", Trigger.JOINTS_JUMPED: "flips"}
 
+TEST_MOTIONS = 3
+"""So often at most does joint 7 turn to show the servo law, where a busy machine did not see it well."""
+
 
 @dataclass(frozen=True)
 class RealTimeSettings(LoopSettings):
     """Settings of the real-time loop besides."""
 
-    servo_law: str  # law of the robot's servo loop that the goals are to be made for, "lts" or "none"
+    servo_law: str  # law of the robot's servo loop that the goals are to be made for, "auto", "lts" or "none"
     goals: GoalStreamSettings  # the settings of the stream of goals
 
 
@@ -47,6 +50,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         super().__init__(settings, chain)
         self._limits = limits
         self._law: ServoLawVerdict | None = None
+        self._test_motions = 0
         self._handlers.update(
             {
                 State.IDENTIFYING: self._identifying,
@@ -76,6 +80,10 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         identification: ServoLawIdentification = self._active.data
         goal, result = identification.step(joints, cycle.now)
         if result is None:
+            return Servo(goal)
+        self._test_motions += 1
+        if result.badly_seen and self._settings.servo_law == "auto" and self._test_motions < TEST_MOTIONS:
+            self._active = replace(self._active, data=ServoLawIdentification(identification.rest))
             return Servo(goal)
         self._law = verdict(result, self._settings.servo_law)
         if not self._law.refused:

@@ -25,7 +25,11 @@ ARM_S = 0.03  # mean delay between the speeds of goal and arm [s]; for drives wi
 TURN_RAD = float(np.radians(0.5))  # how far joint 7 turns; the tool point stands on its axis and does not move
 RAMP_S = 0.06  # the goal goes out, and back, in this time [s]
 STRAIGHT_S = 0.12  # an arm that needs no longer than this from a half to an eighth goes straight for its goal [s]
-LTS_S = 0.25  # an arm that needs longer than this follows the LTS law [s]
+LTS_S = 0.25  # an arm that follows the LTS law needs longer than this [s]
+LTS_RATIO = (1.4, 3.0)
+"""Under the LTS law the time from a quarter to an eighth is twice that from a half to a quarter, whatever the drives.
+An arm that goes straight for its goal, however slowly, needs the same time for both, one at constant speed half."""
+STEP = 0.06  # largest step between two looks in that time, as a part of the turn: a larger one was not seen well
 PATIENCE_S = 2.0  # the motion out, and the one back, are given up after this time [s]
 ELSEWHERE_RAD = 0.25 * TURN_RAD  # if another joint moves further than this, something else moves the arm [rad]
 
@@ -89,6 +93,7 @@ class ServoLawResult:
 
     law: str | None
     evidence: str
+    badly_seen: bool = False  # whether the arm moved, and the motion may show more when it is repeated
 
 
 @dataclass(frozen=True)
@@ -102,18 +107,19 @@ class ServoLawVerdict:
 
 
 def verdict(result: ServoLawResult, servo_law: str) -> ServoLawVerdict:
-    """Returns what follows from a result for the parameter servo_law, "lts" or "none"."""
+    """Returns what follows from a result for the parameter servo_law, "auto", "lts" or "none"."""
     law, evidence = result.law, result.evidence
     if law is None:
-        without = " Goals are sent as for servo_law none." if servo_law == "lts" else ""
+        without = " Goals are sent as for servo_law none." if servo_law != "none" else ""
         sentence = f"The servo law of the robot's controller is unclear: {evidence}.{without}"
         return ServoLawVerdict(False, "warn", sentence)
-    if law == servo_law:
-        sentence = f"The servo law of the robot's controller is {law}, as set: {evidence}."
+    if servo_law in (law, "auto"):
+        as_set = "" if servo_law == "auto" else ", as set"
+        sentence = f"The servo law of the robot's controller is {law}{as_set}: {evidence}."
         return ServoLawVerdict(law == "lts", "info", sentence)
     if servo_law == "none":
         sentence = (
-            f"The robot's controller shows the servo law lts ({evidence}); with the parameter servo_law: lts the arm "
+            f"The robot's controller shows the servo law lts ({evidence}); with the parameter servo_law: auto the arm "
             "would follow closer."
         )
         return ServoLawVerdict(False, "info", sentence)
@@ -124,21 +130,60 @@ def verdict(result: ServoLawResult, servo_law: str) -> ServoLawVerdict:
     return ServoLawVerdict(False, "error", sentence, refused=True)
 
 
+class Approach:
+    """The approach of the last joint to a resting goal, from its remaining part of the way at each look."""
+
+    MARKS = (0.5, 0.25, 0.125)
+
+    def __init__(self) -> None:
+        self._times: list[float] = []  # when the remaining part was first at most the marks [s]
+        self._left = 1.0
+        self._step = 0.0  # largest one between the first and the last mark
+
+    @property
+    def done(self) -> bool:
+        """Whether an eighth remains."""
+        return len(self._times) == len(self.MARKS)
+
+    def look(self, left: float, now: float) -> None:
+        """Adds the remaining part of the way at a time [s]."""
+        if self._times and not self.done:
+            self._step = max(self._step, self._left - left)
+        self._left = left
+        while not self.done and left <= self.MARKS[len(self._times)]:
+            self._times.append(now)
+
+    @property
+    def needed(self) -> float:
+        """The time from a half to an eighth [s]."""
+        return self._times[2] - self._times[0]
+
+    @property
+    def law(self) -> str | None:
+        """The law that it shows: "lts", "none", or None if it is unclear."""
+        if self.needed <= STRAIGHT_S:
+            return "none"
+        first, second = self._times[1] - self._times[0], self._times[2] - self._times[1]
+        like_lts = LTS_RATIO[0] * first <= second <= LTS_RATIO[1] * first and self._step <= STEP
+        return "lts" if self.needed > LTS_S and like_lts else None
+
+
 class ServoLawIdentification:
     """Watches a small motion of the last joint, out and back, from the joints q, shape (7,) [rad].
 
     The goal turns joint 7 by half a degree and rests there. An arm that goes straight for its goal works off the rest
     by the same fraction in every moment; under the LTS law ever more slowly: from a half to an eighth of the motion it
-    takes about 0.04 s in one case and 0.7 s in the other, with drives of 40 ms. Between the two it is unclear.
+    takes about 0.04 s in one case and 0.7 s in the other, with drives of 40 ms. The LTS law is sure only if the times
+    to a quarter and to an eighth fit it too, on the way out and on the way back; otherwise the law is unclear.
     """
 
     def __init__(self, q: np.ndarray) -> None:
-        self._rest = read_only(q)
+        self.rest = read_only(q)
         self._turn = -TURN_RAD if q[6] > 0.0 else TURN_RAD
         self._began: float | None = None
         self._back_at: float | None = None
-        self._half_at: float | None = None
-        self._eighth_at: float | None = None
+        self._out, self._back = Approach(), Approach()
+        self._way_back = 1.0  # as a part of the turn
         self._disturbed = self._stalled = False
         self._looked = 0.0
 
@@ -149,27 +194,23 @@ class ServoLawIdentification:
         elif now - self._looked > GAP_S:
             self._stalled = True
         self._looked = now
-        left = 1.0 - (measured[6] - self._rest[6]) / self._turn
-        self._disturbed |= bool(np.max(np.abs(measured - self._rest)[:6]) > ELSEWHERE_RAD)
+        left = float(1.0 - (measured[6] - self.rest[6]) / self._turn)
+        self._disturbed |= bool(np.max(np.abs(measured - self.rest)[:6]) > ELSEWHERE_RAD)
         if self._back_at is None:
-            return self._outwards(left, now - self._began, now), None
+            self._out.look(left, now)
+            if self._out.done or now - self._began > PATIENCE_S:
+                self._back_at = now
+                self._way_back = max(1.0 - left, 1e-3)
+            return self._goal(min((now - self._began) / RAMP_S, 1.0)), None
         back = now - self._back_at
-        if (back > 2.0 * RAMP_S and 1.0 - left <= 0.125) or back > PATIENCE_S:
-            return self._rest, self._result()
+        self._back.look((1.0 - left) / self._way_back, now)
+        if (back > 2.0 * RAMP_S and self._back.done) or back > PATIENCE_S:
+            return self.rest, self._result()
         return self._goal(1.0 - min(back / RAMP_S, 1.0)), None
-
-    def _outwards(self, left: float, elapsed: float, now: float) -> np.ndarray:
-        if left <= 0.5 and self._half_at is None:
-            self._half_at = now
-        if left <= 0.125:
-            self._eighth_at = now
-        if self._eighth_at is not None or elapsed > PATIENCE_S:
-            self._back_at = now
-        return self._goal(min(elapsed / RAMP_S, 1.0))
 
     def _goal(self, part: float) -> np.ndarray:
         """Returns the goal after a part of the turn; it starts and stops smoothly."""
-        goal = self._rest.copy()
+        goal = self.rest.copy()
         goal[6] += self._turn * part * part * (3.0 - 2.0 * part)
         return read_only(goal)
 
@@ -177,12 +218,10 @@ class ServoLawIdentification:
         if self._disturbed:
             return ServoLawResult(None, "joints moved that were not to move")
         if self._stalled:
-            return ServoLawResult(None, f"for more than {GAP_S:g} s of it nobody looked at the arm")
-        if self._half_at is None or self._eighth_at is None:
+            return ServoLawResult(None, f"for more than {GAP_S:g} s of it nobody looked at the arm", True)
+        if not (self._out.done and self._back.done):
             slow = f"joint 7 did not get through its test motion of 0.5 deg within {PATIENCE_S:g} s"
             return ServoLawResult(None, slow)
-        needed = self._eighth_at - self._half_at
-        evidence = f"joint 7 took {needed:.2f} s for the last part of its test motion of 0.5 deg"
-        if needed <= STRAIGHT_S:
-            return ServoLawResult("none", evidence)
-        return ServoLawResult("lts" if needed > LTS_S else None, evidence)
+        evidence = f"joint 7 took {self._out.needed:.2f} s for the last part of its test motion of 0.5 deg"
+        law = self._out.law if self._out.law == self._back.law else None
+        return ServoLawResult(law, evidence, law is None)

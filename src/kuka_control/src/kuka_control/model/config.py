@@ -85,7 +85,9 @@ class RealTimeConfig(ControllerConfig):
     velocity_ptp_slow: float = number(above=0.0, below=1.0, doc="fraction of the full joint speed to home and to zero")
     velocity_ptp_fast: float = number(above=0.0, below=1.0, doc="fraction of the full joint speed at pick-up, time-out")
     rate_servo: float = number("Hz", low=50.0, high=1000.0, doc="servo goals per second, whatever the frames' rate")
-    servo_law: str = choice("none", "lts", doc="servo law of the robot's controller, for which goals are made")
+    servo_law: str = choice(
+        "auto", "none", "lts", doc="servo law of the robot's controller, for which goals are made; auto: as identified"
+    )
     shaping: str = choice("ruckig", "none", doc="whether the stream keeps the limits, or each target is a goal")
     joint_speed: float = number(above=0.0, high=1.0, doc="limit of the stream, fraction of the data sheet's speeds")
     tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of the stream; at 0.8 the robot stops the arm")
