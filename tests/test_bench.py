@@ -14,11 +14,10 @@ from bench.measure import HEAD, Goal, Peer, Row, aligned, cells
 
 @pytest.mark.parametrize(
     "name",
-<<<<<<< HEAD
-    ["kinematics", "control", "filter", "client", "shaping", "stopping", pytest.param("leap", marks=pytest.mark.ros)],
-=======
-    ["kinematics", "control", "client", "shaping", "stopping", "vision", pytest.param("leap", marks=pytest.mark.ros)],
->>>>>>> 76e483d (Vision: fewer passes over each image, one thread, geoms outside the view not rendered; a benchmark of it)
+    [
+        *("kinematics", "control", "filter", "client", "shaping", "stopping", "vision"),
+        pytest.param("leap", marks=pytest.mark.ros),
+    ],
 )
 def test_a_quick_run_gives_numbers(name):
     rows = importlib.import_module(f"bench.bench_{name}").rows(quick=True)
