@@ -130,7 +130,8 @@ def _frames(path: Path) -> list[LeapFrame]:
 
 
 def _hands(palms: np.ndarray) -> list[TrackedHand]:
-    return [TrackedHand(1, False, palm + np.array([0.0, 0.3, 0.0]), *LEVEL, 1.0) for palm in palms]
+    direction, normal = map(np.array, LEVEL)
+    return [TrackedHand(1, False, palm + np.array([0.0, 0.3, 0.0]), direction, normal, 1.0) for palm in palms]
 
 
 def plot(path: Path) -> None:

@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from common.hand_tracking import LONG_GAP_S, plausible_step
 from common.rotations import UNIT_TOLERANCE
@@ -138,6 +137,7 @@ class HandAverage:
         A filter begins anew after a gap in which nobody saw where the hand was. The first result is half-way then, as
         the mean's is, so that the tool makes two smaller steps.
         """
+        assert self._filter is not None, "only a filter has a state of its own"
         gap = bool(self._samples) and now - self._samples[-1][0] > LONG_GAP_S
         if gap or not self._samples:
             self._filter.reset()
@@ -190,15 +190,15 @@ def _fault(numbers: list[float]) -> str | None:
     return None
 
 
-def hand_rotation(direction: ArrayLike, normal: ArrayLike) -> np.ndarray:
+def hand_rotation(direction: Sequence[float] | np.ndarray, normal: Sequence[float] | np.ndarray) -> np.ndarray:
     """Returns R_leap_hand, shape (3, 3), with x along `direction` and z closest to `normal`, shape (3,), of any length.
 
     Raises:
         ValueError: a vector has no direction, or both have the same.
     """
-    x, normal = _unit(direction), _unit(normal)
-    along = _dot(normal, x)
-    z = _unit([n - along * component for n, component in zip(normal, x)])
+    x, n = _unit(direction), _unit(normal)
+    along = _dot(n, x)
+    z = _unit([a - along * b for a, b in zip(n, x)])
     y = (z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0])
     return np.array([x, y, z]).T
 
@@ -210,8 +210,8 @@ def _is_frame(vectors: Sequence[float]) -> bool:
     return min(lengths) >= MIN_MEAN_LENGTH and abs(_dot(direction, normal)) <= MAX_COSINE * lengths[0] * lengths[1]
 
 
-def _unit(vector: ArrayLike) -> list[float]:
-    x, y, z = vector
+def _unit(vector: Sequence[float] | np.ndarray) -> list[float]:
+    x, y, z = map(float, vector)
     norm = math.hypot(x, y, z)
     if not 1e-12 <= norm < math.inf:
         raise ValueError(f"the vector {[x, y, z]} has no direction")

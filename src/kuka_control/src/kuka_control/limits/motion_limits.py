@@ -75,8 +75,8 @@ class MotionLimits:
         self._slow = False  # whether the last goal came after a gap
         self.reset(np.zeros(7))
 
-    def reset(self, q: np.ndarray) -> None:
-        """Starts from the joints q, at rest."""
+    def reset(self, q: np.ndarray | list[float]) -> None:
+        """Starts from the joints q, shape (7,) [rad], at rest."""
         self._goal = read_only(q)
         self._now = JointState.rest(self._goal.tolist())
 

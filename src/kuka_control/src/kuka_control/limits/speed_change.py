@@ -78,12 +78,14 @@ class SpeedChange:
             trajectory = self._plan(self._change, now)
         except RuckigError:  # rounding may close every way of a least duration: a stop is always there
             return self.stop(now, dt)
-        return JointState(*trajectory.at_time(dt), trajectory.duration)
+        q, v, a = trajectory.at_time(dt)
+        return JointState(q, v, a, trajectory.duration)
 
     def stop(self, now: JointState, dt: float) -> JointState:
         """Returns the state dt [s] later, on the way to the earliest stop of each joint."""
         trajectory = self.stopping(now)
-        return JointState(*trajectory.at_time(dt), trajectory.duration)
+        q, v, a = trajectory.at_time(dt)
+        return JointState(q, v, a, trajectory.duration)
 
     def stopping(self, now: JointState) -> Trajectory:
         """Returns the path to the earliest stop of each joint; it is valid until the next call of this object."""
@@ -201,7 +203,7 @@ class StoppingGuard:
         """Returns the joint velocities without what carries the tool beyond a bound; shape (7,) [rad/s], at q [rad]."""
         room = self._room
         assert room.workspace is not None and room.tool_jacobian is not None, "only a workspace has bounds"
-        position, J = np.array(room.tool_point(q)[0]), room.tool_jacobian(q)
+        position, J = np.array(list(room.tool_point(q.tolist())[0])), room.tool_jacobian(q)
         normals = room.workspace.outward(position)
         # In units of each joint's deceleration, so that the strong joints move most.
         strong = J * self._acceleration

@@ -248,7 +248,7 @@ class DepthSensor:
         nz -= product
         squares = np.multiply(nz, nz, out=nz)
         for n in (nx, ny):
-            n *= n
+            np.multiply(n, n, out=n)
             squares += n
         squares *= self._sight
         return np.divide(w, np.sqrt(squares, out=squares), out=squares)
@@ -277,8 +277,8 @@ class DepthSensor:
             sigma += c
             level = cv2.convertScaleAbs(cosine, alpha=ANGLE_STEPS)
             steep = cv2.LUT(level, self._steep)
-            steep *= square
-            steep *= np.sqrt(w)
+            np.multiply(steep, square, out=steep)
+            np.multiply(steep, np.sqrt(w), out=steep)
             sigma += steep
             sigma *= sigma
             sigma -= np.float32(self._config.quantisation**2 / 12.0)
