@@ -34,6 +34,15 @@ def test_starts_and_stops_like_the_makers_driver(bench):
     assert held.send == () and "keep torque" in held.notes[0].text
 
 
+def test_a_driver_that_holds_at_its_exit_ends_a_change_of_speed_in_which_torque_is_off(bench):
+    b = bench()
+    while b.sent[-1] != bytes.fromhex("0101010101"):
+        b.run(0.01)
+    assert b.driver.stop(hold=True).send == (bytes.fromhex("0102020202"),)
+    b.run(0.3)
+    assert b.driver.stop(hold=True).send == ()
+
+
 def test_the_speed_is_set_when_the_hand_appears(bench):
     b = bench()
     b.run(0.3)

@@ -96,10 +96,13 @@ class HandLogic:
         return HandUpdate(send=(encode_mode(POSITION),))
 
     def stop(self, hold: bool = False) -> HandUpdate:
-        """Returns the last packet of a driver: torque off; with `hold` none, so that the motors keep their goals."""
+        """Returns the last packet of a driver: torque off. With `hold` the motors keep torque and goals: none, or torque
+        on again in the midst of a change of speed.
+        """
         if hold:
             kept = "The motors keep torque and goals, without protection from overload, until a driver starts again."
-            return HandUpdate(notes=(HandNote("warning", kept),))
+            send = (encode_mode(POSITION),) if self.motion.changing_speed else ()
+            return HandUpdate(send=send, notes=(HandNote("warning", kept),))
         return HandUpdate(send=(encode_mode(IDLE),))
 
     def receive(self, data: bytes, source: tuple, now: float) -> HandUpdate:
