@@ -16,6 +16,7 @@ def connection_of(subscriber_buffer=4096):
     sender, receiver = socket.socketpair()
     for end, option in ((sender, socket.SO_SNDBUF), (receiver, socket.SO_RCVBUF)):
         end.setsockopt(socket.SOL_SOCKET, option, subscriber_buffer)
+    sender.settimeout(1.0)  # rospy sets one for all sockets of a node
     return SimpleNamespace(socket=sender, done=False, stat_bytes=0, stat_num_msg=0), receiver
 
 

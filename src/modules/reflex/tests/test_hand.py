@@ -36,10 +36,9 @@ def test_starts_and_stops_like_the_makers_driver(bench):
 
 def test_a_driver_that_holds_at_its_exit_ends_a_change_of_speed_in_which_torque_is_off(bench):
     b = bench()
-    while b.sent[-1] != bytes.fromhex("0101010101"):
-        b.run(0.01)
+    assert b.run(0.5, lambda: b.driver.motion.changing_speed)
     assert b.driver.stop(hold=True).send == (bytes.fromhex("0102020202"),)
-    b.run(0.3)
+    assert b.run(0.5, lambda: not b.driver.motion.changing_speed)
     assert b.driver.stop(hold=True).send == ()
 
 

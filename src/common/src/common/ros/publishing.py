@@ -38,6 +38,8 @@ class _Outbox:
         self._connection, self._size = connection, size
         self._waiting: deque[bytes] = deque()
         self._begun = False  # whether a part of the first one is sent
+        if connection.socket is not None:
+            connection.socket.settimeout(None)  # with rospy's default of 60 s, Python would wait despite MSG_DONTWAIT
 
     def write(self, data: bytes) -> bool:
         """Sends as much as the subscriber takes; called under the lock of the topic. Raises OSError or
