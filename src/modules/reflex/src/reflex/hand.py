@@ -96,8 +96,8 @@ class HandLogic:
         return HandUpdate(send=(encode_mode(POSITION),))
 
     def stop(self, hold: bool = False) -> HandUpdate:
-        """Returns the last packet of a driver: torque off. With `hold` the motors keep torque and goals: none, or torque
-        on again in the midst of a change of speed.
+        """Returns the last packet of a driver: torque off. With `hold` the motors keep torque and goals: no packet, but
+        in the midst of a change of speed torque on.
         """
         if hold:
             kept = "The motors keep torque and goals, without protection from overload, until a driver starts again."
