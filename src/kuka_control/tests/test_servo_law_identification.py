@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kuka_control.loop.servo_law import TURN_RAD, ServoLawIdentification, ServoLawResult, lts, verdict
+from kuka_control.loop.servo_law import TURN_RAD, Approach, ServoLawIdentification, ServoLawResult, lts, verdict
 
 HOME = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
 DT = 0.004
@@ -56,6 +56,24 @@ def test_an_arm_that_stands_or_is_pushed_gives_no_answer():
 def test_between_the_two_the_answer_is_unclear():
     result, _, _ = run(lambda e: 0.3 * e)
     assert result.law is None and "0.1" in result.evidence
+
+
+@pytest.mark.parametrize("leap", [False, True])
+def test_a_leap_of_the_readings_does_not_count_as_the_lts_law(leap):
+    """The times fit the law, with a ratio of 2, but nobody saw what happened between the marks."""
+    approach = Approach()
+    for now, left in [(0.0, 0.5), *([] if leap else [(0.03 * i, 0.5 - 0.05 * i) for i in range(1, 5)])]:
+        approach.look(left, now)
+    for now, left in [(0.15, 0.25), (0.25, 0.2), (0.35, 0.16), (0.45, 0.125)]:
+        approach.look(left, now)
+    assert approach.done and approach.needed == pytest.approx(0.45)
+    assert approach.law == (None if leap else "lts")
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_arm_that_differs_on_its_way_back_leaves_the_law_unclear(sign):
+    result, _, _ = run(lambda e: np.where(sign * e > 0.0, lts(e), e))
+    assert result.law is None and result.badly_seen
 
 
 def bad_luck(seed):
