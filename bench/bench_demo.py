@@ -82,7 +82,7 @@ def rows(quick: bool) -> list[Row]:
         if hand is None
         else Row(
             "demo: palm to tool of the arm", hand["p50"], hand["p90"], "ms",
-            f"{hand['windows']} windows of 3 s of {how}; the second number is the 90th percentile", HAND_GOAL,
+            f"{hand['windows']} windows of 4 s of {how}; the second number is the 90th percentile", HAND_GOAL,
         )
     )  # fmt: skip
     shares = {"all processes": sum(run.shares.values()), **dict(sorted(run.shares.items(), key=lambda s: -s[1].mean()))}

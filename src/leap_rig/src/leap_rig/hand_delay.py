@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-WINDOW_S, STEP_S = 3.0, 1.5  # length of a window, and time between the beginnings of two
+WINDOW_S, STEP_S = 4.0, 1.0  # length of a window, and time between the beginnings of two
 GRID_S = 0.01  # time between two velocities
 SPAN_S = 0.04  # time over which a velocity is taken
 STEPS = range(-4, 50)  # delays that are tried, in steps of GRID_S
-LONGEST_GAP_S = 0.1  # a window with a longer gap between two samples does not count
+LONGEST_GAP_S = 0.15  # a window with a longer gap between two samples does not count
 SLOWEST_M_S = 0.02  # least root mean square speed of the palm, and of the tool
-EXPLAINED = 0.9  # least fraction of the tool's motion that the fit explains
+EXPLAINED = 0.8  # least fraction of the tool's motion that the fit explains
 FEWEST_WINDOWS = 3
 
 

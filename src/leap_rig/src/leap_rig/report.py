@@ -227,7 +227,7 @@ def _delays(received: dict[float, float], times: dict[str, dict[float, float]]) 
 
 
 def _hand_to_arm(recorder: Recorder) -> dict | None:
-    """Returns the delay of the tool behind the palm over windows of three seconds, None where too little moved."""
+    """Returns the delay of the tool behind the palm over windows of four seconds, None where too little moved."""
     delay = hand_delay(recorder.palms, recorder.tools)
     if delay is None:
         return None
