@@ -199,12 +199,12 @@ def unlimited_controller(rig):
         assert rig.exit_code(CONTROLLER) == 0
 
     end_controller()
-    rig.set(shaping="none")
+    rig.set(shaping="none", servo_law="none")
     rig.calm()
     assert rig.call("kuka/scaling_factor", setScalingFactor, 1.5).success
     yield
     end_controller()
-    rig.set(shaping="ruckig")
+    rig.set(shaping="ruckig", servo_law="auto")
 
 
 def test_after_an_external_torque_the_arm_stands_until_control_goes_off_and_on(rig):
