@@ -26,10 +26,10 @@ REFINED = 1e-9
 
 def rows(quick: bool) -> list[Row]:
     """Returns time and success of the closed form, for both arms, beside a numerical solver on the same poses."""
-    count = 20 if quick else 5_000
+    count = 20 if quick else 4_000
     table = []
     for robot in ROBOTS:
-        table += _arm_rows(robot, count) + _calibrated_rows(robot, count) + _law_rows(robot, 10 * count)
+        table += _arm_rows(robot, count) + _calibrated_rows(robot, count) + _law_rows(robot, 2 * count)
     return table
 
 
