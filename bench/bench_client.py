@@ -24,7 +24,7 @@ READY = re.compile(r"listening on 127\.0\.0\.1:(\d+)")
 TOOL = translation(0.0, 0.0, 0.106)
 PERIOD_S = 1.0 / 250.0
 SWING_RAD = 0.03
-CALLS = {"servo": Feedback.DONE, "servo_joints": Feedback.JOINTS, "servo_unacknowledged": Feedback.NOTHING}
+CALLS = {"servo": Feedback.DONE, "servo_joints": Feedback.JOINTS, "servo, unanswered": Feedback.NOTHING}
 """Feedback of a call, by the name of its row."""
 PATIENT = KstTiming(servo_reply=10.0, reply=10.0)
 BATCH = 16  # answers are read after so many streamed goals
@@ -81,10 +81,10 @@ def _call_rows(client: KstClient, name: str, feedback: Feedback, paced: int, fas
 
     starts, ends = _paced(call, paced)
     late = np.abs(np.diff(starts) - PERIOD_S)
-    way = "call (written, no answer)" if feedback is Feedback.NOTHING else "round trip"
+    way = "call" if feedback is Feedback.NOTHING else "round trip"
     table = [
         row(f"kst {name}: {way}", 1e3 * (ends - starts), "ms", "goals at 250 Hz to the simulated controller, loopback"),
-        row(f"kst {name}: jitter of the period", 1e3 * late, "ms", "how far a period was from 4 ms; time.sleep"),
+        row(f"kst {name}: jitter", 1e3 * late, "ms", "how far a period was from 4 ms; time.sleep"),
     ]
     begin = time.perf_counter()
     for _ in range(fast - 1):

@@ -29,8 +29,8 @@ def rows(quick: bool) -> list[Row]:
     measured = {}
     for name in FILTERS:
         lag, rest, moving, cost = synthetic(name, seconds)
-        values = {"lag": (1e3 * lag, "ms", where), "tremor passing, rest": (100.0 * rest, "%", where)}
-        values |= {"tremor passing, motion": (100.0 * moving, "%", where), "one frame": (cost, "us", "processor time")}
+        values = {"lag": (1e3 * lag, "ms", where), "tremor, rest": (100.0 * rest, "%", where)}
+        values |= {"tremor, motion": (100.0 * moving, "%", where), "one frame": (cost, "us", "processor time")}
         if hands:
             lag, passing = np.mean([on_recording(name, times, samples) for times, samples in hands], axis=0)
             real = f"mean of {len(hands)} recorded hands"

@@ -63,13 +63,13 @@ def _rows(name: str, run: DemoRun) -> list[Row]:
     delay = run.report["delay_ms"][STAGE]
     table = [
         number(f"{name}: CPU, the rig", run.busy, "%", how),
-        Row(f"{name}: frame to goal on the wire", delay["p50"], delay["p99"], "ms", how),
-        number(f"{name}: measured flange on tf", run.flange_rate, "Hz", how),
+        Row(f"{name}: frame to goal", delay["p50"], delay["p99"], "ms", how),
+        number(f"{name}: flange on tf", run.flange_rate, "Hz", how),
     ]
     if "frames" in name:
         nodes = ("leap_driver.py", "leap_kuka_node.py", "leap_hand_node.py", "real_time_controller.py")
         shares = [float(np.median(run.shares.get(node, np.zeros(1)))) for node in nodes]
-        table.append(number(f"{name}: CPU, driver to controller", sum(shares), "%", f"{how}: {', '.join(nodes)}"))
+        table.append(number(f"{name}: CPU, driver to arm", sum(shares), "%", f"{how}: {', '.join(nodes)}"))
     return table
 
 

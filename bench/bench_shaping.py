@@ -59,8 +59,8 @@ def _circle(rate: float, hertz: float, seconds: float) -> list[Row]:
     (behind, largest), (plain_behind, plain_largest) = measured["ruckig"], measured["none"]
     lag_of_plain, jolt_of_plain = Peer("none", float(np.median(plain_behind))), Peer("none", plain_largest)
     return [
-        row(f"goals at {what}: lag", behind, "ms", how, peer=lag_of_plain),
-        number(f"goals at {what}: acceleration", largest, "rad/s^2", how, peer=jolt_of_plain),
+        row(f"goals {what}: lag", behind, "ms", how, peer=lag_of_plain),
+        number(f"goals {what}: acceleration", largest, "rad/s^2", how, peer=jolt_of_plain),
     ]
 
 

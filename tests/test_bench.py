@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from bench import bench_kinematics, compare, run
-from bench.measure import HEAD, Goal, Peer, Row, aligned, cells
+from bench.measure import HEAD, WHAT_WIDTH, Goal, Peer, Row, aligned, cells
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_a_quick_run_gives_numbers(name):
             continue
         assert math.isfinite(row.median) and row.median >= 0.0
         assert row.p99 is None or (math.isfinite(row.p99) and row.p99 >= row.median)
-        assert row.what and row.unit and row.how
+        assert row.what and len(row.what) <= WHAT_WIDTH and row.unit and row.how
 
 
 @pytest.mark.parametrize("kdl", ["KDL LMA", "DLS"])
