@@ -105,7 +105,7 @@ def _peers(port: int, fast: int) -> dict[str, tuple[Feedback, Peer]]:
             begin = time.perf_counter()
             for _ in range(fast):
                 client.goal(word, _goal().tolist())
-            found[word] = feedback, Peer("plain client", fast / (time.perf_counter() - begin))
+            found[word] = feedback, Peer("plain loop", fast / (time.perf_counter() - begin))
     return found
 
 
