@@ -161,7 +161,7 @@ def _detection(count: int, camera: CameraModel) -> list[Row]:
         lambda i: library.detect(images[there_and_back[i % 14]]),
     )
     how = "five tags, 1 m away; pose and covariance"
-    return [row("tag detection", whole, "ms", how, peer=Peer("apriltag alone", float(np.median(alone))))]
+    return [row("tag detection", whole, "ms", how, peer=Peer("apriltag", float(np.median(alone))))]
 
 
 def board_image(camera: CameraModel, tags: tuple, x: float, seed: int) -> np.ndarray:
