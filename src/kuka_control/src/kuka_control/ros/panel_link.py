@@ -59,7 +59,8 @@ class PanelLink(QObject):
         panel.scaling_requested.connect(self._ask_scaling)
         panel.exit_requested.connect(lambda: self._ask(EXIT))
         panel.emergency_requested.connect(self._ask_emergency)
-        self._closed = False
+        self._closed = self._subscribing = False
+        self._subscriber: rospy.Subscriber | None = None
         self._wake = threading.Event()
         threading.Thread(target=self._watch, name="watch", daemon=True).start()
         self._timer = QTimer(self)
@@ -138,7 +139,7 @@ class PanelLink(QObject):
             if self._closed:
                 return
             time.sleep(REFRESH_MS * 1e-3)
-        subscriber = self._subscribe()
+        self._subscribe()
         while not self._closed:
             self._wake.clear()
             try:
@@ -149,11 +150,11 @@ class PanelLink(QObject):
             except MasterLost:
                 self._master_lost, forgotten = True, False
             # A connection that still brings a status is kept: the new master does not know its other end.
-            if forgotten and not self._hears():
-                subscriber.unregister()
-                subscriber = self._subscribe()
+            if forgotten and not self._hears() and not self._subscribing:
+                self._subscribe()
             self._wake.wait(0.0 if self._closed else WATCH_S)
-        subscriber.unregister()
+        if self._subscriber is not None:
+            self._subscriber.unregister()
 
     def _master_answers(self) -> bool:
         """Asks, because rospy counts a node without topics as initialized, and waits with its first topic for ever."""
@@ -169,8 +170,19 @@ class PanelLink(QObject):
         status = self._status
         return status is not None and time.monotonic() - status.received < ABSENT_S
 
-    def _subscribe(self) -> rospy.Subscriber:
-        return rospy.Subscriber("kuka/status", KukaStatus, self._take, queue_size=1)
+    def _subscribe(self) -> None:
+        """Subscribes anew in a thread of its own, as rospy waits for a master that hangs."""
+        self._subscribing = True
+
+        def subscribe() -> None:
+            try:
+                if self._subscriber is not None:
+                    self._subscriber.unregister()
+                self._subscriber = rospy.Subscriber("kuka/status", KukaStatus, self._take, queue_size=1)
+            finally:
+                self._subscribing = False
+
+        threading.Thread(target=subscribe, name="subscribe", daemon=True).start()
 
     def _take(self, message: KukaStatus) -> None:
         process = emergency.find(message.pid) if message.host == socket.gethostname() else None
