@@ -18,12 +18,12 @@ NAN, LATE = UnexpectedReply("the controller reported `NaN_`, which is not all nu
 
 
 class Arm:
-    """Fails as `errors` say, once each, whatever it is asked; None: it does not."""
+    """Fails as `errors` say, once each, whatever it is asked; None: it does not, and joints come if `fresh`."""
 
     def __init__(self):
         self.errors, self.remarks = [], []
         self.silent = 0.0
-        self.measured_joints = Q
+        self.measured_joints, self.fresh = Q, True
         self.ptp_arrived = self.read = self.stop_servo = self.start_servo = self._ask
         self.servo = self.start_ptp = lambda *_: self._ask()
 
@@ -31,6 +31,8 @@ class Arm:
         error = self.errors.pop(0) if self.errors else None
         if error is not None:
             raise error
+        if self.fresh:
+            self.measured_joints = Q.copy()
         return False
 
     def silence(self):
@@ -73,6 +75,14 @@ def test_single_bad_answers_are_counted_and_said_but_not_many_in_a_row(command, 
     cycles.run(*[error] * (MAX_MISSED - 1), dt=MISSING_S)
     with pytest.raises(type(error)):
         cycles.run(error)
+
+
+def test_a_goal_that_left_without_joints_is_no_answer():
+    cycles = Cycles(GOAL)
+    cycles.arm.fresh = False
+    with pytest.raises(UnexpectedReply):
+        for _ in range(MAX_MISSED):
+            cycles.run(NAN, None, dt=MISSING_S / 4.0)
 
 
 def test_what_is_missed_again_and_again_is_said_once_in_a_while():

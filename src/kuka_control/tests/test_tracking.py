@@ -47,8 +47,17 @@ def test_a_frozen_arm_is_found_within_half_a_second_of_moving_away(speed):
 
 def test_an_arm_of_which_nothing_new_is_known_is_not_blamed():
     monitor, measured = TrackingMonitor(), np.zeros(7)
-    for i in range(200):
+    for i in range(100):
         assert monitor.step(np.full(7, 0.05), measured, i * DT) is None
+
+
+@settings(max_examples=30)
+@given(st.floats(0.1, 1.5), st.sampled_from([DT, 0.02, 0.2]))
+def test_goals_do_not_move_on_without_measured_joints(speed, dt):
+    monitor, measured = TrackingMonitor(), np.zeros(7)
+    cycles = next(i for i in range(10_000) if monitor.step(np.full(7, speed * DT * i), measured, i * dt))
+    assert (cycles - np.radians(0.5) / (speed * DT)) * min(dt, 0.03) < 0.6
+    assert monitor.step(np.zeros(7), np.zeros(7), 10_000.0) is None, "new joints, at the goal"
 
 
 def test_an_arm_far_behind_is_found():

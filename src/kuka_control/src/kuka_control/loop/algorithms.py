@@ -82,7 +82,8 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         if result is None:
             return Servo(goal)
         self._test_motions += 1
-        if result.badly_seen and self._settings.servo_law == "auto" and self._test_motions < TEST_MOTIONS:
+        again = self._test_motions < TEST_MOTIONS and not self._exits(cycle)
+        if again and result.badly_seen and self._settings.servo_law == "auto":
             self._active = replace(self._active, data=ServoLawIdentification(identification.rest))
             return Servo(goal)
         self._law = verdict(result, self._settings.servo_law)

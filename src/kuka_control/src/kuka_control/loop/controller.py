@@ -152,6 +152,7 @@ class Controller:
         self._missed_in_a_row = 0
         self._missing_since = 0.0  # when the first of them was missed [s]
         self._silent = 0.0  # how long the present hold has lasted [s]
+        self._joints = arm.measured_joints  # the newest
         self._step: Step | None = None
 
     def cycle(self, inputs: Inputs, now: float) -> Step:
@@ -169,15 +170,17 @@ class Controller:
             # The wait for the answer took time that `now` does not know: the goals continue in the next cycle.
             if self._silent > NAMED_S:
                 events = (Event("info", f"The robot answers again after {self._silent:.2f} s."),)
-            self._silent, self._missed_in_a_row = 0.0, 0
+            self._silent = 0.0
             return replace(self._step, command=Wait(), events=events, transitions=())
         events += self._watch_motion(now)
         refused, self._refused = self._refused, None
-        observation = Observation(self._arm.measured_joints, inputs, not self.moving, refused)
+        joints = self._arm.measured_joints
+        if joints is not self._joints:  # a goal that left, or an answer without joints, is no reading
+            self._joints, self._missed_in_a_row = joints, 0
+        observation = Observation(joints, inputs, not self.moving, refused)
         step = self._loop.step(observation, now)
         try:
             self._do(step)
-            self._missed_in_a_row = 0
         except MotionRefused as error:
             self.moving = self.in_servo = False
             self._refused = str(error)

@@ -13,6 +13,8 @@ AWAY_RAD = float(np.radians(0.5))  # distance between goal and measured joint th
 STILL_RAD = float(np.radians(0.02))  # joints that moved less than this stand still
 STILL_S = 0.3  # how long the arm may stand still away from its goal [s]; a safety stop shows within half a second
 SAMPLES = 10  # a verdict needs more measurements than this, so that a stall of the loop is not blamed on the arm
+UNKNOWN_S = 0.5  # so long at most are goals sent that lie away from the last known joints [s]
+CYCLE_S = 0.03  # of a longer time between two looks this much counts: no goals were sent meanwhile [s]
 HELD_S = 0.4  # an arm that came no nearer for this time is held; longer than in servo mode: reduced override [s]
 
 
@@ -28,6 +30,7 @@ class TrackingMonitor:
         self._measured: np.ndarray | None = None
         self._still_since = self._far_since = 0.0
         self._still_samples = self._far_samples = 0
+        self._looked, self._unknown = 0.0, 0.0
 
     def step(self, goal: np.ndarray, measured: np.ndarray, now: float) -> str | None:
         """Returns None while the arm follows, else what is wrong, as a part of a sentence.
@@ -35,9 +38,13 @@ class TrackingMonitor:
         `measured` are the newest joints, the same object until newer ones come.
         """
         fresh, self._measured = measured is not self._measured, measured
+        passed, self._looked = min(now - self._looked, CYCLE_S), now
         joints = measured.tolist()
         errors = [abs(a - b) for a, b in zip(goal.tolist(), joints)]
         worst = max(errors)
+        self._unknown = 0.0 if fresh or worst <= AWAY_RAD else self._unknown + passed
+        if self._unknown > UNKNOWN_S:
+            return f"no measured joints came for {UNKNOWN_S:g} s while the goals moved on"
 
         reference = self._reference
         if reference is None or worst <= AWAY_RAD or max([abs(a - b) for a, b in zip(joints, reference)]) > STILL_RAD:
