@@ -40,7 +40,7 @@ class Way:
         self._chunks.append((now + delay, data))
 
     def due(self) -> float:
-        """Returns when the next bytes arrive [s]; infinity if there are none."""
+        """Returns when the next bytes arrive [s]; infinity where no bytes wait."""
         return max(self._chunks[0][0], self._repeated) if self._chunks else math.inf
 
     def take(self, now: float) -> bytes:

@@ -35,7 +35,6 @@ GOALS = {
     "frame received to command of the hand": ("demo: frame to command of the hand", None),
 }
 HAND_GOAL = Goal(45.0)
-BUSY_GOAL = Goal(None, 25.0)
 CPU_GOALS = {"all processes": Goal(90.0), "world.py": Goal(25.0)}
 LEAST_SHARE = 2.0  # programs that take less of a processor are not listed [%]
 

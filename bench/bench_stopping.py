@@ -23,7 +23,7 @@ CYCLES_PER_FRAME = 3
 DT_S = CYCLES_PER_GOAL * CYCLE_S
 GAP_S = 0.08
 AFTER_GAP, REST = 60, 5  # goals looked at after a gap, and goals that stand still at the end of a stream
-STARTING, MOST_CYCLES = 100, 20_000  # cycles until control goes on: only then a stream begins; and in all
+STARTING, MOST_CYCLES = 100, 20_000  # cycles before control goes on and the stream begins; cycles in all
 MOVING_M_S = 1e-4
 
 

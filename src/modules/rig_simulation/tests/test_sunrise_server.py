@@ -284,11 +284,13 @@ def test_the_program_says_that_its_port_is_taken():
     assert "in use" in err
 
 
-def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(monkeypatch, serve, wait_until):
-    step = SimulatedArm.step
+def slow_motion(monkeypatch, serve, step_s):
+    """A server whose arm moves, its client, and the steps of the arm, each of which takes the time `step_s` [s]."""
+    steps, step = [], SimulatedArm.step
 
     def slow_step(arm, dt):
-        time.sleep(0.002)
+        steps.append(dt)
+        time.sleep(step_s)
         step(arm, dt)
 
     server = serve()
@@ -297,6 +299,11 @@ def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(
         assert client.ask(line) == "done\n"
     monkeypatch.setattr(SimulatedArm, "step", slow_step)
     assert client.ask("doPTPinJS") == "done\n"
+    return server, client, steps
+
+
+def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(monkeypatch, serve, wait_until):
+    server, client, _ = slow_motion(monkeypatch, serve, 0.002)
     wait_until(lambda: state(server)["joints"][0] > 0.0, 10.0, "the arm to move")
     waits = []
     for _ in range(10):
@@ -309,19 +316,7 @@ def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(
 
 
 def test_an_arm_that_lags_answers_before_it_makes_up_its_lag(monkeypatch, serve, wait_until):
-    steps, step = [], SimulatedArm.step
-
-    def slow_step(arm, dt):
-        steps.append(dt)
-        time.sleep(0.005)
-        step(arm, dt)
-
-    server = serve()
-    client = Connection(server)
-    for line in ("jRelVel_1.0_", "jp_1.0_0.0_0.0_0.0_0.0_0.0_0.0_"):
-        assert client.ask(line) == "done\n"
-    monkeypatch.setattr(SimulatedArm, "step", slow_step)
-    assert client.ask("doPTPinJS") == "done\n"
+    _, client, steps = slow_motion(monkeypatch, serve, 0.005)
     wait_until(lambda: len(steps) > 10, 10.0, "the arm to lag")
     taken = []
     for _ in range(10):

@@ -37,7 +37,7 @@ class ReceivedHuman(Human):
         self.stamp, self.frame_id, self.hands = rospy.Time(), 0, ()
 
     def deserialize(self, data: bytes) -> ReceivedHuman:
-        """Reads the bytes of a message; raises genpy.DeserializationError if they are none."""
+        """Reads the bytes of a message; raises genpy.DeserializationError for bytes that are not a Human message."""
         try:
             self._read_usual(data)
         except (_UnusualLayout, struct.error):
